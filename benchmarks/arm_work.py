@@ -64,7 +64,7 @@ def draw(move: Move, runs: int, steps: int, step: float = 1e-3) -> Work:
 def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Callable[[], Floats]:
     """Ours on the lanes engine."""
     step, params, own = _graph(work)
-    kernel = lanes.build(
+    kernel = lanes.build_kernel(
         step,
         params=own,
         record=[],
@@ -75,7 +75,7 @@ def lanes_run(work: Work, *, width: int = lanes.WIDTH, threads: int = 1) -> Call
     inputs = work.targets.reshape(work.steps, -1)
 
     def run() -> Floats:
-        _, finals = lanes.run(
+        _, finals = lanes.run_lanes(
             kernel, work.states, inputs, params, None, work.torques, threads=threads
         )
         return finals
@@ -92,7 +92,7 @@ def virtual_machine(work: Work) -> Callable[[], Floats]:
     def run() -> Floats:
         finals = []
         for state, p in zip(work.states, numbers, strict=True):
-            finals.append(interpret.run(step, state, inputs, p)[1])
+            finals.append(interpret.run_interpreted(step, state, inputs, p)[1])
         return np.stack(finals)
 
     return run

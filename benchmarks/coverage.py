@@ -135,12 +135,12 @@ def along(
     built = built_of(options, posed)
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(
+    kernel = lanes.build_kernel(
         step_of(built[0], kept), exogenous=range(2), params=range(numbers.shape[1])
     )
     own = np.stack([posed.y, posed.u], axis=1)
     shared = np.zeros((len(posed.y), 2))
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
     return np.asarray(out)
 
 

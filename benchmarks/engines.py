@@ -32,13 +32,13 @@ def _rows(name: str, problem: uz.Scenario, rounds: int) -> list[str]:
     """A row for each engine."""
     loop, state, exogenous = prepare(resolve_scenario(problem))
     params = tree.pack(loop.params)
-    alone = lanes.build(loop.step, record=[], width=1)
-    many = lanes.build(loop.step, record=[], width=lanes.WIDTH)
+    alone = lanes.build_kernel(loop.step, record=[], width=1)
+    many = lanes.build_kernel(loop.step, record=[], width=lanes.WIDTH)
     states = np.tile(state, (LANES, 1))
     programs = {
-        "virtual machine": lambda: interpret.run(loop.step, state, exogenous, params),
-        "lanes, one run": lambda: lanes.run(alone, state, exogenous, params, threads=1),
-        f"lanes, {LANES} runs": lambda: lanes.run(many, states, exogenous, params, threads=1),
+        "virtual machine": lambda: interpret.run_interpreted(loop.step, state, exogenous, params),
+        "lanes, one run": lambda: lanes.run_lanes(alone, state, exogenous, params, threads=1),
+        f"lanes, {LANES} runs": lambda: lanes.run_lanes(many, states, exogenous, params, threads=1),
     }
     runs = (1, 1, LANES)
     seconds = medians(programs, rounds)

@@ -98,11 +98,11 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
             built.append(coverage.built_for(options(one), one.model, sensor, STEP))
         numbers = np.stack([tree.pack(one.params) for one in built])
         states = np.stack([tree.pack(one.init(one.params)) for one in built])
-        kernel = lanes.build(
+        kernel = lanes.build_kernel(
             coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
         )
         own = np.stack([np.stack([one.y, one.u], axis=1) for one in posed], axis=2)
-        out, _ = lanes.run(
+        out, _ = lanes.run_lanes(
             kernel, states, np.zeros((SAMPLES, 2)), numbers[0], own, numbers, threads=1
         )
         kept = out[:, EVERY - 1 :: EVERY]

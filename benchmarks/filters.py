@@ -78,12 +78,14 @@ def by_gcc(step: Step, readings: Floats, folder: Path) -> Callable[[], Floats]:
 def in_lanes(step: Step, readings: Floats) -> Callable[[], Floats]:
     """The filter as ensembles compute it, all runs side by side."""
     count, inputs = len(readings), readings.shape[2]
-    kernel = lanes.build(step.function, exogenous=range(inputs), record=(), fused=True, hurry=False)
+    kernel = lanes.build_kernel(
+        step.function, exogenous=range(inputs), record=(), fused=True, hurry=False
+    )
     states = np.tile(step.start, (count, 1))
     own = np.ascontiguousarray(readings.transpose(1, 2, 0))
     shared = np.zeros((readings.shape[1], inputs))
 
     def run() -> Floats:
-        return lanes.run(kernel, states, shared, step.defaults, own, threads=1)[1]
+        return lanes.run_lanes(kernel, states, shared, step.defaults, own, threads=1)[1]
 
     return run

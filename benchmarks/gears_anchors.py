@@ -17,7 +17,7 @@ from benchmarks.gears import LAST, Bench, bench, driven, geared, rows
 from benchmarks.markdown import head, row
 from benchmarks.mujoco_gears import Arm
 from undeadzone.compile.scalar_step import CompiledStepper
-from undeadzone.numerics.gaussian import below, density
+from undeadzone.numerics.gaussian import normal_cdf, normal_density
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.contact import DRIFT, JERK, unknown_torques
 from undeadzone.observers.contact_filter.drive import FADING, LASTING
@@ -104,7 +104,7 @@ def _extended_step(model: System, scenario: Mapping[str, Any]) -> ca.Function:
         params[gears.names.index("payload")] = x[5]
         apart = gears.angle(params, x[:4])
         pressed = _beyond(apart - x[4], spread) - _beyond(-apart - x[4], spread)
-        closed = below((apart - x[4]) / spread) + below((-apart - x[4]) / spread)
+        closed = normal_cdf((apart - x[4]) / spread) + normal_cdf((-apart - x[4]) / spread)
         f = gears.number(params, "contact")
         tau = f * (gears.stiffness * f * pressed + gears.damping * closed * (x[2] - x[3]))
         drive = w[1] + x[6] - gears.friction(params, x[2]) - tau
@@ -128,7 +128,7 @@ def _extended_step(model: System, scenario: Mapping[str, Any]) -> ca.Function:
 
 def _beyond(edge: Any, spread: Any) -> Any:
     """The mean of max(e, 0) where e is normal."""
-    return edge * below(edge / spread) + spread * density(edge / spread)
+    return edge * normal_cdf(edge / spread) + spread * normal_density(edge / spread)
 
 
 def zone(scenario: Mapping[str, Any]) -> Filter:

@@ -15,7 +15,7 @@ from benchmarks import ours, rivals
 from benchmarks.markdown import head, row
 from benchmarks.workload import Work, draw
 from undeadzone.compile import cache, lanes, machine
-from undeadzone.compile.machine import FIXED, Form, Machine, here
+from undeadzone.compile.machine import FIXED, Form, Machine, host_machine
 
 RUNS, STEPS = 1008, 1000  # whole groups of two streams, and of three
 # Lanes, streams, slots, registers: what was chosen, and what other processors may want.
@@ -72,13 +72,15 @@ LOOPS = (
 def table(rounds: int = 16) -> str:
     """The table of kernels."""
     columns = ("loop", "C", "C, grouped", "assumed", "kernel", "measured", "kernel")
-    lines = [f"## Kernels\n\n{here().processor}, vectors of {here().vector[0]}. {NOTE}"]
+    machine = host_machine()
+    size = machine.vector_shape[0]
+    lines = [f"## Kernels\n\n{machine.processor}, vectors of {size}. {NOTE}"]
     lines += head(*columns, "`lanes.run` / kernel")
     with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
         for loop in LOOPS:
             lines.append(_row(loop, rounds))
         lines += ["", *_forms(LOOPS, FORMS, rounds // 4)]
-    with as_machine(Machine(here().triple, *AVX2)):
+    with as_machine(Machine(host_machine().triple, *AVX2)):
         return "\n".join([*lines, *_forms(LOOPS[:6], OF_AVX2, rounds // 4)])
 
 
@@ -89,13 +91,13 @@ def as_machine(other: Machine) -> Iterator[None]:
     with tempfile.TemporaryDirectory() as folder, variable("UNDEADZONE_CACHE", folder):
         for room in rooms:
             room.here = lambda: other
-        cache.compile_or_load.cache_clear()
+        cache.load_or_compile.cache_clear()
         try:
             yield
         finally:
             for room in rooms:
-                room.here = here
-            cache.compile_or_load.cache_clear()
+                room.here = host_machine
+            cache.load_or_compile.cache_clear()
 
 
 def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[str]:
@@ -104,16 +106,16 @@ def _forms(loops: Sequence[Loop], forms: Sequence[Form], rounds: int) -> list[st
     for loop in loops:
         work, options = _asked(loop)
         own = assumed(work, **options)
-        titles.append(f"{loop.name} ({own.kernel.form.text})")
+        titles.append(f"{loop.name} ({own.kernel.form.setting_text})")
         programs = {"assumed": alone(own, work)}
         for form in forms:
             if form.streams * loop.options.get("n", 2) <= LONGEST:
-                programs[form.text] = alone(formed(form, work, **options), work)
+                programs[form.setting_text] = alone(formed(form, work, **options), work)
         seconds = least(programs, rounds)
         whole = seconds["assumed"]
         columns.append({name: f"{value / whole:.2f}" for name, value in seconds.items()})
-    names = [form.text for form in forms]
-    code = f"Code for {machine.here().processor} on {here().processor}"
+    names = [form.setting_text for form in forms]
+    code = f"Code for {machine.host_machine().processor} on {host_machine().processor}"
     lines = [f"{code}: time of a kernel in other forms over that in the assumed one.\n"]
     lines += head("form", *titles)
     lines += [row(name, *(column.get(name, "-") for column in columns)) for name in names]
@@ -141,7 +143,7 @@ def variable(name: str, value: str) -> Iterator[None]:
 
 def formed(form: Form, work: Work, **options: Any) -> ours.Program:
     """The program in a form."""
-    with variable(FIXED, form.text):
+    with variable(FIXED, form.setting_text):
         return ours.made(work, **options)
 
 
@@ -183,17 +185,17 @@ def _row(loop: Loop, rounds: int) -> str:
     for name in ("grouped", "assumed", "measured"):
         share = f" ({each[name] / each['C']:.2f})" if "C" in each and name in each else ""
         shown.append(f"{each[name]:.3g}{share}" if name in each else "not installed")
-    shown[2:2] = [before.kernel.form.text]
-    shown[4:4] = [after.kernel.form.text]
+    shown[2:2] = [before.kernel.form.setting_text]
+    shown[4:4] = [after.kernel.form.setting_text]
     return row(loop.name, *shown, f"{each['run'] / each['measured']:.2f}")
 
 
 def alone(program: ours.Program, work: Work) -> Callable[[], None]:
     """A kernel's own calls, without `lanes.run`."""
     kernel, states = program.kernel, program.states
-    kernel.block.settle()
+    kernel.block.wait_until_best()
     own = np.empty((STEPS, 0, len(states)))
-    arrays = lanes._arrays(kernel, len(states), STEPS)
+    arrays = lanes._allocate_arrays(kernel, len(states), STEPS)
 
     def run() -> None:
         arrays.work[: states.shape[1]] = states.T

@@ -25,8 +25,10 @@ def table(rounds: int = 30) -> str:
     draws = {
         "numpy's `Generator.standard_normal`": lambda: generator.standard_normal(out=numbers),
         "numpy, `noise.gaussian`, one run": lambda: noise.gaussian(0, noise.AFTER, ALONE, 1),
-        f"lanes, {lanes.WIDTH} runs": lambda: normal.fill(numbers, 0, 0, words, range(lanes.WIDTH)),
-        "lanes, colouring besides": lambda: normal.colour(numbers, state, 0, *colour),
+        f"lanes, {lanes.WIDTH} runs": lambda: normal.fill_normal(
+            numbers, 0, 0, words, range(lanes.WIDTH)
+        ),
+        "lanes, colouring besides": lambda: normal.colour_noise(numbers, state, 0, *colour),
     }
     counts = (numbers.size, ALONE, numbers.size, numbers.size)
     seconds = medians(draws, rounds, uncounted=1)
@@ -54,7 +56,7 @@ def _tails(words: list[int]) -> list[str]:
     blocks = -(-NUMBERS // numbers.size)
     for block in range(blocks):
         runs = range(block * lanes.WIDTH, (block + 1) * lanes.WIDTH)
-        normal.fill(numbers, 0, 1, words, runs)
+        normal.fill_normal(numbers, 0, 1, words, runs)
         far = np.abs(numbers[np.abs(numbers) > min(SIGMAS)])
         for sigma in SIGMAS:
             beyond[sigma] += np.count_nonzero(far > sigma)

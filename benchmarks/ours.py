@@ -70,7 +70,9 @@ def prepare(work: Work, *, threads: int = 1, **options: Any) -> Callable[[], Res
     count = exogenous[:, -1].sum()
 
     def run() -> Result:
-        _, finals = lanes.run(kernel, states, exogenous, params, None, work.widths, threads=threads)
+        _, finals = lanes.run_lanes(
+            kernel, states, exogenous, params, None, work.widths, threads=threads
+        )
         return Result(finals[:, :-1], np.sqrt(finals[:, -1] / count))
 
     return run
@@ -106,7 +108,7 @@ def _kernel(
         units = [i for i in constants if names[i].startswith(UNITS)]
         constants = {i: constants[i] for i in units}
     usual, rare = _summed(loop)
-    kernel = lanes.build(
+    kernel = lanes.build_kernel(
         usual,
         rare,
         params=indices,

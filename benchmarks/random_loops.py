@@ -81,9 +81,11 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     states = np.stack([state for _, state, _ in prepared])
     numbers = np.stack([tree.pack(one.params) for one, _, _ in prepared])
     own = np.stack([exogenous for _, _, exogenous in prepared], axis=2)
-    kernel = lanes.build(loop.step, exogenous=range(own.shape[1]), params=range(numbers.shape[1]))
+    kernel = lanes.build_kernel(
+        loop.step, exogenous=range(own.shape[1]), params=range(numbers.shape[1])
+    )
     shared = np.zeros(own.shape[:2])
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
     places = tree.slices(loop.outputs)
     estimate = places.estimate
     t = np.arange(len(shared)) * step

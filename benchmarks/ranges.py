@@ -165,11 +165,11 @@ def observe(
         built.append(coverage.built_for(options(known, k), model, sensor, STEP))
     numbers = np.stack([tree.pack(one.params) for one in built])
     states = np.stack([tree.pack(one.init(one.params)) for one in built])
-    kernel = lanes.build(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))
+    kernel = lanes.build_kernel(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))
     y = np.clip(known.y, -limits, limits)
     own = np.stack([y, known.u, np.broadcast_to(limits, y.shape)], axis=1)
     shared = np.zeros((len(y), 3))
-    out, _ = lanes.run(kernel, states, shared, numbers[0], own, numbers, threads=1)
+    out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
     right, left, z, right_std, left_std, width_std, z_std = out[:, -1].T
     return coverage.verdict(
         coverage.truth(known),

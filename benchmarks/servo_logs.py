@@ -109,7 +109,7 @@ def kernel() -> lanes.Kernel:
         level = ca.fmax(ca.fmin(level, z + gap / 2), z - gap / 2)
     following = ca.vertcat(z, v, current, level, y, slope, *queue[:-1])
     step_of = ca.Function("servo", [state, signals, p], [following, ca.vertcat(u, y)])
-    return lanes.build(step_of, width=8)
+    return lanes.build_kernel(step_of, width=8)
 
 
 def recorded(
@@ -127,7 +127,7 @@ def recorded(
     """
     signals = np.column_stack([command, torque, noise])
     numbers = np.array([*servo, 1.0 * closed, step])
-    outputs, _ = lanes.run(kernel(), np.zeros(6 + LATEST), signals, numbers, threads=1)
+    outputs, _ = lanes.run_lanes(kernel(), np.zeros(6 + LATEST), signals, numbers, threads=1)
     return outputs[0, :, 0], outputs[0, :, 1]
 
 

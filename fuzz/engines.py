@@ -47,10 +47,12 @@ def _compared(tables: Table, folder: Path) -> None:
     problem = resolve_scenario(convert(tables))
     loop, state, exogenous = prepare(problem)
     params = tree.pack(loop.params)
-    expected = interpret.run(loop.step, state, exogenous, params)
-    in_c = interpret.run(_in_c(loop.step, folder), state, exogenous, params)
+    expected = interpret.run_interpreted(loop.step, state, exogenous, params)
+    in_c = interpret.run_interpreted(_in_c(loop.step, folder), state, exogenous, params)
     assert all(map(identical, in_c, expected)), "C differs from the virtual machine"
-    outputs, finals = lanes.run(lanes.build(loop.step, width=8), state, exogenous, params)
+    outputs, finals = lanes.run_lanes(
+        lanes.build_kernel(loop.step, width=8), state, exogenous, params
+    )
     results = outputs[0], finals[0]
     if _elementary(loop.step):
         far = max(map(distance, results, expected))

@@ -132,7 +132,7 @@ def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy
 def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
     """Return the largest error of the compiled code against CasADi, relative to each field."""
     step = code.step
-    expected, _ = interpret.run(step.function, step.start, rows, step.defaults)
+    expected, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
     values = replica(rows)
     if not np.array_equal(np.isnan(values), np.isnan(expected)):
         return float("inf")

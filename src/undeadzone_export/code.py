@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from undeadzone.compile.graph import LANES, Node, Nodes, Results, condition, required_nodes
-from undeadzone.compile.lower import portable
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, required_nodes, to_condition
+from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import TYPES
 from undeadzone_export.exported_step import Field, Step
 
@@ -94,7 +94,7 @@ def code(step: Step, single: bool) -> Code:
     Raises:
         InputError: an instruction that the export cannot print.
     """
-    results = portable(step.function, "float32" if single else "float64")
+    results = build_portable_nodes(step.function, "float32" if single else "float64")
     phases = split_results(results, {f"w{k}" for k in step.acting}) if step.acting else None
     return Code(step, single, results, phases)
 
@@ -122,7 +122,7 @@ def split_results(results: Results, acting: Iterable[str]) -> Phases:
     nodes = Nodes()
     copies: dict[Node, Node] = {}
     for node, entry in carried.items():
-        copies[node] = nodes.input(f"c{entry}", LANES, node.kind)
+        copies[node] = nodes.intern_input(f"c{entry}", LANES, node.kind)
     for node in required_nodes(following, carried):
         args = [copies[arg] for arg in node.args]
         copies[node] = nodes.intern(node.op, *args, text=node.text, kind=node.kind)
@@ -140,6 +140,6 @@ def operations(results: Results) -> dict[str, int]:
     """How many operations of each kind one evaluation takes, by their names."""
     counts: Counter[str] = Counter()
     for node in required_nodes(itertools.chain(*results)):
-        if node.args and condition(node) is None:  # a truth as a number is the truth itself
+        if node.args and to_condition(node) is None:  # a truth as a number is the truth itself
             counts[node.text or _COUNTED[node.op]] += 1
     return dict(sorted(counts.items()))

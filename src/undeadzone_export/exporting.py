@@ -15,7 +15,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile.graph import required_nodes
-from undeadzone.compile.print_c import literal
+from undeadzone.compile.print_c import c_literal
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
@@ -278,7 +278,7 @@ def replacements_for_float(double: Code) -> list[str]:
     for node in required_nodes(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
-            texts.add(f"{node.text}: {literal(float(node.text), 'float32')}")
+            texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")
     return sorted(texts)
 
 

@@ -15,11 +15,17 @@ from undeadzone.compile.print_c import (
     Expressions,
     Local,
     Style,
-    lines_of,
-    locals_of,
+    find_locals,
+    local_statements,
     wrap_statement,
 )
-from undeadzone.compile.print_st import ST, TYPES, assign_number, initial, reads
+from undeadzone.compile.print_st import (
+    ST,
+    TYPES,
+    assign_number,
+    initial_literal,
+    statement_operands,
+)
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
@@ -115,15 +121,17 @@ def function_unit(name: str, style: Style) -> Unit:
         name: one of `bitless.OWN`.
         style: how numbers and functions are written.
     """
-    shape = elementary.formula(name, style.kind, portable_maths.OWN)
+    shape = elementary.build_formula(name, style.kind, portable_maths.OWN)
     expressions = Expressions(style, {text: text for text in shape.inputs})
-    found = locals_of([[shape.result]], expressions, {})
+    found = find_locals([[shape.result]], expressions, {})
     called = f"{style.prefix}_{name}"
-    result = wrap_statement(f"{called} := {expressions.text(shape.result).text};")
-    given = [Variable(text, style.real) for text in shape.inputs]
+    result = wrap_statement(f"{called} := {expressions.write_node(shape.result).text};")
+    given = [Variable(text, style.real_type) for text in shape.inputs]
     variables = {INPUTS: given, LOCALS: list(map(_declare_variable, found))}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
-    return Unit("FUNCTION", called, meaning, variables, [*lines_of(found), *result], style.real)
+    return Unit(
+        "FUNCTION", called, meaning, variables, [*local_statements(found), *result], style.real_type
+    )
 
 
 class _Block:
@@ -137,7 +145,7 @@ class _Block:
 
     def __init__(self, code: Code, labels: Labels, style: Style) -> None:
         self.code, self.labels, self.style = code, labels, style
-        step, real = code.step, style.real
+        step, real = code.step, style.real_type
         fields = (step.inputs, step.outputs, step.params)
         names = [[f"{name}_{k}" for name, k in members(field)] for field in fields]
         names += [[f"{name}_was_{k}" for name, k in members(step.state)]]
@@ -157,7 +165,7 @@ class _Block:
                 if node.args:
                     labelled[node] = name
         self._expressions = Expressions(style, self.entries)
-        self.locals = locals_of(code.results, self._expressions, labelled)
+        self.locals = find_locals(code.results, self._expressions, labelled)
         self.held = self._expressions.names
         self.real = real
 
@@ -170,13 +178,13 @@ class _Block:
         """Return the parts, if there are any, and the block."""
         name = f"fb_{self.labels.prefix}"
         if len(self.locals) <= STATEMENTS:
-            return [self._whole(name, self.locals, [], lines_of(self.locals))]
+            return [self._whole(name, self.locals, [], local_statements(self.locals))]
         shared = set(itertools.chain(*self.code.results))
         parts = []
         for start in range(0, len(self.locals), STATEMENTS):
             part = self.locals[start : start + STATEMENTS]
             inside = {local.node for local in part}
-            read = itertools.chain(*[reads(local, self.held) for local in part])
+            read = itertools.chain(*[statement_operands(local, self.held) for local in part])
             given = {node: None for node in read if node not in inside}
             shared.update(given)
             parts.append((part, given))
@@ -184,7 +192,7 @@ class _Block:
         for place, (part, given) in enumerate(parts):
             meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
             variables = self._of_part(part, list(given), shared)
-            unit = (f"{name}_part_{place + 1}", meaning, variables, lines_of(part))
+            unit = (f"{name}_part_{place + 1}", meaning, variables, local_statements(part))
             units.append(Unit("FUNCTION_BLOCK", *unit))
         own = [local for local in self.locals if local.node in shared]
         calls = list(itertools.chain(*map(_call, units)))
@@ -254,7 +262,7 @@ class _Block:
         self, names: list[str], fields: list[Field], values: Floats
     ) -> list[Variable]:
         """Return variables of the numbers of fields, with their values at first."""
-        starts = [(initial(value, self.code.kind),) for value in values.tolist()]
+        starts = [(initial_literal(value, self.code.kind),) for value in values.tolist()]
         known = zip(self._fields(names, fields), starts, strict=True)
         return [each._replace(start=start) for each, start in known]
 
@@ -270,7 +278,7 @@ class _Block:
         """Return assignments to outputs that no local of their name fills."""
         lines = []
         for node, name in zip(self.code.results[1], self.outputs, strict=True):
-            text = self._expressions.text(node).text
+            text = self._expressions.write_node(node).text
             if text != name:
                 lines += wrap_statement(f"{name} := {text};")
         return lines
@@ -281,7 +289,7 @@ class _Block:
         for node, state, name in zip(
             self.code.results[0], self.states, self.following, strict=True
         ):
-            text = self._expressions.text(node).text
+            text = self._expressions.write_node(node).text
             if text in self.states and text != state:
                 copied[name], text = text, name
             if text != state:
@@ -345,5 +353,5 @@ def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
 
 def _table(name: str, values: Any, kind: str) -> Variable:
     """Return an array of numbers."""
-    texts = tuple(initial(value, kind) for value in values.tolist())
+    texts = tuple(initial_literal(value, kind) for value in values.tolist())
     return Variable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)

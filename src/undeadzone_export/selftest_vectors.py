@@ -9,7 +9,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import interpret
-from undeadzone.compile.numpy_reference import replica
+from undeadzone.compile.numpy_reference import reference_evaluator
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -81,7 +81,7 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
 def _record_step(problem: Problem, step: Step) -> Floats:
     """Return the inputs of a step along a run."""
     loop, state, exogenous = prepare(problem)
-    outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
     signals = name_outputs(loop, outputs)
     if step.acting:
         return np.hstack([signals.y, signals.u])
@@ -113,7 +113,7 @@ def reference(code: Code, rows: Floats) -> Vectors:
         code: what is printed.
         rows: inputs, a row for each sample.
     """
-    kind, evaluate = code.kind, replica(code.results)
+    kind, evaluate = code.kind, reference_evaluator(code.results)
     rows = rows.astype(kind)
     state = code.step.start.astype(kind)
     params = code.step.defaults.astype(kind)

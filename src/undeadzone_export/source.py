@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import undeadzone
 from undeadzone.compile import elementary, print_c
-from undeadzone.compile.graph import Node, Results, condition, required_nodes
-from undeadzone.compile.print_c import INDENT, Body, Names, Style, body, literal
+from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
+from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import CLAIMS
 from undeadzone.util.text import one_line
@@ -67,7 +67,7 @@ def source(code: Code, labels: Labels) -> Source:
         "title": _plain(labels.title),
         "version": undeadzone.__version__,
         "real": code.real,
-        "step": literal(step.Ts, code.kind),
+        "step": c_literal(step.Ts, code.kind),
         "hash": code.hash,
         "with_math": bool(used),
     }
@@ -93,15 +93,15 @@ def _bodies(code: Code, style: Style) -> dict[str, Body]:
     kept = dict(zip(stored, entries(s=stored), strict=True))
     known = meanings(code.results, step, 1)
     names = Names(inputs, [stored, out], [following, shown], known, kept)
-    bodies = {"step": body(code.results, style, names)}
+    bodies = {"step": build_body(code.results, style, names)}
     if code.phases is not None:
         carry = [f"state->carry[{k}]" for k in range(code.number_carried)]
         local = [f"carry_{k}" for k in range(code.number_carried)]
         first, second = code.phases.estimate, code.phases.advance
         names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0), kept)
-        bodies["estimate"] = body(first, style, names)
+        bodies["estimate"] = build_body(first, style, names)
         names = Names(inputs, [stored], [following], meanings(second, step, None), kept)
-        bodies["advance"] = body(second, style, names)
+        bodies["advance"] = build_body(second, style, names)
     return bodies
 
 
@@ -124,7 +124,7 @@ def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any
         used: every function that the code calls, those of a number's bits included.
         style: how numbers and functions are written.
     """
-    texts = "\n\n".join(print_c.functions(names, used, style))
+    texts = "\n\n".join(print_c.elementary_texts(names, used, style))
     return {"functions": texts, "with_bits": "memcpy" in texts}
 
 
@@ -172,7 +172,7 @@ def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
     lines = [f"/** {meaning} */", "typedef struct", "{"]
     for field in fields:
         lines.append(
-            f"{INDENT}{style.real} {field.name}[{field.size}]; /**< {_plain(field.meaning)} */"
+            f"{INDENT}{style.real_type} {field.name}[{field.size}]; /**< {_plain(field.meaning)} */"
         )
     return "\n".join([*lines, f"}} {name};", ""])
 
@@ -236,7 +236,7 @@ def _assignments(target: str, fields: list[Field], values: list[float], style: S
     """Return statements that store numbers."""
     lines = []
     for (name, k), value in zip(members(fields), values, strict=True):
-        lines.append(f"{INDENT}{target}->{name}[{k}] = {literal(value, style.kind)};")
+        lines.append(f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};")
     return lines
 
 
@@ -257,7 +257,7 @@ def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
     names = _present(order, step)
     if out is not None:
         for (name, k), node in zip(members(step.outputs), results[out], strict=True):
-            sides = [truth for truth in map(condition, node.args) if truth is not None]
+            sides = [truth for truth in map(to_condition, node.args) if truth is not None]
             if name == "side" and node.op == "sub" and len(sides) == 2:
                 names |= {sides[0]: f"is_right_{k}", sides[1]: f"is_left_{k}"}
                 names |= _either(order, set(sides), f"is_active_{k}")

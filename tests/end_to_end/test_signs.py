@@ -29,7 +29,7 @@ from undeadzone.linalg.riccati import riccati
 from undeadzone.linalg.structure import output_chains, uncontrollable_modes, unobservable_modes
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.numerics.optimise import evolve, pareto
+from undeadzone.numerics.optimise import find_pareto_front, minimise_by_cmaes
 from undeadzone.observers import Certified
 from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
 from undeadzone.observers.filtering.consistency import log_density
@@ -151,7 +151,7 @@ def test_an_evolution_begins_at_its_start() -> None:
         tried.append(points)
         return np.zeros(len(points))
 
-    evolve(cost, low, high, seed=3, size=40, rounds=1, start=start, spread=0.01)
+    minimise_by_cmaes(cost, low, high, seed=3, size=40, rounds=1, start=start, spread=0.01)
     np.testing.assert_allclose(tried[0].mean(axis=0), start, atol=0.01 * 40)
 
 
@@ -210,7 +210,7 @@ def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
         both[points[:, 0] > 0.5, 1] = np.inf
         return both
 
-    _, values = pareto(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
+    _, values = find_pareto_front(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
     assert np.isfinite(values).all()
     assert len(values) > 1
 

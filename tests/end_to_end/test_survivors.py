@@ -27,7 +27,7 @@ from undeadzone.linalg import riccati
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import place
 from undeadzone.nonlinearities.sensor import Sensor, resolve
-from undeadzone.numerics.dense_output import Levels, _crossing
+from undeadzone.numerics.dense_output import Levels, _find_crossing
 from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers import Kalman
 from undeadzone.observers.adaptive.adaptation_laws import e_modification_move
@@ -217,7 +217,7 @@ def test_a_jump_sensor_moves_the_edge_that_its_reading_contradicts(
 @pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])
 def test_a_zone_of_no_width_is_crossed_at_once(edge: float, after: float) -> None:
     levels = Levels((ca.SX(edge),), (ca.SX(-edge),))
-    crossing = _crossing(ca.SX(-1.0), levels, ca.SX(1.0))
+    crossing = _find_crossing(ca.SX(-1.0), levels, ca.SX(1.0))
     assert float(crossing[1]) == after
     assert bool(ca.DM(crossing[0]))
 

@@ -28,7 +28,7 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Reading
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
-from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_belief
+from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_at_bounds
 from undeadzone.observers.adaptive.adaptation_laws import LeastSquares
 from undeadzone.observers.adaptive.output_error import require_widths_and_gain
 from undeadzone.observers.contact_filter.drive import (
@@ -108,7 +108,7 @@ def test_a_bound_that_is_no_fake_cuts_as_a_truncated_normal() -> None:
     mean, std, end = 0.3, 0.8, 0.5
     belief = Gaussian(ca.SX([mean]), ca.SX([[std**2]]))
     bound = Bound(ca.SX([[1.0]]), mean - end, 1.0)
-    after = truncate_belief(belief, [bound], 0.0, 10.0).belief
+    after = truncate_at_bounds(belief, [bound], 0.0, 10.0).belief
     exact = truncnorm(-np.inf, (end - mean) / std, mean, std)
     assert float(after.mean) == pytest.approx(exact.mean(), rel=1e-9)
     assert float(after.cov) == pytest.approx(exact.var(), rel=1e-9)
@@ -218,7 +218,7 @@ def test_scores_of_small_inputs_are_normal_numbers_too() -> None:
 def test_a_bound_that_is_not_heard_is_as_likely_as_not() -> None:
     belief = Gaussian(ca.SX([0.0]), ca.SX([[1.0]]))
     silent = Bound(ca.SX([[1.0]]), 0.0, 0.0)
-    assert float(truncate_belief(belief, [silent], 0.0, 10.0, fake=ca.SX(-3.0)).likely) == 1.0
+    assert float(truncate_at_bounds(belief, [silent], 0.0, 10.0, fake=ca.SX(-3.0)).likely) == 1.0
 
 
 @pytest.mark.parametrize(("side", "seen"), [(0, "right"), (1, "left")])

@@ -451,8 +451,8 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
     library = once.program(["step.so", *options, "step.c"], tmp_path)
     arguments = (state, exogenous, tree.pack(loop.params))
     computed, expected = (
-        interpret.run(ca.external("step", str(library)), *arguments)[0],
-        interpret.run(loop.step, *arguments)[0],
+        interpret.run_interpreted(ca.external("step", str(library)), *arguments)[0],
+        interpret.run_interpreted(loop.step, *arguments)[0],
     )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(computed, expected, rtol=1e-9, atol=1e-9)

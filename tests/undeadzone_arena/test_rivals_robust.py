@@ -288,7 +288,7 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
     library = once.program(["step.so", *options, "step.c"], tmp_path)
     params = tree.pack(loop.params)
     computed, expected = (
-        interpret.run(f, state, exogenous, params)[0]
+        interpret.run_interpreted(f, state, exogenous, params)[0]
         for f in (ca.external("step", str(library)), loop.step)
     )
     np.testing.assert_allclose(computed, expected, rtol=1e-12, atol=1e-12)

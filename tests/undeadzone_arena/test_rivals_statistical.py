@@ -23,7 +23,7 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
-from undeadzone.numerics.gaussian import symmetric, triangle
+from undeadzone.numerics.gaussian import from_upper_entries, to_upper_entries
 from undeadzone.observers import Kalman
 from undeadzone.observers.filtering.augmented_state import agitation, even_units, quarter_period
 from undeadzone.plants.build import system
@@ -252,9 +252,9 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
 def test_the_factor_stands_covariances_without_full_rank(seed: int, size: int, rank: int) -> None:
     root = np.random.default_rng(seed).normal(size=(size, rank))
     column, upper = ca.SX.sym("P", size * (size + 1) // 2), ca.Sparsity.upper(size)
-    factor = ca.Function("factor", [column], [unscented.factor(symmetric(column, upper))])
+    factor = ca.Function("factor", [column], [unscented.factor(from_upper_entries(column, upper))])
     cov = root @ root.T
-    factored = factor(triangle(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
+    factored = factor(to_upper_entries(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
     assert np.isfinite(factored).all()
     assert factored @ factored.T == pytest.approx(cov, abs=1e-6 * max(1.0, np.abs(cov).max()))
 

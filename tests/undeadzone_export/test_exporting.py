@@ -557,9 +557,9 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     rows[50:60, 0] = np.nan
     in_c = accuracy.Compiled(printed, tmp_path)(rows)
     function = step.function
-    kernel = lanes.build(function, portable=True, width=8)
+    kernel = lanes.build_kernel(function, portable=True, width=8)
     states = np.tile(step.start, (8, 1))
-    in_lanes, _ = lanes.run(kernel, states, rows, step.defaults)
+    in_lanes, _ = lanes.run_lanes(kernel, states, rows, step.defaults)
     for lane in in_lanes:
         np.testing.assert_array_equal(lane, in_c)
     if not elementary.called_functions(printed.results) & OWN:

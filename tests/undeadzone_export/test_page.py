@@ -20,8 +20,8 @@ from browser import Browser, browser
 from scenes import scene
 from tools import require
 from undeadzone.compile import print_wasm
-from undeadzone.compile.lower import portable
-from undeadzone.compile.numpy_reference import elementary
+from undeadzone.compile.lower import build_portable_nodes
+from undeadzone.compile.numpy_reference import elementary_functions
 from undeadzone.errors import FileError, InputError
 from undeadzone.report import html
 from undeadzone.scenario.schema import Scenario
@@ -278,15 +278,17 @@ def test_elementary_functions_have_the_bits_of_the_replica(page: Browser) -> Non
     s, w, p = ca.SX.sym("s", 0), ca.SX.sym("w", 2), ca.SX.sym("p", 0)
     values = [_applied(name, w) for name in names]
     function = ca.Function("f", [s, w, p], [ca.vertcat(*values)], ["s", "w", "p"], ["o"])
-    nodes = portable(function, "float64")
+    nodes = build_portable_nodes(function, "float64")
     places = [[16 + 8 * k for k in range(len(names))]]
-    code = print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, places)], 4096)
+    code = print_wasm.build_module(
+        [print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, places)], 4096
+    )
     rng = np.random.default_rng(0)
     points = np.vstack([rng.normal(size=(150, 2)) * size for size in (1e-3, 0.3, 2.0, 50.0, 700.0)])
     edges = [0.0, -0.0, 1.0, -1.0, 2.0, 1e300, 1e-310, np.inf, -np.inf, np.nan]
     points = np.vstack([points, [[a, b] for a in edges for b in edges]])
     found = _computed(page, code, points, len(names))
-    functions = elementary("float64") | {"fabs": np.abs}
+    functions = elementary_functions("float64") | {"fabs": np.abs}
     with np.errstate(all="ignore"):
         for k, name in enumerate(names):
             arguments = points.T if k >= len(names) - 5 else points.T[:1]
@@ -326,8 +328,10 @@ def test_a_large_expression_stays_shallow(page: Browser) -> None:
     total = w[0]
     for k in range(800):
         total = ca.if_else(total > k, total * 1.0001, total + w[1] * k)
-    nodes = portable(ca.Function("f", [w], [total], ["w"], ["o"]), "float64")
-    code = print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 64)
+    nodes = build_portable_nodes(ca.Function("f", [w], [total], ["w"], ["o"]), "float64")
+    code = print_wasm.build_module(
+        [print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 64
+    )
     expected = float(ca.Function("f", [w], [total])([1.0, 1e-3]))
     assert _computed(page, code, np.array([[1.0, 1e-3]]), 1)[0, 0] == expected
 
@@ -432,9 +436,11 @@ def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -
 
 def test_a_remainder_has_no_instruction() -> None:
     w = ca.SX.sym("w", 2)
-    nodes = portable(ca.Function("f", [w], [ca.fmod(w[0], w[1])], ["w"], ["o"]), "float64")
+    nodes = build_portable_nodes(
+        ca.Function("f", [w], [ca.fmod(w[0], w[1])], ["w"], ["o"]), "float64"
+    )
     with pytest.raises(InputError, match="remainder"):
-        print_wasm.module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 24)
+        print_wasm.build_module([print_wasm.Function("f", nodes, {"w0": 0, "w1": 8}, [[16]])], 24)
 
 
 def test_sliders_without_meaning_are_left_out() -> None:

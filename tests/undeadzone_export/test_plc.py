@@ -23,7 +23,7 @@ from structured_text import Reader, Refused
 from tools import require
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
-from undeadzone.compile.print_c import Expressions, Style, functions
+from undeadzone.compile.print_c import Expressions, Style, elementary_texts
 from undeadzone.compile.print_st import ST, assign_number
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
@@ -355,10 +355,10 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     units = [plc.function_unit(name, style) for name in portable_maths.OWN.functions]
     labels, printed = LABELS, made(observer("certified"), single).code
     text = Reader(plcopen.text_of(units, labels, printed)).c()
-    theirs = "\n".join(functions(names, set(names), Style(kind, "c")))
+    theirs = "\n".join(elementary_texts(names, set(names), Style(kind, "c")))
     calls = []
     for name in names:
-        second = ", y" if len(elementary.formula(name, kind).inputs) == 2 else ""
+        second = ", y" if len(elementary.build_formula(name, kind).inputs) == 2 else ""
         call = f'check("{name}", o_{name}(x{second}), c_{name}(x{second}), x, y);'
         calls.append(f"if ({DOMAINS.get(name, '1')}) {{ {call} }}")
     main = f"""
@@ -475,9 +475,11 @@ def test_no_two_names_differ_by_capitals_alone() -> None:
 
 
 def test_what_the_language_lacks_is_refused() -> None:
-    node = Nodes().intern("call", Nodes().constant(1.0), Nodes().constant(2.0), text="fmod")
+    node = Nodes().intern(
+        "call", Nodes().intern_constant(1.0), Nodes().intern_constant(2.0), text="fmod"
+    )
     with pytest.raises(InputError, match="Structured Text has no function fmod"):
-        Expressions(Style("float64", "o", ST), {}).text(node)
+        Expressions(Style("float64", "o", ST), {}).write_node(node)
 
 
 def test_numbers_mean_their_bits() -> None:

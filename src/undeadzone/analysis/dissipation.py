@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.linalg.riccati import storage_of
-from undeadzone.numerics.semidefinite import minimise, symmetric
+from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.util.arrays import Floats
 
 # Smallest eigenvalue of P, and smallest multiplier, that the solver may choose when balanced.
@@ -205,7 +205,7 @@ def _pass(
     part = at(q).supply[0].shape[0]
 
     def blocks(x: Floats) -> list[Floats]:
-        local, q = symmetric(x[:entries], n), x[entries : entries + cost.size]
+        local, q = symmetric_matrix(x[:entries], n), x[entries : entries + cost.size]
         scaled = []
         for M, scale in zip(at(q).matrices(local), scales, strict=True):
             block = -M * np.outer(scale, scale)
@@ -214,10 +214,10 @@ def _pass(
             scaled.append(block)
         return [*scaled, local - LEAST * np.eye(n), *extra(inverse.T @ local @ inverse, q)]
 
-    x = minimise(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
+    x = minimise_semidefinite(np.concatenate([np.zeros(entries), cost, [-1.0] * deep]), blocks)
     if x is None:
         return None
-    P = inverse.T @ symmetric(x[:entries], n) @ inverse
+    P = inverse.T @ symmetric_matrix(x[:entries], n) @ inverse
     return Solution((P + P.T) / 2, x[entries : entries + cost.size])
 
 

@@ -84,9 +84,9 @@ def _keep_scratch(out: Path) -> None:
 
 def _cache() -> Path | None:
     """Where kernels are kept, made if missing; None where that cannot be."""
-    from undeadzone.compile.cache_folder import choose_folder
+    from undeadzone.compile.cache_folder import cache_directory
 
-    place = choose_folder()
+    place = cache_directory()
     try:
         if place is not None:
             place.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -1,1 +1,1 @@
-"""Engines run a graph `next, out = step(s, w, p)` over time; they know nothing of control."""
+"""Engines that run a graph `next, out = step(s, w, p)` over time, without knowledge of control."""

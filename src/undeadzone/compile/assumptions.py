@@ -1,4 +1,4 @@
-"""What a kernel takes for granted of its params, checked where they enter.
+"""Assumptions of a kernel about its params, checked when the params enter.
 
 Above one edge and below another exclude each other where the edges do not cross: "right and not
 left" is then "right", and each reading is compared twice less.
@@ -15,8 +15,8 @@ from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
 
-class Edge(NamedTuple):
-    """A param, its negative, or a constant.
+class ParamBreakpoint(NamedTuple):
+    """Breakpoint that is a param, its negative, or a constant.
 
     Attributes:
         param: which one; None for a constant.
@@ -26,8 +26,10 @@ class Edge(NamedTuple):
     param: int | None
     factor: float
 
-    def value(self, params: Floats, own: tuple[int, ...], rows: Floats) -> Floats:
-        """Return its number in each lane, or the one of all lanes."""
+    def lane_values(self, params: Floats, own: tuple[int, ...], rows: Floats) -> Floats:
+        """Return the breakpoint in each lane (lanes), or a single number shared by all
+        lanes (1).
+        """
         if self.param is None:
             return np.array([self.factor])
         if self.param in own:
@@ -35,15 +37,17 @@ class Edge(NamedTuple):
         return np.asarray(self.factor * params[[self.param]])
 
 
-class Promise(NamedTuple):
-    """That one edge is not above another."""
+class KernelAssumption(NamedTuple):
+    """Assumption that the breakpoint `low` is not above the breakpoint `high`."""
 
-    low: Edge
-    high: Edge
+    low: ParamBreakpoint
+    high: ParamBreakpoint
 
     @property
     def is_evident(self) -> bool:
-        """Return whether it is kept by numbers, or by -a and a of a threshold a."""
+        """Return whether the assumption holds for all params: by its numbers, or for -a
+        and a of a threshold a.
+        """
         low, high = self
         if low.param is None and high.param is None:
             return low.factor <= high.factor
@@ -51,41 +55,44 @@ class Promise(NamedTuple):
 
     @property
     def is_open(self) -> bool:
-        """Return whether params decide it."""
+        """Return whether the assumption depends on params."""
         return self.low.param is not None or self.high.param is not None
 
 
-def read_promises(numbers: list[list[tuple[int | None, float]]]) -> tuple[Promise, ...]:
-    """Return promises that were kept as lists."""
-    return tuple(Promise(Edge(*low), Edge(*high)) for low, high in numbers)
+def read_assumptions(numbers: list[list[tuple[int | None, float]]]) -> tuple[KernelAssumption, ...]:
+    """Return the assumptions that were stored as lists."""
+    return tuple(
+        KernelAssumption(ParamBreakpoint(*low), ParamBreakpoint(*high)) for low, high in numbers
+    )
 
 
-def edge(node: Node) -> Edge | None:
-    """What a node is, if it is an edge."""
+def to_breakpoint(node: Node) -> ParamBreakpoint | None:
+    """Return a node as a breakpoint, or None if it is neither a param nor a constant."""
     if node.value is not None:
-        return Edge(None, node.value)
+        return ParamBreakpoint(None, node.value)
     if node.op == "input" and node.text.startswith("p"):
-        return Edge(int(node.text[1:]), 1.0)
+        return ParamBreakpoint(int(node.text[1:]), 1.0)
     if node.op != "neg":
         return None
-    inner = edge(node.args[0])
+    inner = to_breakpoint(node.args[0])
     return None if inner is None else inner._replace(factor=-inner.factor)
 
 
-def apart(more: Node, less: Node) -> Promise | None:
-    """Return the promise under which high < y and y < low exclude each other; None if they are
-    others.
+def exclusion_assumption(more: Node, less: Node) -> KernelAssumption | None:
+    """Return the assumption under which high < y and y < low exclude each other, or None.
+
+    None means that the two comparisons are of a different form.
     """
     if more.op != "lt" or less.op != "lt" or more.args[1] is not less.args[0]:
         return None
-    high, low = edge(more.args[0]), edge(less.args[1])
-    return None if high is None or low is None else Promise(low, high)
+    high, low = to_breakpoint(more.args[0]), to_breakpoint(less.args[1])
+    return None if high is None or low is None else KernelAssumption(low, high)
 
 
-def require(
-    promises: tuple[Promise, ...], params: Floats, own: tuple[int, ...], rows: Floats
+def require_assumptions(
+    promises: tuple[KernelAssumption, ...], params: Floats, own: tuple[int, ...], rows: Floats
 ) -> None:
-    """Check what a kernel takes for granted.
+    """Raise InputError unless all assumptions of a kernel hold for its params.
 
     Args:
         promises: of the kernel.
@@ -97,7 +104,7 @@ def require(
         InputError: a promise is broken.
     """
     for promise in promises:
-        low, high = (edge.value(params, own, rows) for edge in promise)
+        low, high = (edge.lane_values(params, own, rows) for edge in promise)
         crossed = low > high
         if crossed.any():
             lane = int(np.argmax(crossed))

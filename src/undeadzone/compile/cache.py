@@ -1,4 +1,5 @@
-"""Kernels compiled once per machine: files of machine code, named by what it depends on.
+"""Kernels that are compiled once per machine: files of machine code, named by a digest of all
+inputs.
 
 Where several codes compute the same bits, a long run finds out which is the fastest (`Trial`).
 """
@@ -25,10 +26,10 @@ import undeadzone
 from undeadzone.compile import cache_folder
 from undeadzone.compile.machine import (
     MOST,
-    Compiled,
-    Linked,
-    compile_module,
-    here,
+    LinkedCode,
+    MachineCode,
+    compile_text,
+    host_machine,
     link_block,
     stack,
 )
@@ -47,7 +48,9 @@ FASTER: Final = 0.95  # below this share of its time a code takes the place of t
 
 @dataclass(frozen=True)
 class Recipe:
-    """A text that is made where no machine code of it is kept; recipes are their keys.
+    """Text of a kernel that is generated only if no machine code for it is cached.
+
+    Recipes are compared by their keys.
 
     Attributes:
         key: all that the text depends on.
@@ -60,8 +63,8 @@ class Recipe:
     make: Callable[[], tuple[str, str]] = field(compare=False)
 
 
-class Block:
-    """A compiled function of numbers and C-contiguous arrays.
+class CompiledBlock:
+    """Compiled function of numbers and C-contiguous arrays.
 
     Args:
         code: its machine code.
@@ -70,16 +73,16 @@ class Block:
         text: LLVM's, if it was compiled just now.
     """
 
-    def __init__(self, code: Linked, kinds: tuple[str, ...], note: str, text: str = "") -> None:
+    def __init__(self, code: LinkedCode, kinds: tuple[str, ...], note: str, text: str = "") -> None:
         self.note, self.text = note, text
         self.trial: Callable[..., None] | None = None  # calls it, or a code of the same bits
-        self._arrays = tuple(map(_entries, kinds))
+        self._arrays = tuple(map(_entry_type, kinds))
         self._codes = [code]  # all are kept, since another thread may be within one
         self._better: threading.Thread | None = None
 
     @property
-    def function(self) -> Any:
-        """Return the C function as it is now, which takes numbers and addresses."""
+    def c_function(self) -> Any:
+        """Return the present C function; its arguments are numbers and addresses."""
         return self._codes[-1].function
 
     def __call__(self, *arguments: Any) -> None:
@@ -90,26 +93,28 @@ class Block:
         """
         plain = []
         for value, kind in zip(arguments, self._arrays, strict=True):
-            plain.append(value if kind is None else _address(value, kind))
-        (self.trial or self.function)(*plain)
+            plain.append(value if kind is None else _array_address(value, kind))
+        (self.trial or self.c_function)(*plain)
 
-    def improve(self, better: Callable[[], Linked]) -> None:
-        """Compile with more effort in a thread, and change the code between two calls."""
+    def improve(self, better: Callable[[], LinkedCode]) -> None:
+        """Compile with more effort in a thread and exchange the code between two calls."""
 
         def improved() -> None:
+            """Compile the better code and append it."""
             self._codes.append(better())
 
         self._better = threading.Thread(target=improved, name="compile")
         self._better.start()
 
-    def settle(self) -> None:
-        """Wait for the best code."""
+    def wait_until_best(self) -> None:
+        """Wait until the best code is compiled."""
         if self._better is not None:
             self._better.join()
 
 
 class Trial:
-    """A function of steps, lanes and arrays in several codes of the same bits.
+    """Timing trial of a function of steps, lanes and arrays with several codes of the same
+    bits.
 
     In a long run a thread compiles the others; then calls are shared out among all codes until the
     fastest is known, which has every call from there on. Nothing is computed twice, no call waits.
@@ -123,15 +128,15 @@ class Trial:
 
     def __init__(
         self,
-        own: Block,
-        others: Mapping[str, Callable[[], Block]],
+        own: CompiledBlock,
+        others: Mapping[str, Callable[[], CompiledBlock]],
         group: int,
         keep: Callable[[str], None],
     ) -> None:
         self._own, self._others, self._group, self._keep = own, others, group, keep
         self.codes, self._random = {own: ""}, random.Random(0)
         # Seconds per step and lane of the last calls.
-        self.rates: dict[Block, deque[float]] = defaultdict(lambda: deque(maxlen=CALLS))
+        self.rates: dict[CompiledBlock, deque[float]] = defaultdict(lambda: deque(maxlen=CALLS))
         self._seconds, self._begun, self.is_done = 0.0, threading.Lock(), False
 
     def __call__(self, steps: int, lanes: int, *addresses: int) -> None:
@@ -144,22 +149,22 @@ class Trial:
         # In turn, a code might get those calls of each run in which most happens.
         block = self._own if lanes % self._group else self._random.choice([*self.codes])
         began = clock()
-        block.function(steps, lanes, *addresses)
+        block.c_function(steps, lanes, *addresses)
         seconds = clock() - began
         if seconds > SHORT:
             self.rates[block].append(seconds / max(1, steps * lanes))
         self._seconds += seconds
         if self._seconds > START and self._begun.acquire(blocking=False):
             with suppress(RuntimeError):  # where no thread can be had, nothing is measured
-                threading.Thread(target=self._compile, name="compile").start()
+                threading.Thread(target=self._compile_alternatives, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
-            best = min(self.codes, key=self._least_time)
+            best = min(self.codes, key=self._weighted_time)
             self.codes, self.is_done = {best: self.codes[best]}, True
             self._keep(self.codes[best])
 
-    def _compile(self) -> None:
-        """Compile the other codes, unless the program ends meanwhile."""
-        self._own.settle()
+    def _compile_alternatives(self) -> None:
+        """Compile the alternative codes unless the program ends meanwhile."""
+        self._own.wait_until_best()
         codes = dict(self.codes)
         for name, make in self._others.items():
             if threading.main_thread().is_alive():
@@ -167,27 +172,27 @@ class Trial:
         if threading.main_thread().is_alive():
             self.codes = codes
 
-    def _least_time(self, block: Block) -> float:
-        """Return the least time of a code, where another one has to be faster than the assumed
-        one.
+    def _weighted_time(self, block: CompiledBlock) -> float:
+        """Return the least time per step and lane of a code [s], weighted in favour of the
+        assumed code. An alternative has to be faster by the factor `FASTER`.
         """
         return min(self.rates[block]) * (FASTER if block is self._own else 1.0)
 
 
-def load(text: str, kinds: tuple[str, ...]) -> Block:
-    """Return the function `block` that LLVM's text defines, compiled now or taken from disk.
+def load_block(text: str, kinds: tuple[str, ...]) -> CompiledBlock:
+    """Return the function `block` that an LLVM text defines, compiled now or read from disk.
 
     Args:
         text: of a module.
         kinds: of its arguments, each NumPy's name of a type of numbers, followed by * for an array,
             which arrives as a pointer.
     """
-    return compile_or_load(Recipe(text, lambda: (text, "")), kinds)
+    return load_or_compile(Recipe(text, lambda: (text, "")), kinds)
 
 
 @functools.lru_cache(maxsize=64)
-def compile_or_load(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> Block:
-    """Return the function `block` of a recipe, compiled now or taken from disk.
+def load_or_compile(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> CompiledBlock:
+    """Return the function `block` of a recipe, compiled now or read from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
     compiled.
@@ -198,79 +203,86 @@ def compile_or_load(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False)
         hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
             best one behind it.
     """
-    block = cached_block(recipe, kinds)
+    block = read_cached_block(recipe, kinds)
     if block is not None:
         return block
     text, note = recipe.make()
     lines = text.count("\n")
     longest = max(part.count("\n") for part in text.split("\n}\n"))  # of its functions
     if not hurry or lines < LONG or longest * FRAME > stack() // 4:
-        return Block(_best(recipe, kinds, text, note), kinds, note, text)
-    block = Block(_sure(link_block(compile_module(text, 0), kinds)), kinds, note, text)
-    block.improve(lambda: _best(recipe, kinds, text, note))
+        return CompiledBlock(_compile_fully(recipe, kinds, text, note), kinds, note, text)
+    block = CompiledBlock(
+        _require_linked(link_block(compile_text(text, 0), kinds)), kinds, note, text
+    )
+    block.improve(lambda: _compile_fully(recipe, kinds, text, note))
     return block
 
 
-def cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> Block | None:
-    """Return the function `block` of a recipe, if it is on disk."""
-    found = _read_entry(recipe.key, kinds)
+def read_cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> CompiledBlock | None:
+    """Return the function `block` of a recipe if it is on disk, else None."""
+    found = _read_cached(recipe.key, kinds)
     code = None if found is None else link_block(found[1], kinds)
-    return None if found is None or code is None else Block(code, kinds, found[0])
+    return None if found is None or code is None else CompiledBlock(code, kinds, found[0])
 
 
-def answer(question: str) -> str | None:
-    """What `keep_answer` kept on this machine, if it is on disk."""
-    found = _read_entry(question, ())
+def read_answer(question: str) -> str | None:
+    """Return the text that `save_answer` stored on this machine, or None."""
+    found = _read_cached(question, ())
     return None if found is None else found[0]
 
 
-def keep_answer(question: str, text: str) -> None:
-    """Keep a text on disk for this machine and this engine, beside the kernels."""
-    _keep(question, (), text, Compiled([], b""))
+def save_answer(question: str, text: str) -> None:
+    """Write a text to disk for this machine and this engine, beside the kernels."""
+    _write_cached(question, (), text, MachineCode([], b""))
 
 
-def _best(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> Linked:
-    """Return a text compiled with all effort, linked and kept."""
-    code = compile_module(text, LESS if text.count("\n") > IN_PIECES else MOST)
-    _keep(recipe.key, kinds, note, code)
-    return _sure(link_block(code, kinds))
+def _compile_fully(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> LinkedCode:
+    """Compile a text with full effort, store the machine code and return it linked."""
+    code = compile_text(text, LESS if text.count("\n") > IN_PIECES else MOST)
+    _write_cached(recipe.key, kinds, note, code)
+    return _require_linked(link_block(code, kinds))
 
 
-def _read_entry(key: str, kinds: tuple[str, ...]) -> tuple[str, Compiled] | None:
-    """Note and machine code of a key, if they are on disk."""
-    folder = cache_folder.choose_folder()
-    if folder is None or not any(folder.glob(f"{_title(key, kinds)}-*")):
+def _read_cached(key: str, kinds: tuple[str, ...]) -> tuple[str, MachineCode] | None:
+    """Return the note and the machine code of a key if both are on disk, else None."""
+    folder = cache_folder.cache_directory()
+    if folder is None or not any(folder.glob(f"{_text_digest(key, kinds)}-*")):
         return None  # without asking LLVM for the processor
-    return _parse_entry(cache_folder.read(folder, _name(key, kinds)))
+    return _parse_cached(cache_folder.read_kernel_file(folder, _cache_file_name(key, kinds)))
 
 
-def _keep(key: str, kinds: tuple[str, ...], note: str, code: Compiled) -> None:
-    """Write a key's file, where there is a folder for it."""
-    folder = cache_folder.choose_folder()
+def _write_cached(key: str, kinds: tuple[str, ...], note: str, code: MachineCode) -> None:
+    """Write the file of a key if a cache folder exists."""
+    folder = cache_folder.cache_directory()
     if folder is not None:
-        cache_folder.keep(folder, _name(key, kinds), _content(note, code))
+        cache_folder.write_kernel_file(
+            folder, _cache_file_name(key, kinds), _cache_content(note, code)
+        )
 
 
-def _sure(code: Linked | None) -> Linked:
-    """Return code that was compiled just now, and so calls what is there."""
+def _require_linked(code: LinkedCode | None) -> LinkedCode:
+    """Return code compiled in this process; all functions that it calls exist."""
     assert code is not None
     return code
 
 
-def _name(key: str, kinds: tuple[str, ...]) -> str:
-    """Return the name of a key's file."""
-    machine = hashlib.sha256(_machine().encode()).hexdigest()[:16]
-    return f"{_title(key, kinds)}-{machine}{cache_folder.SUFFIX}"
+def _cache_file_name(key: str, kinds: tuple[str, ...]) -> str:
+    """Return the name of a key's file: digests of text and machine, with the suffix."""
+    machine = hashlib.sha256(_host_description().encode()).hexdigest()[:16]
+    return f"{_text_digest(key, kinds)}-{machine}{cache_folder.SUFFIX}"
 
 
-def _title(key: str, kinds: tuple[str, ...]) -> str:
-    """Return the first part of that name, the same on all machines."""
-    depends_on = "\n".join((_engine(), *kinds, key))
+def _text_digest(key: str, kinds: tuple[str, ...]) -> str:
+    """Return the first part of the file name, equal on all machines."""
+    depends_on = "\n".join((_engine_digest(), *kinds, key))
     return hashlib.sha256(depends_on.encode()).hexdigest()[:32]
 
 
-def _address(array: Any, kind: np.dtype[Any]) -> int:
-    """Where the entries of an array begin, if they are of that kind and contiguous."""
+def _array_address(array: Any, kind: np.dtype[Any]) -> int:
+    """Return the address of a contiguous array with the expected entry type.
+
+    Raise TypeError for other arrays.
+    """
     if array.dtype != kind or not array.flags.c_contiguous:
         raise TypeError(
             f"expected a contiguous array of {kind}, not {array.dtype}, strides {array.strides}"
@@ -278,46 +290,53 @@ def _address(array: Any, kind: np.dtype[Any]) -> int:
     return int(array.ctypes.data)
 
 
-def _machine() -> str:
-    """What machine code depends on besides its text."""
+def _host_description() -> str:
+    """Return a description of processor and library versions, the part of the key that the
+    text lacks.
+    """
     import casadi
     import llvmlite
 
     versions = f"casadi {casadi.__version__} llvmlite {llvmlite.__version__}"
-    return f"undeadzone {undeadzone.__version__} {versions} {' '.join(here())}"
+    return f"undeadzone {undeadzone.__version__} {versions} {' '.join(host_machine())}"
 
 
 @functools.cache
-def _engine() -> str:
-    """What a recipe's text depends on besides its key: this engine as it is."""
+def _engine_digest() -> str:
+    """Return a digest of this package's files, on which the generated text depends besides its
+    key.
+    """
     files = sorted(Path(__file__).parent.glob("*.*"))
     return hashlib.sha256(b"".join([path.read_bytes() for path in files])).hexdigest()
 
 
-def _parse_entry(content: bytes | None) -> tuple[str, Compiled] | None:
-    """What a file holds, if it is there and whole."""
+def _parse_cached(content: bytes | None) -> tuple[str, MachineCode] | None:
+    """Return the note and the machine code in a file's content, or None if it is absent or
+    damaged.
+    """
     digest, _, rest = (content or b"").partition(b"\n")
-    if digest != _digest(rest):
+    if digest != _sha256_text(rest):
         return None
     head, _, code = rest.partition(b"\n")
     note, calls = json.loads(head)
-    return note, Compiled(calls, code)
+    return note, MachineCode(calls, code)
 
 
-def _content(note: str, code: Compiled) -> bytes:
-    """Return a file's: a digest of what follows, note and names of C functions, machine code.
+def _cache_content(note: str, code: MachineCode) -> bytes:
+    """Return the content of a file: a digest of the rest, note and C function names, machine
+    code.
 
     The digest tells damage, nothing else: whoever could write the file could compute it.
     """
     rest = json.dumps([note, code.calls]).encode() + b"\n" + code.code
-    return _digest(rest) + b"\n" + rest
+    return _sha256_text(rest) + b"\n" + rest
 
 
-def _digest(content: bytes) -> bytes:
-    """Return a digest as text."""
+def _sha256_text(content: bytes) -> bytes:
+    """Return the SHA-256 digest of bytes as hexadecimal text."""
     return hashlib.sha256(content).hexdigest().encode()
 
 
-def _entries(kind: str) -> np.dtype[Any] | None:
-    """Return the type of an array's entries, or None for a number."""
+def _entry_type(kind: str) -> np.dtype[Any] | None:
+    """Return the entry type of an array argument, or None for a number."""
     return np.dtype(kind[:-1]) if kind.endswith("*") else None

@@ -1,4 +1,4 @@
-"""The folder of compiled kernels: nobody else may write it, and it does not grow for ever.
+"""Folder of compiled kernels: writable by this user only, and limited in age and size.
 
 A kernel is machine code, so reading one back means running what its file holds. A file is read only
 if the folder and the file belong to this user and nobody else may write them. Otherwise there is no
@@ -24,7 +24,7 @@ WRITABLE_BY_OTHERS: Final = stat.S_IWGRP | stat.S_IWOTH
 
 
 class Entry(NamedTuple):
-    """A kernel in the folder.
+    """Kernel in the folder.
 
     Attributes:
         used: when it was written or read last [s since 1970].
@@ -37,8 +37,8 @@ class Entry(NamedTuple):
     name: str
 
 
-def choose_folder() -> Path | None:
-    """Where kernels are kept; None where there is no such place.
+def cache_directory() -> Path | None:
+    """Return the folder of the kernels, or None if no absolute path is known.
 
     $UNDEADZONE_CACHE, or `undeadzone` in $XDG_CACHE_HOME or ~/.cache. Relative paths are ignored:
     they would take code from whatever folder a command is started in.
@@ -51,8 +51,10 @@ def choose_folder() -> Path | None:
     return None
 
 
-def read(folder: Path, name: str) -> bytes | None:
-    """What a file of the folder holds; None where it is missing or others could have written it."""
+def read_kernel_file(folder: Path, name: str) -> bytes | None:
+    """Return the content of a file of the folder, or None if it is missing or writable by
+    other users.
+    """
     try:
         with _open_folder(folder) as directory:
             return _read_file(directory, name)
@@ -60,25 +62,26 @@ def read(folder: Path, name: str) -> bytes | None:
         return None
 
 
-def keep(folder: Path, name: str, content: bytes) -> None:
-    """Write a file of the folder where that is possible, and delete what is old or too much."""
+def write_kernel_file(folder: Path, name: str, content: bytes) -> None:
+    """Write a file of the folder if possible, and delete old and excess files."""
     try:
         _make(folder)
         with _open_folder(folder) as directory:
             _write(directory, name, content)
-            trim(directory, name)
+            trim_folder(directory, name)
     except OSError:
         pass
 
 
-def trim(directory: Path | int, newest: str) -> None:
-    """Delete kernels that were not used for long, then the least recently used of too many bytes.
+def trim_folder(directory: Path | int, newest: str) -> None:
+    """Delete kernels unused for long, then the least recently used until the total size is
+    allowed.
 
     Args:
         directory: the folder, or its descriptor.
         newest: the file that stays in any case.
     """
-    entries = [entry for entry in _entries(directory) if entry.name != newest]
+    entries = [entry for entry in _list_kernels(directory) if entry.name != newest]
     oldest, excess = time.time() - UNUSED, sum(entry.size for entry in entries) - LARGEST
     for entry in sorted(entries):
         if entry.used >= oldest and excess <= 0:
@@ -88,8 +91,8 @@ def trim(directory: Path | int, newest: str) -> None:
         excess -= entry.size
 
 
-def _entries(directory: Path | int) -> list[Entry]:
-    """Return the kernels of a folder, and what writers that died left of them."""
+def _list_kernels(directory: Path | int) -> list[Entry]:
+    """Return the kernels of a folder, including temporary files of writers that died."""
     entries = []
     with os.scandir(directory) as files:
         for file in files:
@@ -106,15 +109,15 @@ if sys.platform == "win32":
     # lies in the user's profile, whose access list keeps other users out; nothing is checked.
 
     @contextmanager
-    def _opened(folder: Path) -> Iterator[Path]:
+    def _open_folder(folder: Path) -> Iterator[Path]:
         """Provide the folder."""
         yield folder
 
     def _make(folder: Path) -> None:
-        """Make the folder."""
+        """Create the folder."""
         folder.mkdir(parents=True, exist_ok=True)
 
-    def _read(directory: Path, name: str) -> bytes:
+    def _read_file(directory: Path, name: str) -> bytes:
         """What a file holds; its time is set to now."""
         content = (directory / name).read_bytes()
         with suppress(OSError):
@@ -122,7 +125,7 @@ if sys.platform == "win32":
         return content
 
     def _write(directory: Path, name: str, content: bytes) -> None:
-        """Write a file, which is whole or absent."""
+        """Write a file; the file is whole or absent."""
         handle, temporary = tempfile.mkstemp(dir=directory, prefix=".", suffix=SUFFIX)
         try:
             with open(handle, "wb") as file:
@@ -142,7 +145,7 @@ else:
 
     @contextmanager
     def _open_folder(folder: Path) -> Iterator[int]:
-        """Provide a descriptor of the folder. Raises OSError where others could write it."""
+        """Yield the folder."""
         directory = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
             _require_own(os.fstat(directory))
@@ -151,7 +154,9 @@ else:
             os.close(directory)
 
     def _require_own(status: os.stat_result) -> None:
-        """Raise PermissionError unless this user owns a file and nobody else may write it."""
+        """Raise PermissionError unless this user owns the file and nobody else can write
+        to it.
+        """
         if status.st_uid != os.geteuid() or status.st_mode & WRITABLE_BY_OTHERS:
             raise PermissionError
 
@@ -165,7 +170,7 @@ else:
                 os.fchmod(directory, 0o700)
 
     def _read_file(directory: int, name: str) -> bytes:
-        """What a file holds; its time is set to now. Raises OSError where others could write it."""
+        """Return the content of a file and set its time to now."""
         # Not blocking: a named pipe must not keep the command waiting.
         flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
         with open(os.open(name, flags, dir_fd=directory), "rb") as file:

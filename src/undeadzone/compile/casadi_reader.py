@@ -1,4 +1,4 @@
-"""A CasADi SX function instruction by instruction: as nodes, or as any other kind of values."""
+"""Reader of a CasADi SX function, instruction by instruction, into nodes or values of any kind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _KNOWN: Final = {
 
 
 class Line(NamedTuple):
-    """An instruction.
+    """Instruction of a CasADi function.
 
     Attributes:
         word: its name.
@@ -42,7 +42,8 @@ class Line(NamedTuple):
 
 
 class Program(NamedTuple):
-    """A function as lines, each of which needs earlier ones only.
+    """CasADi function as a list of instructions, each of which needs earlier instructions
+    only.
 
     Attributes:
         title: of the function.
@@ -55,7 +56,7 @@ class Program(NamedTuple):
     results: list[list[int]]
 
 
-def program(function: ca.Function) -> Program:
+def read_program(function: ca.Function) -> Program:
     """Return the instructions of a function with dense outputs.
 
     Every line is assigned once, unlike the places of CasADi's work vector.
@@ -86,7 +87,7 @@ def evaluate_program(
     constant: Callable[[float], Any],
     apply: Callable[..., Any],
 ) -> list[list[Any]]:
-    """Return the outputs of a function in any kind of values.
+    """Evaluate the outputs of a function with values of any kind.
 
     Args:
         of: the function.
@@ -106,20 +107,20 @@ def evaluate_program(
 
 
 class Rules(Protocol):
-    """What makes nodes of the words of numbers: one of `simplify`."""
+    """Rules that build nodes from instructions on numbers; implemented in `simplify`."""
 
     nodes: Nodes
     real: str
 
-    def made(self, word: str, *args: Node) -> Node:
-        """Return the number that an instruction gives, where truths are 1 or 0."""
+    def build_instruction(self, word: str, *args: Node) -> Node:
+        """Return the node of an instruction on numbers; truths are 1 or 0."""
 
-    def constant(self, value: float) -> Node:
-        """Return a number that is written down."""
+    def build_constant(self, value: float) -> Node:
+        """Return the node of a constant."""
 
 
-def list_results(function: ca.Function, rules: Rules) -> Results:
-    """Return the results of a function as nodes, whether lanes share its inputs or not.
+def build_nodes(function: ca.Function, rules: Rules) -> Results:
+    """Return the results of a function as nodes, whether or not lanes share its inputs.
 
     Args:
         function: with dense outputs; its inputs named p are steady.
@@ -128,7 +129,7 @@ def list_results(function: ca.Function, rules: Rules) -> Results:
     Raises:
         InputError: an instruction that cannot be compiled; it names it.
     """
-    lines = program(function)
+    lines = read_program(function)
     for line in lines.lines:
         if line.word not in (*_KNOWN, "input", "const"):
             raise InputError(
@@ -137,18 +138,20 @@ def list_results(function: ca.Function, rules: Rules) -> Results:
             )
 
     def read(name: str, entry: int) -> Node:
+        """Return the node of an input entry."""
         level = STEADY if name.startswith("p") else LANES
-        return rules.nodes.input(f"{name}{entry}", level, rules.real)
+        return rules.nodes.intern_input(f"{name}{entry}", level, rules.real)
 
     def apply(word: str, *args: Node) -> Node:
+        """Return the node of an instruction on nodes."""
         if word in _SAME:
             return args[0]
         if word == "sq":
-            return rules.made("mul", args[0], args[0])
+            return rules.build_instruction("mul", args[0], args[0])
         if word == "twice":
-            return rules.made("mul", rules.constant(2.0), args[0])
+            return rules.build_instruction("mul", rules.build_constant(2.0), args[0])
         if word == "inv":
-            return rules.made("div", rules.constant(1.0), args[0])
-        return rules.made("pow" if word == "constpow" else word, *args)
+            return rules.build_instruction("div", rules.build_constant(1.0), args[0])
+        return rules.build_instruction("pow" if word == "constpow" else word, *args)
 
-    return evaluate_program(lines, read, rules.constant, apply)
+    return evaluate_program(lines, read, rules.build_constant, apply)

@@ -1,4 +1,4 @@
-"""What the elementary functions of an arithmetic consist of.
+"""Coefficients and constants of the elementary functions in each arithmetic.
 
 The polynomials of float64 are of least largest error, by Remez's exchange in 60 digits, with the
 weight that is named for each; those of float32 need a third of the terms. They stand in
@@ -15,7 +15,7 @@ import msgspec
 
 
 class Numbers(msgspec.Struct, frozen=True):
-    """An arithmetic, and the numbers of its functions.
+    """Arithmetic with the constants and coefficients of its elementary functions.
 
     Attributes:
         kind: of a number.
@@ -68,17 +68,17 @@ class Numbers(msgspec.Struct, frozen=True):
 
     @property
     def bits(self) -> int:
-        """Return bits of a word."""
+        """Return the number of bits of a word."""
         return int(self.word[4:])
 
     @property
     def sign(self) -> int:
-        """Return the bit of a sign."""
+        """Return the word with only the sign bit set."""
         return 1 << (self.bits - 1)
 
     @property
     def one(self) -> int:
-        """Return the bits of 1."""
+        """Return the bits of the number 1."""
         return self.bias << self.mantissa
 
     @property
@@ -88,13 +88,13 @@ class Numbers(msgspec.Struct, frozen=True):
 
     @property
     def whole(self) -> float:
-        """Return 2^mantissa, from where on numbers have no fraction."""
+        """Return 2^mantissa, the size from which numbers have no fraction."""
         return 2.0**self.mantissa
 
     @property
     def shift(self) -> float:
-        """Return a number to which another one is added becomes whole, in the last bits of the
-        sum.
+        """Return the number whose addition rounds a small number to an integer in the last
+        bits of the sum.
         """
         return 1.5 * self.whole
 

@@ -1,4 +1,4 @@
-"""What a step rarely needs: functions of their own, called when a lane of a group asks for them."""
+"""Cold paths of a step: separate functions, called if a lane of a group needs the result."""
 
 from __future__ import annotations
 
@@ -10,19 +10,27 @@ from undeadzone.compile.graph import (
     STEADY,
     STILL,
     Node,
-    directly_used,
+    operands_at_level,
+    per_call_nodes,
     required_nodes,
-    still,
 )
 from undeadzone.compile.machine import LARGE, Form, Shape
-from undeadzone.compile.print_llvm import TYPES, Names, Text, entries_of, in_lanes, once, plain
-from undeadzone.compile.schedule import of_graph, order_instructions
+from undeadzone.compile.print_llvm import (
+    TYPES,
+    Names,
+    Text,
+    entry_source,
+    from_double,
+    print_lanes,
+    print_once,
+)
+from undeadzone.compile.schedule import lane_instructions, order_instructions
 
 _POINTERS: Final = ("before", "next", "flag", "row", "own", "w", "rare")
 
 
-class RareParts:
-    """The rare parts of a kernel.
+class ColdPaths:
+    """Cold paths of a kernel.
 
     A group's vectors go to them and come back through memory: of the states before the step those
     that they read, of the states after it those that they write.
@@ -35,30 +43,30 @@ class RareParts:
     def __init__(self, shape: Shape, form: Form, parts: list[list[list[Node]]]) -> None:
         self._shape, self._form = shape, form
         self._results = [[*following, *flag] for following, flag in parts]
-        self._orders = [_order(results, form) for results in self._results]
+        self._orders = [_order_part(results, form) for results in self._results]
         self._written = len(parts[0][0]) if parts else 0
         everything = required_nodes(itertools.chain(*self._results))
         inputs = [node.text for node in everything if node.op == "input"]
         self._read = sorted(int(text[1:]) for text in inputs if text[0] == "s")
-        self._uses = [self._steady(part) for part in range(len(parts))]
+        self._uses = [self._steady_uses(part) for part in range(len(parts))]
         self.steady = list(dict.fromkeys(itertools.chain(*self._uses)))
 
     @property
-    def arrays(self) -> list[tuple[str, int]]:
-        """Return the arrays that each group needs, and their vectors."""
+    def group_arrays(self) -> list[tuple[str, int]]:
+        """Return the arrays of each group with their numbers of vectors."""
         return [("before", len(self._read)), ("next", self._written), ("flag", 1)]
 
-    def _steady(self, part: int) -> list[Node]:
+    def _steady_uses(self, part: int) -> list[Node]:
         """Return the steady values that a part uses."""
         order, results = self._orders[part], self._results[part]
         shared = [
             node
-            for node in required_nodes(directly_used(order, results, SHARED))
+            for node in required_nodes(operands_at_level(order, results, SHARED))
             if node.level == SHARED
         ]
-        return [*directly_used(order, results, STEADY), *directly_used(shared, [], STEADY)]
+        return [*operands_at_level(order, results, STEADY), *operands_at_level(shared, [], STEADY)]
 
-    def print_call(
+    def print_cold_call(
         self, text: Text, following: list[list[str]], flags: list[str]
     ) -> tuple[str, list[list[str]]]:
         """Print the call for groups in which a flag is set.
@@ -71,7 +79,7 @@ class RareParts:
         Returns:
             The label of the last block, and the names of the states after it.
         """
-        marks = [text.any(flag) for flag in flags]
+        marks = [text.any_lane(flag) for flag in flags]
         some = marks[0]
         for mark in marks[1:]:
             some = text.add(f"or i1 {some}, {mark}")
@@ -79,8 +87,8 @@ class RareParts:
         text.label("rarely")
         came, merged = "rarely", []
         for u, (flag, mark) in enumerate(zip(flags, marks, strict=True)):
-            with text.where(mark, f"rare{u}"):
-                changed = self._one(text, u, following[u], flag)
+            with text.print_if(mark, f"rare{u}"):
+                changed = self._print_group_call(text, u, following[u], flag)
             values = list(following[u])
             for i, name in enumerate(changed):
                 sources = f"[{values[i]}, %{came}], [{name}, %rare{u}.do]"
@@ -90,14 +98,16 @@ class RareParts:
         text.line("br label %after")
         return came, merged
 
-    def _one(self, text: Text, u: int, following: list[str], flag: str) -> list[str]:
-        """Print the call for one group; the names of the states that it writes."""
+    def _print_group_call(self, text: Text, u: int, following: list[str], flag: str) -> list[str]:
+        """Print the call for a single group; return the names of the states that the call
+        writes.
+        """
         for i, place in enumerate(self._read):
-            text.store(f"%s{u}_{place}", self._at(text, f"%before{u}", i), vector=True)
+            text.store(f"%s{u}_{place}", self._vector_address(text, f"%before{u}", i), vector=True)
         for i in range(self._written):
-            text.store(following[i], self._at(text, f"%next{u}", i), vector=True)
+            text.store(following[i], self._vector_address(text, f"%next{u}", i), vector=True)
         one = text.splat("1.0", "double")
-        asked = text.choice(flag, text.type("double"), one, text.zero())
+        asked = text.print_select(flag, text.type("double"), one, text.zero())
         text.store(asked, f"%flag{u}", vector=True)
         row, own = f"%row{u}_0", f"%own{u}_0" if self._shape.exogenous else "%own"
         given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")
@@ -105,56 +115,63 @@ class RareParts:
         text.line(f"call void @rare0(i64 %lanes, {pointers})")
         changed = []
         for i in range(self._written):
-            changed.append(text.load(self._at(text, f"%next{u}", i), vector=True))
+            changed.append(text.load(self._vector_address(text, f"%next{u}", i), vector=True))
         return changed
 
-    def _at(self, text: Text, base: str, i: int) -> str:
+    def _vector_address(self, text: Text, base: str, i: int) -> str:
         """Return the address of a vector of an array."""
         return text.at(base, i * self._form.lanes)
 
-    def functions(self, declared: dict[str, str]) -> list[str]:
-        """Return the functions' text, given what the module declares."""
-        return [self._function(part, declared) for part in range(len(self._results))]
+    def cold_function_texts(self, declared: dict[str, str]) -> list[str]:
+        """Return the texts of the functions, given the declarations of the module."""
+        return [self._cold_function_text(part, declared) for part in range(len(self._results))]
 
-    def _function(self, part: int, declared: dict[str, str]) -> str:
-        """Return a part: the states where the flag is set, and a new flag; then the next part."""
+    def _cold_function_text(self, part: int, declared: dict[str, str]) -> str:
+        """Return the text of a part: states where the flag is set, a new flag, then the
+        next part.
+        """
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
         have: dict[Node, str] = {}
         for place, node in enumerate(self.steady):
             if node in self._uses[part]:
-                have[node] = plain(text, node, text.load(text.at("%rare", place)))
-        once(text, directly_used(order, results, SHARED), have, entries_of(text, "w"))
-        (names,) = in_lanes(text, order, [self._source(text, have)], False)
+                have[node] = from_double(text, node, text.load(text.at("%rare", place)))
+        print_once(text, operands_at_level(order, results, SHARED), have, entry_source(text, "w"))
+        (names,) = print_lanes(text, order, [self._cold_source(text, have)], False)
         old = text.load("%flag", vector=True)
         flagged = text.add(f"fcmp une {vector} {old}, {text.zero()}")
         for i, node in enumerate(results[:-1]):
-            address = self._at(text, "%next", i)
+            address = self._vector_address(text, "%next", i)
             usual = text.load(address, vector=True)
-            chosen = text.choice(flagged, vector, names(node), usual)
+            chosen = text.print_select(flagged, vector, names(node), usual)
             text.store(chosen, address, vector=True)
         if part + 1 < len(self._results):
             # Of a lane that asked for this part.
-            flag = text.choice(flagged, vector, names(results[-1]), text.zero())
+            flag = text.print_select(flagged, vector, names(results[-1]), text.zero())
             text.store(flag, "%flag", vector=True)
-            again = text.any(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
+            again = text.any_lane(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
             given = ", ".join(f"ptr %{name}" for name in _POINTERS)
-            with text.where(again, "again"):
+            with text.print_if(again, "again"):
                 text.line(f"call void @rare{part + 1}(i64 %lanes, {given})")
         text.line("ret void")
         pointers = ", ".join(f"ptr noalias %{name}" for name in _POINTERS)
         head = f"define internal void @rare{part}(i64 %lanes, {pointers}) noinline #0 {{"
         return "\n".join([head, *text.lines, "}"])
 
-    def _source(self, text: Text, have: dict[Node, str]) -> Names:
-        """What names values of lower levels and inputs of the lanes."""
+    def _cold_source(self, text: Text, have: dict[Node, str]) -> Names:
+        """Return the source of names for values of lower levels and for inputs of the
+        lanes.
+        """
 
         def source(node: Node) -> str:
+            """Return the name of a value."""
             if node.level < STILL:
                 return text.splat(have[node], TYPES[node.kind])
             place = int(node.text[1:])
             if node.text[0] == "s":
-                return text.load(self._at(text, "%before", self._read.index(place)), vector=True)
+                return text.load(
+                    self._vector_address(text, "%before", self._read.index(place)), vector=True
+                )
             if node.text[0] == "p":
                 base, row = "%row", self._shape.sizes[0] + self._shape.params.index(place)
             elif place in self._shape.exogenous:
@@ -166,8 +183,8 @@ class RareParts:
         return source
 
 
-def _order(results: list[Node], form: Form) -> list[Node]:
-    """Return the instructions of a part; one group goes alone, so that it has all registers."""
-    small = len(of_graph(results)) <= LARGE
+def _order_part(results: list[Node], form: Form) -> list[Node]:
+    """Return the instructions of a part in order; a group goes alone and has all registers."""
+    small = len(lane_instructions(results)) <= LARGE
     order = order_instructions(results, form.registers * form.streams if small else 0)
-    return [*still(order, results), *order]
+    return [*per_call_nodes(order, results), *order]

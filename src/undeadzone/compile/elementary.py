@@ -1,4 +1,4 @@
-"""Elementary functions as plain arithmetic: one text for fused lanes and for exported code.
+"""Elementary functions as plain arithmetic: a single text for fused lanes and for exported code.
 
 There is no branch in them and no loop, so that LLVM vectorises them over lanes; exported code calls
 them. Every operation rounds once by IEEE 754, so that all processors and lane widths give the same
@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 from undeadzone.compile.coefficients import DOUBLE, SINGLE, Numbers
-from undeadzone.compile.graph import LANES, Node, Nodes, Results, uses
+from undeadzone.compile.graph import LANES, Node, Nodes, Results, count_uses
 from undeadzone.compile.trace import Numpy, Value
 
 
 class Maths:
-    """What the functions call besides operators, in an arithmetic.
+    """Functions of an arithmetic that the elementary functions use besides operators.
 
     Args:
         nodes: where nodes are made.
@@ -41,25 +41,25 @@ class Maths:
         self.select, self.sqrt = self._numpy.where, self._numpy.sqrt
 
     def call(self, name: str, *args: Any) -> Any:
-        """Return a function by its name."""
+        """Return the value of a function given by its name."""
         if self._inline and name in FUNCTIONS:
             return FUNCTIONS[name](self, *args)
         return self._numpy.call(name, *args)
 
     def fma(self, a: Any, b: Any, c: Any) -> Any:
-        """Return a b + c, rounded once if the arithmetic can do it."""
+        """Return a b + c, rounded once if the arithmetic supports it."""
         return self.call("fma", a, b, c) if self.c.fused else a * b + c
 
     def bits(self, x: Any) -> Any:
-        """Return the bits of a number, as an unsigned integer."""
+        """Return the bits of a number as an unsigned integer."""
         return x.cast("view", self.c.word)
 
     def number(self, x: Any) -> Any:
-        """Return the number that has these bits."""
+        """Return the number with the given bits."""
         return x.cast("view", self.c.kind)
 
     def polynomial(self, x: Any, coefficients: tuple[float, ...]) -> Any:
-        """Return coefficients[0] + coefficients[1] x + ...
+        """Return the polynomial coefficients[0] + coefficients[1] x + ....
 
         Even and odd powers apart, so that half as many roundings wait for each other.
         """
@@ -75,8 +75,8 @@ class Maths:
 
 
 def reduce_angle(m: Maths, x: Any) -> Any:
-    """Return sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or n
-    itself.
+    """Return sine and cosine of r, |x| = n pi/2 + r, |r| <= pi/4, and bits that end with n, or
+    n itself.
 
     Beyond the largest argument those of 0. r is found as a sum of two numbers, the first of which
     may be as small as 2^-60.
@@ -102,8 +102,8 @@ def reduce_angle(m: Maths, x: Any) -> Any:
     return sine, cosine, n if m.bitless else m.bits(shifted)
 
 
-def power(m: Maths, shifted: Any, less: Any = None) -> Any:
-    """Return 2^n of n + shift, in the normal range; 2^(n - k) with k + shift, which is `less`."""
+def shifted_power(m: Maths, shifted: Any, less: Any = None) -> Any:
+    """Return 2^n from n + shift, in the normal range, or 2^(n - k) if `less` is k + shift."""
     if m.bitless:
         return m.call("power", shifted - (m.c.shift if less is None else less))
     bits = m.bits(shifted) if less is None else m.bits(shifted) - m.bits(less)
@@ -111,7 +111,7 @@ def power(m: Maths, shifted: Any, less: Any = None) -> Any:
 
 
 def reduce_exponent(m: Maths, x: Any) -> Any:
-    """Return n, n + shift and e^r - 1 of x = n log 2 + r, |r| <= log(2) / 2."""
+    """Return n, n + shift and e^r - 1 for x = n log 2 + r, |r| <= log(2) / 2."""
     c = m.c
     shifted = m.fma(x, 1 / math.log(2), c.shift)
     n = shifted - c.shift
@@ -119,16 +119,16 @@ def reduce_exponent(m: Maths, x: Any) -> Any:
     return n, shifted, m.fma(r * r, m.polynomial(r, c.exp), r)
 
 
-def limit_exponent(m: Maths, x: Any) -> Any:
-    """Return an argument of exp, not beyond what makes it infinite or 0."""
+def clip_exponent(m: Maths, x: Any) -> Any:
+    """Return an argument of exp, clipped to the range in which exp is finite and positive."""
     x = m.select(x > m.c.most, m.c.most, x)
     return m.select(x < m.c.least, m.c.least, x)
 
 
-def lost(m: Maths, g: Any) -> Any:
-    """Return 1 - e^-g of a g that is not negative nor so large that e^-g is not normal."""
+def one_minus_exp(m: Maths, g: Any) -> Any:
+    """Return 1 - e^-g for g >= 0 so small that e^-g is a normal number."""
     _, shifted, part = reduce_exponent(m, -g)
-    scale = power(m, shifted)
+    scale = shifted_power(m, shifted)
     return m.fma(-scale, part, 1.0 - scale)
 
 
@@ -140,12 +140,12 @@ def sign(m: Maths, x: Any) -> Any:
     return m.select(x < 0.0, -1.0, m.select(x > 0.0, 1.0, x))
 
 
-def smaller(m: Maths, x: Any, y: Any) -> Any:
+def smaller_of(m: Maths, x: Any, y: Any) -> Any:
     """Return the smaller of two numbers."""
     return m.select((x < y) | (y != y), x, y)
 
 
-def larger(m: Maths, x: Any, y: Any) -> Any:
+def larger_of(m: Maths, x: Any, y: Any) -> Any:
     """Return the larger of two numbers."""
     return m.select((y < x) | (y != y), x, y)
 
@@ -166,17 +166,17 @@ def exp(m: Maths, x: Any) -> Any:
     """Return exponential; 2^n in two factors, so that the largest numbers and subnormal ones come
     out.
     """
-    n, shifted, part = reduce_exponent(m, limit_exponent(m, x))
+    n, shifted, part = reduce_exponent(m, clip_exponent(m, x))
     half = m.fma(n, 0.5, m.c.shift)
-    scale = power(m, half)
-    return m.fma(scale, part, scale) * power(m, shifted, half)
+    scale = shifted_power(m, half)
+    return m.fma(scale, part, scale) * shifted_power(m, shifted, half)
 
 
 def expm1(m: Maths, x: Any) -> Any:
     """Return e^x - 1, from half of it."""
     most = (m.c.bias + 1.25) * math.log(2)  # infinite, by the largest n that has a power
     n, _, part = reduce_exponent(m, m.select(x < -50.0, -50.0, m.select(x > most, most, x)))
-    half = power(m, n + (m.c.shift - 1.0))
+    half = shifted_power(m, n + (m.c.shift - 1.0))
     return 2.0 * m.fma(half, part, half - 0.5)
 
 
@@ -219,7 +219,7 @@ def erf(m: Maths, x: Any) -> Any:
     """Return error function, as 1 - e^-g(|x|)."""
     c, a = m.c, abs(x)
     a = m.select(a > c.certain, c.certain, a)
-    value = lost(m, m.fma(a, c.head, a * m.polynomial(a, c.erf)))
+    value = one_minus_exp(m, m.fma(a, c.head, a * m.polynomial(a, c.erf)))
     return m.call("copysign", value, x)
 
 
@@ -294,7 +294,7 @@ def cosh(m: Maths, x: Any) -> Any:
 def tanh(m: Maths, x: Any) -> Any:
     """Return hyperbolic tangent, as q / (2 - q), q = 1 - e^-2|x|."""
     a = abs(x)
-    q = lost(m, 2.0 * m.select(a > 20.0, 20.0, a))
+    q = one_minus_exp(m, 2.0 * m.select(a > 20.0, 20.0, a))
     return m.call("copysign", q / (2.0 - q), x)
 
 
@@ -321,7 +321,7 @@ def atanh(m: Maths, x: Any) -> Any:
     return m.call("copysign", 0.5 * m.call("log1p", 2.0 * a / (1.0 - a)), x)
 
 
-def power_by_logarithm(m: Maths, x: Any, y: Any) -> Any:
+def power_of(m: Maths, x: Any, y: Any) -> Any:
     """Return x^y as e^(y log x): its relative error grows with |y log x|."""
     half = y * 0.5
     size = m.call("exp", y * m.call("log", abs(x)))
@@ -346,10 +346,10 @@ _OWN: Final = (
     *(sinh, cosh, tanh, asinh, acosh, atanh, hypot),
 )
 FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {
-    "fmin": smaller,
-    "fmax": larger,
+    "fmin": smaller_of,
+    "fmax": larger_of,
     **{function.__name__: function for function in _OWN},
-    "pow": power_by_logarithm,
+    "pow": power_of,
 }
 """By C's names, in an order in which each calls earlier ones only."""
 
@@ -358,7 +358,7 @@ LANES_OWN: Final = ("sin", "cos", "exp", "log", "erf", "tanh")
 
 
 class Formula(NamedTuple):
-    """A function as a graph.
+    """Function as a graph.
 
     Attributes:
         inputs: names of its arguments.
@@ -372,8 +372,8 @@ class Formula(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Own:
-    """The functions of a language.
+class FunctionSet:
+    """Elementary functions of a target language.
 
     Attributes:
         functions: by their names, in an order in which each calls earlier ones only.
@@ -384,41 +384,44 @@ class Own:
     bitless: bool
 
 
-OF_WORDS: Final = Own(FUNCTIONS, bitless=False)
+OF_WORDS: Final = FunctionSet(FUNCTIONS, bitless=False)
 
 
 @functools.cache
-def formula(name: str, kind: str, own: Own = OF_WORDS) -> Formula:
-    """Return a function in float32 or float64, without fused operations."""
+def build_formula(name: str, kind: str, own: FunctionSet = OF_WORDS) -> Formula:
+    """Return the graph of a function in float32 or float64, without fused operations."""
     function, nodes = own.functions[name], Nodes()
     inputs = list(inspect.signature(function).parameters)[1:]
-    arguments = [Value(nodes, nodes.input(text, LANES, kind)) for text in inputs]
+    arguments = [Value(nodes, nodes.intern_input(text, LANES, kind)) for text in inputs]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
     result: Node = function(Maths(nodes, numbers, bitless=own.bitless), *arguments).node
     return Formula(inputs, result, called_functions([[result]]) & own.functions.keys())
 
 
 def called_functions(results: Results) -> set[str]:
-    """Return the functions that results call, those of the C library among them."""
-    return {node.text for node in uses(results) if node.op == "call"}
+    """Return the names of the functions that the results call, including the C library's."""
+    return {node.text for node in count_uses(results) if node.op == "call"}
 
 
 def inline_functions(
     nodes: Nodes, numbers: Numbers, names: Iterable[str]
 ) -> dict[str, Callable[..., Node]]:
-    """What writes functions down where they are called, by name."""
+    """Return, by name, builders that insert a function's instructions at the place of a call."""
     maths = Maths(nodes, numbers, inline=True)
 
     def written(name: str) -> Callable[..., Node]:
+        """Return the builder of a function."""
         return lambda *args: maths.call(name, *[Value(nodes, arg) for arg in args]).node
 
     return {name: written(name) for name in names}
 
 
-def required_functions(names: set[str], kind: str = DOUBLE.kind, own: Own = OF_WORDS) -> list[str]:
-    """Return the functions and those that they call, each after those that it calls."""
+def required_functions(
+    names: set[str], kind: str = DOUBLE.kind, own: FunctionSet = OF_WORDS
+) -> list[str]:
+    """Return the functions and all functions that these call, callees first."""
     found = set(names)
     for name in reversed(own.functions):
         if name in found:
-            found |= formula(name, kind, own).calls
+            found |= build_formula(name, kind, own).calls
     return [name for name in own.functions if name in found]

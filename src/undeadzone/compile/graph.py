@@ -1,4 +1,4 @@
-"""Nodes: the instructions of a graph, each once, and how often each has to be computed."""
+"""Nodes: the instructions of a graph, each stored once, and how often each has to be computed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LANES: Final = 4
 
 @dataclass(slots=True, eq=False, repr=False)  # its operands, written out, would fill any memory
 class Node:
-    """An instruction.
+    """Instruction of a graph.
 
     Attributes:
         op: what it does: add, sub, mul, div, neg, lt, le, eq, ne; and, or, xor, shl, shr of words;
@@ -43,12 +43,12 @@ class Node:
 
     @property
     def value(self) -> float | None:
-        """Return the number that a constant is; None for other nodes."""
+        """Return the number of a constant, or None for all further nodes."""
         return float(self.text) if self.op == "const" else None
 
     @property
     def is_real(self) -> bool:
-        """Return whether its value is a floating-point number."""
+        """Return whether the value is a floating-point number."""
         return self.kind.startswith("float")
 
 
@@ -57,13 +57,13 @@ _number: Final = operator.attrgetter("number")  # when a node was made
 
 
 class Nodes:
-    """A growing list of instructions in which none stands twice."""
+    """Growing list of instructions without duplicates."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], Node] = {}
 
     def intern(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
-        """Return an instruction, the one that is there if it is.
+        """Return the node for an instruction; equal instructions share a node.
 
         Args:
             op, args, text: as of `Node`.
@@ -83,18 +83,18 @@ class Nodes:
             node = self._known[key] = Node(op, args, text, kind, level, len(self._known))
         return node
 
-    def constant(self, value: float, kind: str = "float64") -> Node:
-        """Return a number, a word or a truth (1 or 0)."""
+    def intern_constant(self, value: float, kind: str = "float64") -> Node:
+        """Return the node of a number, a word or a truth (1 or 0)."""
         text = repr(float(value)) if kind.startswith("float") else str(int(value))
         return self.intern("const", text=text, kind=kind)
 
-    def input(self, name: str, level: int, kind: str = "float64") -> Node:
-        """What a graph is given."""
+    def intern_input(self, name: str, level: int, kind: str = "float64") -> Node:
+        """Return the node of an input of the graph."""
         return self.intern("input", text=name, kind=kind, level=level)
 
 
 def required_nodes(results: Iterable[Node], known: Collection[Node] = ()) -> list[Node]:
-    """What results need beyond what is known, in the order in which it was made."""
+    """Return the nodes that results need beyond the known nodes, in the order of creation."""
     seen = set(known)
     new = set(results) - seen
     while new:
@@ -103,28 +103,28 @@ def required_nodes(results: Iterable[Node], known: Collection[Node] = ()) -> lis
     return sorted(seen.difference(known), key=_number)
 
 
-def directly_used(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
+def operands_at_level(order: Iterable[Node], results: Iterable[Node], level: int) -> list[Node]:
     """Return the values of a level that some instructions or results use directly."""
     found = set(results).union(*[node.args for node in order])
     return sorted((node for node in found if node.level == level), key=_number)
 
 
-def still(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
-    """Return the instructions of lanes that some instructions or results need once a call."""
-    nodes = required_nodes(directly_used(order, results, STILL))
+def per_call_nodes(order: Iterable[Node], results: Iterable[Node]) -> list[Node]:
+    """Return the lane instructions needed once a call by some instructions or results."""
+    nodes = required_nodes(operands_at_level(order, results, STILL))
     return [node for node in nodes if node.level == STILL and node.op != "input"]
 
 
-def uses(results: Results) -> Counter[Node]:
-    """How often each node is used by results and by nodes that these need."""
+def count_uses(results: Results) -> Counter[Node]:
+    """Return the number of uses of each node by the results and by all nodes that these need."""
     counts = Counter(itertools.chain(*results))
     for node in required_nodes(counts):
         counts.update(node.args)
     return counts
 
 
-def condition(number: Node) -> Node | None:
-    """Return the truth that a number 1 or 0 stands for; None for other numbers."""
+def to_condition(number: Node) -> Node | None:
+    """Return the truth that a number 1 or 0 represents, or None for further numbers."""
     if number.op != "select" or (number.args[1].text, number.args[2].text) != ("1.0", "0.0"):
         return None
     return number.args[0]

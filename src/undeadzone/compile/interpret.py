@@ -1,4 +1,4 @@
-"""CasADi's own virtual machine: one run, no compiler, nothing to wait for."""
+"""CasADi's own virtual machine: a single run without a compiler and without waiting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WORTH: Final = 20_000
 FEW: Final = 8  # rows from which on they are run at once
 
 
-def run(
+def run_interpreted(
     step: ca.Function,
     state: Floats,
     exogenous: Floats,
@@ -62,19 +62,19 @@ def run(
     return outputs, state
 
 
-def stateless(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
-    """Return a step without a state, whose output is a value of a row and of params (inputs)."""
+def build_stateless_step(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
+    """Return a step without a state; its output is a value of a row and of params (inputs)."""
     nothing = ca.SX(0, 1)
     return ca.Function("stateless", [nothing, *inputs], [nothing, value])
 
 
-def evaluate_rows(step: ca.Function, rows: Floats, params: Floats) -> Floats:
-    """Return the outputs of a step without a state at many rows (N x inputs), a row each."""
-    return run(step, np.empty(0), rows, params)[0]
+def map_rows(step: ca.Function, rows: Floats, params: Floats) -> Floats:
+    """Return the outputs of a step without a state at many rows of inputs (N x outputs)."""
+    return run_interpreted(step, np.empty(0), rows, params)[0]
 
 
 class Stepper:
-    """One step at a time, in place and without copies, for live use.
+    """Single step at a time, in place and without copies, for scalar steps.
 
     Fill `w`, call, read `out`; `state` advances.
 
@@ -105,7 +105,7 @@ class Stepper:
         self.state[:] = self._next
 
     def run(self, w: Floats) -> Floats:
-        """Return the outputs along w (N x inputs), a row each; the state advances.
+        """Return the outputs along w (N x outputs) and advance the state.
 
         Many rows are worth a compilation, after which every bit stays as it was.
         """
@@ -118,11 +118,13 @@ class Stepper:
             return outputs
         self._count += len(w)
         if self._count <= WORTH:
-            outputs, self.state[:] = run(self._step, self.state, w, self._params)
+            outputs, self.state[:] = run_interpreted(self._step, self.state, w, self._params)
         else:
             from undeadzone.compile import lanes
 
-            self._kernel = self._kernel or lanes.build(self._step, width=1)
-            outputs, self.state[:] = lanes.run_alone(self._kernel, self.state, w, self._params)
+            self._kernel = self._kernel or lanes.build_kernel(self._step, width=1)
+            outputs, self.state[:] = lanes.run_single_lane(
+                self._kernel, self.state, w, self._params
+            )
         self.out[:] = outputs[-1]
         return outputs

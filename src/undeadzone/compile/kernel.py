@@ -1,4 +1,4 @@
-"""The text of a kernel: a step for many lanes as LLVM's instructions.
+"""Text of a kernel: a step for many lanes as LLVM instructions.
 
 Groups of lanes are outermost and time is inside, so that a group's states stay in registers. What
 all lanes share is computed once: what is steady once a call, what is new in each step for a chunk
@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 import casadi as ca
 
-from undeadzone.compile.assumptions import Promise
-from undeadzone.compile.cold_paths import RareParts
+from undeadzone.compile.assumptions import KernelAssumption
+from undeadzone.compile.cold_paths import ColdPaths
 from undeadzone.compile.graph import (
     LANES,
     SHARED,
@@ -22,24 +22,29 @@ from undeadzone.compile.graph import (
     STILL,
     Node,
     Nodes,
-    condition,
-    directly_used,
+    operands_at_level,
+    per_call_nodes,
     required_nodes,
-    still,
+    to_condition,
 )
 from undeadzone.compile.lower import Arithmetic, lower_function
 from undeadzone.compile.machine import ONE, Form, Machine, Shape
-from undeadzone.compile.outline import Pieces
+from undeadzone.compile.outline import OutlinedStep
 from undeadzone.compile.print_llvm import (
     Names,
     Text,
-    entries_of,
-    in_lanes,
-    once,
-    plain,
-    store_value,
+    entry_source,
+    from_double,
+    print_lanes,
+    print_once,
+    to_double,
 )
-from undeadzone.compile.schedule import Branch, gather_branches, of_graph, order_instructions
+from undeadzone.compile.schedule import (
+    Branch,
+    gather_branches,
+    lane_instructions,
+    order_instructions,
+)
 
 _ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
 _PAGE: Final = 4096  # bytes
@@ -52,7 +57,7 @@ _UNLIKELY: Final = '!0 = !{!"branch_weights", i32 1, i32 100}'
 
 
 class _Table:
-    """Plain numbers that lanes read: a row of them.
+    """Row of plain numbers that lanes read.
 
     Args:
         every_use: each use has an entry for itself. LLVM then makes it an operand of the
@@ -64,24 +69,26 @@ class _Table:
         self._places: dict[Node, int] = {}
         self._every_use = every_use
 
-    def place(self, node: Node) -> int:
-        """Where a use of a value finds it."""
+    def place_of_use(self, node: Node) -> int:
+        """Return the index of the entry that a use of a value reads; add the entry if
+        needed.
+        """
         if self._every_use or node not in self._places:
             self._places[node] = len(self.entries)
             self.entries.append(node)
         return self._places[node]
 
-    def fill(self, text: Text, base: str, have: dict[Node, str]) -> None:
-        """Print what keeps the values."""
+    def print_fill(self, text: Text, base: str, have: dict[Node, str]) -> None:
+        """Print the instructions that store the values."""
         forms: dict[Node, str] = {}
         for place, node in enumerate(self.entries):
             if node not in forms:
-                forms[node] = store_value(text, node, have[node])
+                forms[node] = to_double(text, node, have[node])
             text.store(forms[node], text.at(base, place))
 
 
-class Block:
-    """The function `block` on the way to its text.
+class KernelPrinter:
+    """Printer of the function `block`.
 
     Args:
         shape, form: of the kernel.
@@ -94,9 +101,9 @@ class Block:
     ) -> None:
         self.shape, self.form = shape, form
         self.following, self.out = usual[0], usual[1]
-        self.flag = (condition(usual[2][0]) or usual[2][0]) if parts else None
+        self.flag = (to_condition(usual[2][0]) or usual[2][0]) if parts else None
         self.declared: dict[str, str] = {}
-        self.rare = RareParts(shape, form, parts)
+        self.rare = ColdPaths(shape, form, parts)
         self.slots = form.slots and form.lanes > 1
         self.steady, self.shared = _Table(self.slots), _Table(self.slots)
         self.groups = range(form.streams)
@@ -106,35 +113,37 @@ class Block:
         if form.branches and form.streams == 1:
             self.body = gather_branches(self.order, self.results, form.branches)
         is_cut = form.is_cut(len(self.order))
-        self.pieces = Pieces(self.body, self.results, form) if is_cut else None
-        self.still = still(self.order, self.results)
+        self.pieces = OutlinedStep(self.body, self.results, form) if is_cut else None
+        self.still = per_call_nodes(self.order, self.results)
         self.have: dict[Node, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
 
     def print_module(self, name: str) -> str:
-        """Return the text of the module, with a function of that name."""
-        entry = self._text("e")
-        self._steady_values(entry)
-        group, body = self._group(), self._body()
-        functions = self.pieces.functions(self.declared, self._name_tables) if self.pieces else []
+        """Return the text of the module with a function of the given name."""
+        entry = self._new_text("e")
+        self._print_steady(entry)
+        group, body = self._print_groups(), self._print_step()
+        functions = (
+            self.pieces.outlined_texts(self.declared, self._table_source) if self.pieces else []
+        )
         steps = max(_FEWEST, min(_STEPS, _TABLE // max(1, len(self.shared.entries))))
         steps = steps if self.shared.entries else _FOR_EVER
-        tables = self._tables(entry, steps)
+        tables = self._print_tables(entry, steps)
         arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
         lines = [
-            *self.rare.functions(self.declared),
+            *self.rare.cold_function_texts(self.declared),
             *functions,
             f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
             "entry:",
             # At a fixed place beside spilled numbers: where a number of the one has the same last
             # bits of its address as one of the other, the processor takes them for the same.
-            f"  %scratch = alloca {self._place_of(tables)}",
+            f"  %scratch = alloca {self._scratch_type(tables)}",
             *entry.lines,
-            *self._chunk(steps),
+            *self._print_chunks(steps),
             *group,
-            *self._time(),
+            *self._print_time_head(),
             *body,
-            *self._end(),
+            *self._print_loop_ends(),
             "}",
             *self.declared.values(),
             'attributes #0 = { nounwind "prefer-vector-width"="512" }',
@@ -142,109 +151,118 @@ class Block:
         ]
         return "\n".join(lines)
 
-    def _place_of(self, numbers: int) -> str:
-        """Return type and alignment of the array for tables of so many numbers."""
+    def _scratch_type(self, numbers: int) -> str:
+        """Return type and alignment of the array that holds tables of the given total
+        size.
+        """
         if self.form.lanes == 1:
             return f"[{numbers + 1} x double], align 8"
         return f"[{numbers + _APART} x double], align {_PAGE}"
 
-    def _text(self, prefix: str) -> Text:
-        """Return a new part of the function."""
+    def _new_text(self, prefix: str) -> Text:
+        """Return the text of a new part of the function."""
         return Text(self.form.lanes, self.declared, prefix)
 
-    def _steady_values(self, text: Text) -> None:
-        """Print what is steady, once."""
+    def _print_steady(self, text: Text) -> None:
+        """Print the steady values, once a call."""
         wanted = [
-            *directly_used([*self.still, *self.order], self.results, STEADY),
+            *operands_at_level([*self.still, *self.order], self.results, STEADY),
             *self.rare.steady,
         ]
-        for node in required_nodes(directly_used(self.order, self.results, SHARED)):
+        for node in required_nodes(operands_at_level(self.order, self.results, SHARED)):
             if node.level == SHARED:
                 wanted += [arg for arg in node.args if arg.level == STEADY]
-        once(text, wanted, self.have, entries_of(text, "params"))
+        print_once(text, wanted, self.have, entry_source(text, "params"))
 
-    def _tables(self, text: Text, steps: int) -> int:
-        """Print where tables are, and fill those that are steady; the numbers of all of them."""
+    def _print_tables(self, text: Text, steps: int) -> int:
+        """Print the addresses of the tables and fill the steady tables; return the total
+        size [numbers].
+        """
         lanes, streams = self.form.lanes, self.form.streams
         text.line("%steady = getelementptr double, ptr %scratch, i64 0")
-        at = _round_to_lines(len(self.steady.entries))
+        at = _round_to_cache_line(len(self.steady.entries))
         text.line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
-        at += _round_to_lines(len(self.shared.entries) * steps if self.shared.entries else 0)
+        at += _round_to_cache_line(len(self.shared.entries) * steps if self.shared.entries else 0)
         text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
-        at += _round_to_lines(len(self.rare.steady))
+        at += _round_to_cache_line(len(self.rare.steady))
         if self.pieces:
             text.line(f"%frame = getelementptr double, ptr %scratch, i64 {at}")
-            at += _round_to_lines(self.pieces.numbers)
+            at += _round_to_cache_line(self.pieces.numbers)
         for u in range(streams if self.flag else 0):
-            for name, count in self.rare.arrays:
+            for name, count in self.rare.group_arrays:
                 text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
-                at += _round_to_lines(count * lanes)
-        self.steady.fill(text, "%steady", self.have)
+                at += _round_to_cache_line(count * lanes)
+        self.steady.print_fill(text, "%steady", self.have)
         for place, node in enumerate(self.rare.steady):
-            text.store(store_value(text, node, self.have[node]), text.at("%rare", place))
+            text.store(to_double(text, node, self.have[node]), text.at("%rare", place))
         text.line("%none = icmp slt i64 %steps, 1")
         text.line("br i1 %none, label %end, label %chunk")
         return at
 
-    def _chunk(self, steps: int) -> list[str]:
-        """Return the loop over chunks of steps and the table of what is shared."""
-        text = self._text("c")
+    def _print_chunks(self, steps: int) -> list[str]:
+        """Print the loop over chunks of steps with the table of shared values."""
+        text = self._new_text("c")
         text.label("chunk")
         text.line("%first = phi i64 [0, %entry], [%last, %chunked]")
         text.line(f"%far = add i64 %first, {steps}")
         text.line("%short = icmp slt i64 %steps, %far")
         text.line("%last = select i1 %short, i64 %steps, i64 %far")
         if self.shared.entries:
-            with text.loop("ahead", "%first", "%last") as ahead:
-                self._ahead(text, ahead)
+            with text.print_loop("ahead", "%first", "%last") as ahead:
+                self._print_shared_row(text, ahead)
         text.line("br label %groups")
         text.label("groups")
         text.line("br label %group")
         return text.lines
 
-    def _ahead(self, text: Text, step: str) -> None:
-        """A row of the table of what is shared."""
+    def _print_shared_row(self, text: Text, step: str) -> None:
+        """Print a row of the table of shared values."""
         at = text.add(f"mul i64 {step}, {self.shape.sizes[1]}")
         text.line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
         row = text.add(f"sub i64 {step}, %first")
         have, place = dict(self.have), text.add(f"mul i64 {row}, {len(self.shared.entries)}")
-        once(text, self.shared.entries, have, entries_of(text, "pa"))
-        self.shared.fill(text, text.at("%table", place), have)
+        print_once(text, self.shared.entries, have, entry_source(text, "pa"))
+        self.shared.print_fill(text, text.at("%table", place), have)
 
-    def _group(self) -> list[str]:
-        """Return the loop over groups up to that over time."""
-        text = self._text("g")
+    def _print_groups(self) -> list[str]:
+        """Print the loop over groups up to the loop over time."""
+        text = self._new_text("g")
         vector, (states, _, _) = text.type("double"), self.shape.sizes
         text.label("group")
         text.line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
         text.line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")
         for u in self.groups:
             text.line(f"%g{u} = add i64 %g, {u * self.form.lanes}")
-            _rows(text, "work", f"%g{u}", f"row{u}_", states + len(self.shape.params))
+            _print_row_addresses(
+                text, "work", f"%g{u}", f"row{u}_", states + len(self.shape.params)
+            )
             for i in range(states):
                 text.line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
             for i in range(len(self.shape.params)):
                 text.line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
-        sources = [self._still_source(text, u) for u in self.groups]
-        self.own = in_lanes(text, self.still, sources, False)
+        sources = [self._per_call_source(text, u) for u in self.groups]
+        self.own = print_lanes(text, self.still, sources, False)
         text.line("br label %time")
         return text.lines
 
-    def _still_source(self, text: Text, u: int) -> Names:
-        """What names a lane's own params, and what all lanes share, ahead of the loop over time."""
+    def _per_call_source(self, text: Text, u: int) -> Names:
+        """Return the source of names for a lane's own params and for shared values, before
+        the loop over time.
+        """
 
         def source(node: Node) -> str:
+            """Return the name of a value."""
             if node.level == STILL:
                 return f"%p{u}_{self.shape.params.index(int(node.text[1:]))}"
             if self.form.lanes == 1:
                 return self.have[node]
-            return self._name_tables(text, "%steady")(node)
+            return self._table_source(text, "%steady")(node)
 
         return source
 
-    def _time(self) -> list[str]:
-        """Return the head of the loop over time."""
-        text = self._text("h")
+    def _print_time_head(self) -> list[str]:
+        """Print the head of the loop over time."""
+        text = self._new_text("h")
         text.label("time")
         text.line("%k = phi i64 [%first, %group], [%k_next, %after]")
         for u in self.groups:
@@ -268,17 +286,17 @@ class Block:
             text.line(f"%j_{array} = mul i64 %k_{array}, %lanes")
             for u in self.groups:
                 text.line(f"%i_{array}{u} = add i64 %j_{array}, %g{u}")
-                _rows(text, array, f"%i_{array}{u}", f"{array}{u}_", len(entries))
+                _print_row_addresses(text, array, f"%i_{array}{u}", f"{array}{u}_", len(entries))
         return text.lines
 
-    def _body(self) -> list[str]:
-        """Return a step, and the rare parts' calls."""
-        text = self._text("b")
+    def _print_step(self) -> list[str]:
+        """Print a step and the calls of the cold paths."""
+        text = self._new_text("b")
         text.block = "time"
-        sources = [self._source(text, u) for u in self.groups]
+        sources = [self._lane_source(text, u) for u in self.groups]
         if self.pieces:
             sources = [self.pieces.print_calls(text, sources[0])]
-        names = in_lanes(text, [] if self.pieces else self.body, sources, self.slots)
+        names = print_lanes(text, [] if self.pieces else self.body, sources, self.slots)
         vector = text.type("double")
         for u in self.groups:
             for i, node in enumerate(self.out):
@@ -286,7 +304,9 @@ class Block:
         merged = [[[names[u](node) for node in self.following] for u in self.groups]]
         came = [text.block]
         if self.flag:
-            last, changed = self.rare.print_call(text, merged[0], self._flags(text, names))
+            last, changed = self.rare.print_cold_call(
+                text, merged[0], self._cold_path_flags(text, names)
+            )
             came.append(last)
             merged.append(changed)
         else:
@@ -299,25 +319,28 @@ class Block:
                 text.line(f"%m{u}_{i} = phi {vector} {options}")
         return text.lines
 
-    def _flags(self, text: Text, names: list[Names]) -> list[str]:
-        """Return the conditions of the rare parts, for each group."""
+    def _cold_path_flags(self, text: Text, names: list[Names]) -> list[str]:
+        """Return the conditions of the cold paths, for each group."""
         assert self.flag is not None
         flags = [name(self.flag) for name in names]
         if self.flag.kind == "bool":
             return flags
         return [text.add(f"fcmp une {text.type('double')} {x}, {text.zero()}") for x in flags]
 
-    def _source(self, text: Text, u: int) -> Names:
-        """What names values of lower levels and inputs of the lanes of a group."""
+    def _lane_source(self, text: Text, u: int) -> Names:
+        """Return the source of names for values of lower levels and for inputs of the
+        lanes of a group.
+        """
         shape = self.shape
 
         def source(node: Node) -> str:
+            """Return the name of a value."""
             if node.level == STEADY and self.form.lanes == 1:
                 return self.have[node]
             if node.level == STILL:
                 return self.own[u](node)
             if node.level < LANES:
-                return self._name_tables(text)(node)
+                return self._table_source(text)(node)
             place = int(node.text[1:])
             if node.text[0] == "s":
                 return f"%s{u}_{place}"
@@ -328,19 +351,22 @@ class Block:
 
         return source
 
-    def _name_tables(self, text: Text, steady: str = "%sp") -> Names:
-        """What names values of tables, which stand at `steady` and at %sq, in all lanes."""
+    def _table_source(self, text: Text, steady: str = "%sp") -> Names:
+        """Return the source of names for values of the tables at `steady` and at %sq, in
+        all lanes.
+        """
 
         def tabled(node: Node) -> str:
+            """Return the name of a table's value."""
             table, base = (self.steady, steady) if node.level == STEADY else (self.shared, "%sq")
-            one = text.load(text.at(base, table.place(node)))
-            return plain(text, node, text.splat(one, "double"), True)
+            one = text.load(text.at(base, table.place_of_use(node)))
+            return from_double(text, node, text.splat(one, "double"), True)
 
         return tabled
 
-    def _end(self) -> list[str]:
-        """Return the ends of all loops."""
-        text = self._text("z")
+    def _print_loop_ends(self) -> list[str]:
+        """Print the ends of all loops."""
+        text = self._new_text("z")
         text.line("%done = icmp eq i64 %k_next, %last")
         text.line("br i1 %done, label %grouped, label %time")
         text.label("grouped")
@@ -357,16 +383,16 @@ class Block:
         return text.lines
 
 
-def _rows(text: Text, base: str, first: str, name: str, count: int) -> None:
-    """Print the addresses of rows of an array, each `lanes` numbers after the one before."""
+def _print_row_addresses(text: Text, base: str, first: str, name: str, count: int) -> None:
+    """Print the addresses of rows of an array, each `lanes` numbers after the previous row."""
     before = f"ptr %{base}, i64 {first}"
     for i in range(count):
         text.line(f"%{name}{i} = getelementptr double, {before}")
         before = f"ptr %{name}{i}, i64 %lanes"
 
 
-def _round_to_lines(numbers: int) -> int:
-    """So many numbers, as whole lines of the cache."""
+def _round_to_cache_line(numbers: int) -> int:
+    """Return a count of numbers, rounded up to whole cache lines."""
     return -(-numbers // 8) * 8
 
 
@@ -374,8 +400,8 @@ def _round_to_lines(numbers: int) -> int:
 KINDS: Final = ("int64", "int64", *["float64*"] * 5)
 
 
-class Source(NamedTuple):
-    """A kernel's text.
+class KernelText(NamedTuple):
+    """Text of a kernel.
 
     Attributes:
         text: LLVM's; it defines `block`.
@@ -385,11 +411,11 @@ class Source(NamedTuple):
 
     text: str
     form: Form
-    promises: tuple[Promise, ...]
+    promises: tuple[KernelAssumption, ...]
 
 
-class Graphs(NamedTuple):
-    """A step in which what is known stands in its place.
+class KernelGraphs(NamedTuple):
+    """Step with its known inputs substituted.
 
     Attributes:
         usual: next, out, flag if there are rare parts, of s, w and p.
@@ -400,13 +426,13 @@ class Graphs(NamedTuple):
     rare: tuple[ca.Function, ...]
 
 
-def graphs(
+def build_graphs(
     step: ca.Function,
     rare: Sequence[ca.Function],
     shape: Shape,
     w: Mapping[int, float],
     p: Mapping[int, float],
-) -> Graphs:
+) -> KernelGraphs:
     """Return the functions that a kernel computes.
 
     Args:
@@ -417,20 +443,20 @@ def graphs(
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
     inputs = [columns[0], _substitute_known(columns[1], w), _substitute_known(columns[2], p)]
     following, out, *flag = (ca.densify(ca.SX(value)) for value in step(*inputs))
-    usual = _graph(columns, [following, out[list(shape.record)], *flag])
+    usual = _build_graph(columns, [following, out[list(shape.record)], *flag])
     results = ([ca.densify(ca.SX(value)) for value in part(*inputs)] for part in rare)
-    return Graphs(usual, tuple(_graph(columns, result) for result in results))
+    return KernelGraphs(usual, tuple(_build_graph(columns, result) for result in results))
 
 
-def source(
-    functions: Graphs,
+def print_kernel(
+    functions: KernelGraphs,
     shape: Shape,
     machine: Machine,
     arithmetic: Arithmetic,
     width: int,
     form: Form | None = None,
     name: str = "block",
-) -> Source:
+) -> KernelText:
     """Return the text of a kernel.
 
     Args:
@@ -448,28 +474,28 @@ def source(
     one = form is not None and form.lanes == 1
 
     def level(name: str) -> int:
-        """How often an input is new."""
+        """Return how often an input changes."""
         place = int(name[1:])
         if name[0] == "p":
             return STILL if place in shape.params else STEADY
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
-    promises: dict[Promise, None] = {}
+    promises: dict[KernelAssumption, None] = {}
     usual = lower_function(functions.usual, nodes, level, arithmetic, promises)
     parts = [lower_function(part, nodes, level, arithmetic, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
-        form = machine.form(len(of_graph(results)), width)
-    block = Block(shape, form, usual, parts)
-    return Source(block.print_module(name), form, tuple(promises))
+        form = machine.choose_form(len(lane_instructions(results)), width)
+    block = KernelPrinter(shape, form, usual, parts)
+    return KernelText(block.print_module(name), form, tuple(promises))
 
 
 def _substitute_known(column: ca.SX, known: Mapping[int, float]) -> ca.SX:
-    """Return a column with the entries that are known in their places."""
+    """Return a column with known values in place of its known entries."""
     return ca.vertcat(*(known.get(i, column[i]) for i in range(column.numel())))
 
 
-def _graph(columns: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    """Return the function of s, w and p with these results."""
+def _build_graph(columns: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    """Return the function of s, w and p with the given results."""
     names = [f"result{i}" for i in range(len(results))]
     return ca.Function("graph", columns, results, ["s", "w", "p"], names)

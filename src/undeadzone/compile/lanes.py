@@ -1,4 +1,4 @@
-"""Many runs at once: the graph compiled for this CPU, a run to a lane.
+"""Many runs at once: the graph compiled for this CPU, with a lane for each run.
 
 Threads go over blocks of lanes, kernels over groups of a block, and in each over time. A lane's
 numbers do not depend on the other lanes, the width, the threads, or on which of its inputs are
@@ -20,10 +20,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import assumptions, cache
-from undeadzone.compile.assumptions import Promise
-from undeadzone.compile.kernel import KINDS, Graphs, graphs, source
+from undeadzone.compile.assumptions import KernelAssumption
+from undeadzone.compile.kernel import KINDS, KernelGraphs, build_graphs, print_kernel
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import Form, Shape, form_from_environment, here
+from undeadzone.compile.machine import Form, Shape, environment_form, host_machine
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.arrays import Floats, Integers, shape_text
 
@@ -38,7 +38,7 @@ LINE = 8  # numbers in a line of the cache
 
 
 class Kernel(NamedTuple):
-    """A compiled step for many lanes at a time.
+    """Compiled step for many lanes at a time.
 
     Attributes:
         block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
@@ -53,11 +53,11 @@ class Kernel(NamedTuple):
     shape: Shape
     form: Form
     width: int
-    promises: tuple[Promise, ...]
+    promises: tuple[KernelAssumption, ...]
 
 
 class _Schedule(NamedTuple):
-    """When a run keeps and reports.
+    """Schedule by which a run stores outputs and reports progress.
 
     Attributes:
         every: the outputs of each so many-th step are kept.
@@ -70,7 +70,7 @@ class _Schedule(NamedTuple):
     progress: Callable[[int], None] | None
 
 
-def build(
+def build_kernel(
     step: ca.Function,
     rare: Sequence[ca.Function] = (),
     *,
@@ -85,7 +85,7 @@ def build(
     form: Form | None = None,
     hurry: bool = True,
 ) -> Kernel:
-    """Compile a step, or take it from disk if it was compiled before.
+    """Compile a step, or read the kernel from disk if it was compiled before.
 
     Args:
         step: next, out = step(s, w, p); with rare parts next, out, flag = step(s, w, p).
@@ -112,29 +112,31 @@ def build(
             that is none.
     """
     if form is None and width != 1:
-        form = form_from_environment()
+        form = environment_form()
     known = known_exogenous, known_params
     own = tuple(exogenous), tuple(params), record
-    plan = _plan(step, rare, width, Arithmetic(fused, portable), own, known)
-    measured = plan.size() if form is None and width != 1 else ""
-    answer = cache.answer(measured) if measured else None
-    block = cache.compile_or_load(
-        plan.recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry
+    plan = _build_plan(step, rare, width, Arithmetic(fused, portable), own, known)
+    measured = plan.size_class() if form is None and width != 1 else ""
+    answer = cache.read_answer(measured) if measured else None
+    block = cache.load_or_compile(
+        plan.build_recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry
     )
     if measured and answer is None and block.trial is None:
-        block.trial = _trial(plan, block, measured)
-    return plan.kernel(block)
+        block.trial = _build_trial(plan, block, measured)
+    return plan.to_kernel(block)
 
 
-def cached_kernel(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
-    """Return the kernel of a single run that `build` would give, if it is on disk."""
-    plan = _plan(step, rare, 1, Arithmetic())
-    block = cache.cached_block(plan.recipe(None), KINDS)
-    return None if block is None else plan.kernel(block)
+def read_cached_kernel(step: ca.Function, rare: Sequence[ca.Function] = ()) -> Kernel | None:
+    """Return the kernel of a single run that `build_kernel` would give if it is on disk, else
+    None.
+    """
+    plan = _build_plan(step, rare, 1, Arithmetic())
+    block = cache.read_cached_block(plan.build_recipe(None), KINDS)
+    return None if block is None else plan.to_kernel(block)
 
 
 class _Plan(NamedTuple):
-    """What a kernel depends on besides its form.
+    """Properties of a kernel besides its form.
 
     Attributes:
         functions: what it computes.
@@ -143,32 +145,33 @@ class _Plan(NamedTuple):
         arithmetic: how it rounds.
     """
 
-    functions: Graphs
+    functions: KernelGraphs
     shape: Shape
     width: int
     arithmetic: Arithmetic
 
-    def recipe(self, form: Form | None) -> cache.Recipe:
-        """How to make it in a form."""
+    def build_recipe(self, form: Form | None) -> cache.Recipe:
+        """Return the recipe of the kernel in a form."""
         texts = [part.serialize() for part in (self.functions.usual, *self.functions.rare)]
         of = self.arithmetic, self.width, form
 
         def make() -> tuple[str, str]:
-            made = source(self.functions, self.shape, here(), *of)
+            """Return the text of the kernel and its note."""
+            made = print_kernel(self.functions, self.shape, host_machine(), *of)
             return made.text, json.dumps([made.form, made.promises])
 
         return cache.Recipe("\n".join([*texts, repr((self.shape, *of))]), make)
 
-    def kernel(self, block: cache.Block) -> Kernel:
-        """It, with its note."""
+    def to_kernel(self, block: cache.CompiledBlock) -> Kernel:
+        """Return the kernel of a compiled block, with its form and assumptions."""
         form, granted = json.loads(block.note)
         return Kernel(
-            block, self.shape, Form(*form), self.width, assumptions.read_promises(granted)
+            block, self.shape, Form(*form), self.width, assumptions.read_assumptions(granted)
         )
 
-    def size(self) -> str:
-        """Return the class of kernels for which one form is the fastest; "" where none is
-        measured.
+    def size_class(self) -> str:
+        """Return the class of kernels that share the fastest form, or "" if the form is
+        not measured.
         """
         counts = [part.n_instructions() for part in (self.functions.usual, *self.functions.rare)]
         octaves = round(2.0 * math.log2(1 + counts[0])) / 2.0
@@ -176,7 +179,7 @@ class _Plan(NamedTuple):
         return f"form of 2^{octaves} instructions, {self.width} lanes" if is_measured else ""
 
 
-def _plan(
+def _build_plan(
     step: ca.Function,
     rare: Sequence[ca.Function],
     width: int | None,
@@ -184,8 +187,10 @@ def _plan(
     own: tuple[tuple[int, ...], tuple[int, ...], Sequence[int] | None] = ((), (), None),
     known: tuple[Mapping[int, float], Mapping[int, float]] = ({}, {}),
 ) -> _Plan:
-    """Return a kernel's plan; own: exogenous, params, record, and known: exogenous, params of
-    `build`.
+    """Return a kernel's plan.
+
+    `own` contains exogenous, params and record, `known` the known exogenous and params of
+    `build_kernel`.
     """
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     outputs = step.size1_out(1)
@@ -196,21 +201,22 @@ def _plan(
     _require_entries("record", recorded, outputs)
     shape = Shape(sizes, exogenous, params, tuple(recorded))
     chosen = width or (WIDTH if shape.exogenous or shape.record else WIDE)
-    return _Plan(graphs(step, rare, shape, *known), shape, chosen, arithmetic)
+    return _Plan(build_graphs(step, rare, shape, *known), shape, chosen, arithmetic)
 
 
-def _trial(plan: _Plan, block: cache.Block, question: str) -> cache.Trial:
-    """Return a kernel's block and its other forms, of which a long run finds the fastest."""
-    assumed = plan.kernel(block).form
-    forms = here().others(assumed)
+def _build_trial(plan: _Plan, block: cache.CompiledBlock, question: str) -> cache.Trial:
+    """Return a kernel's block with its alternative forms, for a long run to find the fastest."""
+    assumed = plan.to_kernel(block).form
+    forms = host_machine().alternative_forms(assumed)
     group = math.lcm(*(form.lanes * form.streams for form in (assumed, *forms)))
     others = {
-        json.dumps(form): partial(cache.compile_or_load, plan.recipe(form), KINDS) for form in forms
+        json.dumps(form): partial(cache.load_or_compile, plan.build_recipe(form), KINDS)
+        for form in forms
     }
-    return cache.Trial(block, others, group, partial(cache.keep_answer, question))
+    return cache.Trial(block, others, group, partial(cache.save_answer, question))
 
 
-def run(
+def run_lanes(
     kernel: Kernel,
     states: Floats,
     exogenous: Floats,
@@ -244,15 +250,15 @@ def run(
         InputError: fused, and the edges of a zone cross.
     """
     shape = kernel.shape
-    inputs = check_arguments(shape, states, exogenous, params, lane_exogenous, lane_params)
-    assumptions.require(kernel.promises, inputs.params, shape.params, inputs.own_params)
+    inputs = check_inputs(shape, states, exogenous, params, lane_exogenous, lane_params)
+    assumptions.require_assumptions(kernel.promises, inputs.params, shape.params, inputs.own_params)
     total, lanes = len(inputs.exogenous), len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
     finals = np.empty((lanes, shape.sizes[0]))
     threads = threads or os.cpu_count() or 1
-    width = _width(kernel, lanes, threads)
-    schedule = _Schedule(every, _chunk(shape, width, every), progress)
-    spare: list[_Arrays] = []
+    width = _block_width(kernel, lanes, threads)
+    schedule = _Schedule(every, _chunk_steps(shape, width, every), progress)
+    spare: list[_BlockArrays] = []
     run_block = partial(_run_block, kernel, inputs, schedule, outputs, finals, width, spare)
     starts = range(0, lanes, width)
     if min(threads, len(starts)) == 1:
@@ -266,43 +272,45 @@ def run(
     return outputs, finals
 
 
-def run_alone(
+def run_single_lane(
     kernel: Kernel,
     state: Floats,
     exogenous: Floats,
     params: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Floats, Floats]:
-    """Return a single run, as `interpret.run` gives it: the outputs (N x outputs) and the final
-    state.
+    """Run a single lane, as `interpret.run_interpreted`; return outputs (N x outputs) and
+    final state (states).
     """
-    outputs, finals = run(kernel, state, exogenous, params, threads=1, progress=progress)
+    outputs, finals = run_lanes(kernel, state, exogenous, params, threads=1, progress=progress)
     return outputs[0], finals[0]
 
 
-def _width(kernel: Kernel, lanes: int, threads: int) -> int:
-    """Return lanes of a block: whole groups, and work for every thread."""
+def _block_width(kernel: Kernel, lanes: int, threads: int) -> int:
+    """Return the number of lanes of a block: whole groups, and work for every thread."""
     group = kernel.form.lanes * kernel.form.streams
     each = min(kernel.width, -(-lanes // threads))
     return -(-each // group) * group
 
 
 def _require_entries(name: str, entries: Sequence[int], size: int) -> None:
-    """Raise InputError for an entry that is not there."""
+    """Raise InputError if an entry does not exist."""
     for index in entries:
         if not 0 <= index < size:
             raise InputError(f"{name}: expected entries from 0 to {size - 1}, found {index}")
 
 
-def _chunk(shape: Shape, width: int, every: int) -> int:
-    """Return the steps of one call of a kernel: a multiple of `every`, and of 4 for the noise."""
+def _chunk_steps(shape: Shape, width: int, every: int) -> int:
+    """Return the number of steps per kernel call: a multiple of `every`, and of 4 for the
+    noise.
+    """
     unit = math.lcm(4, every)
     numbers = width * max(UNRECORDED, len(shape.record), len(shape.exogenous))  # of a step
     return max(1, int(BUFFER // numbers) // unit) * unit
 
 
-class _Arrays(NamedTuple):
-    """What a thread computes in.
+class _BlockArrays(NamedTuple):
+    """Arrays in which a thread computes.
 
     Attributes:
         work: states and own params (rows x lanes).
@@ -313,12 +321,12 @@ class _Arrays(NamedTuple):
     buffer: Floats
 
 
-def _arrays(kernel: Kernel, width: int, steps: int) -> _Arrays:
-    """Return arrays for blocks of so many lanes."""
+def _allocate_arrays(kernel: Kernel, width: int, steps: int) -> _BlockArrays:
+    """Return arrays for blocks of the given number of lanes."""
     shape = kernel.shape
     rows = shape.sizes[0] + len(shape.params)
     buffer = np.empty((steps, len(shape.record), width))
-    return _Arrays(_aligned_array(rows * width).reshape(rows, width), buffer)
+    return _BlockArrays(_allocate_aligned(rows * width).reshape(rows, width), buffer)
 
 
 def _run_block(
@@ -328,15 +336,15 @@ def _run_block(
     outputs: Floats,
     finals: Floats,
     width: int,
-    spare: list[_Arrays],
+    spare: list[_BlockArrays],
     start: int,
 ) -> None:
-    """Run the lanes of the block from `start` on; their results are written in place."""
+    """Run the lanes of the block from `start` on; the results are written in place."""
     states_each, every = kernel.shape.sizes[0], schedule.every
     total, lanes = len(inputs.exogenous), len(inputs.states)
     end = min(start + width, lanes)
     steps = min(schedule.chunk, total)
-    arrays = spare.pop() if spare else _arrays(kernel, width, steps)
+    arrays = spare.pop() if spare else _allocate_arrays(kernel, width, steps)
     chosen = np.minimum(np.arange(start, start + width), end - 1)  # the last lane is repeated
     arrays.work[:] = np.hstack([inputs.states[chosen], inputs.own_params[chosen]]).T
     own = inputs.supply(chosen)
@@ -360,8 +368,8 @@ def _run_block(
     spare.append(arrays)
 
 
-def _aligned_array(numbers: int) -> Floats:
-    """Return an array that begins with a line of the cache: no vector lies across two lines."""
+def _allocate_aligned(numbers: int) -> Floats:
+    """Return an array that begins at a cache line, so that no vector crosses two lines."""
     raw = np.empty(numbers + LINE)
     start = -(raw.ctypes.data // raw.itemsize) % LINE
     return raw[start : start + numbers]
@@ -373,7 +381,7 @@ Supply = Callable[[Integers], Source]  # lane numbers -> their source
 
 
 class Inputs(NamedTuple):
-    """What a run is given, checked.
+    """Checked arguments of a run.
 
     Attributes:
         states: at the beginning (lanes x states).
@@ -390,7 +398,7 @@ class Inputs(NamedTuple):
     supply: Supply
 
 
-def check_arguments(
+def check_inputs(
     shape: Shape,
     states: Floats,
     exogenous: Floats,
@@ -398,9 +406,9 @@ def check_arguments(
     lane_exogenous: Floats | Supply | None,
     lane_params: Floats | None,
 ) -> Inputs:
-    """Return the arguments of `run` in the shapes of a kernel. Raises ShapeError."""
+    """Return the arguments of `run_lanes` in the shapes of a kernel. Raise ShapeError."""
     own = None if callable(lane_exogenous) else lane_exogenous
-    lanes = _lanes(
+    lanes = _count_lanes(
         ("states", states, 2, 0), ("lane_exogenous", own, 3, 2), ("lane_params", lane_params, 2, 0)
     )
     total = len(exogenous)
@@ -417,16 +425,16 @@ def check_arguments(
     if own is None:
         own = np.empty((total, 0, lanes))
     own = _require_shape("lane_exogenous", own, total, len(shape.exogenous), lanes)
-    return Inputs(states, exogenous, params, own_params, _supply_array(own))
+    return Inputs(states, exogenous, params, own_params, _to_supply(own))
 
 
-def _supply_array(inputs: Floats) -> Supply:
-    """Return a supply from an array (N x own inputs x lanes)."""
+def _to_supply(inputs: Floats) -> Supply:
+    """Return a supply of inputs from an array (N x own inputs x lanes)."""
     return lambda lanes: lambda first, count: inputs[first : first + count, :, lanes]
 
 
-def _lanes(*sources: tuple[str, Any, int, int]) -> int:
-    """Return the number of lanes that arrays agree on.
+def _count_lanes(*sources: tuple[str, Any, int, int]) -> int:
+    """Return the number of lanes, on which all arrays have to agree.
 
     Args:
         sources: name, value, dimensions when it has lanes, axis of lanes.
@@ -442,7 +450,7 @@ def _lanes(*sources: tuple[str, Any, int, int]) -> int:
 
 
 def _require_shape(name: str, value: Floats, *shape: int) -> Floats:
-    """Return an array of a given shape. Raises ShapeError for another one."""
+    """Return an array of a given shape. Raise ShapeError for other shapes."""
     numbers = np.asarray(value, float)
     if numbers.shape != shape:
         present = shape_text(numbers.shape)

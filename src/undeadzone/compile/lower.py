@@ -1,4 +1,4 @@
-"""Nodes of a graph as the instructions of a kernel.
+"""Lowering of a graph's nodes to the instructions of a kernel.
 
 Without fusion every instruction means to the last bit what it means on CasADi's virtual machine,
 NaN, infinities and the sign of zero included; elementary functions are those of the C library, as
@@ -15,11 +15,11 @@ from typing import Final, NamedTuple
 import casadi as ca
 
 from undeadzone.compile import elementary
-from undeadzone.compile.assumptions import Promise
-from undeadzone.compile.casadi_reader import list_results
+from undeadzone.compile.assumptions import KernelAssumption
+from undeadzone.compile.casadi_reader import build_nodes
 from undeadzone.compile.coefficients import DOUBLE, FUSED
-from undeadzone.compile.graph import SHARED, Node, Nodes, Results, condition, uses
-from undeadzone.compile.simplify import Exact, Gathered, Plain
+from undeadzone.compile.graph import SHARED, Node, Nodes, Results, count_uses, to_condition
+from undeadzone.compile.simplify import ExactRules, FusedRules, PortableRules
 
 SUMS: Final = ("add", "sub", "neg")
 
@@ -27,7 +27,7 @@ Levels = Callable[[str], int]  # how often an input, such as s3, is new
 
 
 class Arithmetic(NamedTuple):
-    """How a kernel rounds.
+    """Rounding of a kernel.
 
     Attributes:
         fused: gather what is steady, sums of products with one rounding per product (`fma`), and
@@ -44,7 +44,7 @@ def lower_function(
     nodes: Nodes,
     levels: Levels,
     arithmetic: Arithmetic,
-    granted: dict[Promise, None],
+    granted: dict[KernelAssumption, None],
 ) -> Results:
     """Return the results of a function as instructions.
 
@@ -59,27 +59,27 @@ def lower_function(
         InputError: an instruction that the engine lacks; it names it.
     """
     fused = arithmetic.fused
-    rules = Gathered(Nodes(), granted) if fused else Exact(Nodes())
-    results = list_results(function, rules)
-    counts = uses(results)
+    rules = FusedRules(Nodes(), granted) if fused else ExactRules(Nodes())
+    results = build_nodes(function, rules)
+    counts = count_uses(results)
     order = sorted(counts, key=lambda node: node.number)
     taken = _absorbed_nodes(order, counts) if fused else set()
-    lowering = _Lowering(nodes, levels, taken, fused, _own(nodes, arithmetic), {})
+    lowering = _Lowering(nodes, levels, taken, fused, _library_replacements(nodes, arithmetic), {})
     for node in order:
         if node not in taken:
-            lowering.values[node] = lowering.lower(node)
+            lowering.values[node] = lowering.lower_node(node)
     return [[lowering.values[node] for node in result] for result in results]
 
 
-def _own(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
-    """Return the functions that take the C library's place."""
+def _library_replacements(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Callable[..., Node]]:
+    """Return the functions that replace those of the C library, by name."""
     if arithmetic.fused:
         return elementary.inline_functions(nodes, FUSED, (*elementary.LANES_OWN, "sign"))
     names = elementary.FUNCTIONS if arithmetic.portable else ("sign",)
     return elementary.inline_functions(nodes, DOUBLE, names)
 
 
-def portable(function: ca.Function, kind: str) -> Results:
+def build_portable_nodes(function: ca.Function, kind: str) -> Results:
     """Return the results of a function for printers of code that runs without this package.
 
     Args:
@@ -89,11 +89,11 @@ def portable(function: ca.Function, kind: str) -> Results:
     Raises:
         InputError: an instruction that no code can be made of; it names it.
     """
-    return list_results(function, Plain(Nodes(), kind))
+    return build_nodes(function, PortableRules(Nodes(), kind))
 
 
 class Term(NamedTuple):
-    """A term of a sum, factor * value, or 0 where its truth does not hold.
+    """Term of a sum, factor * value, or 0 if its truth does not hold.
 
     Attributes:
         place: number of the last node that it needs.
@@ -109,25 +109,25 @@ class Term(NamedTuple):
     value: Node
     truth: Node | None
 
-    def order(self) -> tuple[int, bool, int, int]:
-        """When it is added."""
+    def sort_key(self) -> tuple[int, bool, int, int]:
+        """Return the sort key of a term: terms are added in ascending order."""
         factor = -1 if self.factor is None else self.factor.number
         return self.place, self.minus, factor, self.value.number
 
-    def effort(self) -> tuple[bool, bool, bool]:
-        """What it needs to stand first in a sum."""
+    def start_effort(self) -> tuple[bool, bool, bool]:
+        """Return the extra instructions that a term needs at the start of a sum, as a sort
+        key.
+        """
         return self.truth is not None, self.factor is not None, self.minus
 
 
 def _is_gate(node: Node) -> bool:
-    """Return whether a node is a number where a truth holds, else 0, and not a truth as a
-    number.
-    """
-    return node.op == "select" and node.args[2].value == 0.0 and condition(node) is None
+    """Return whether a node selects a number or 0 by a truth and is not a truth as a number."""
+    return node.op == "select" and node.args[2].value == 0.0 and to_condition(node) is None
 
 
 def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
-    """Return the nodes that are a part of the one sum that uses them."""
+    """Return the nodes that are part of the only sum that uses them."""
     taken: set[Node] = set()
     for node in reversed(order):
         is_part = node in taken and node.op == "mul"
@@ -140,20 +140,20 @@ def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
     return taken
 
 
-def _terms(taken: set[Node], node: Node, minus: bool) -> Iterator[Term]:
-    """What a sum consists of."""
+def _sum_terms(taken: set[Node], node: Node, minus: bool) -> Iterator[Term]:
+    """Yield the terms of a sum."""
     for place, part in enumerate(node.args):
         turned = minus != (node.op == "neg" or (node.op == "sub" and place == 1))
         if part not in taken:
             yield Term(part.number, turned, None, part, None)
         elif part.op in SUMS:
-            yield from _terms(taken, part, turned)
+            yield from _sum_terms(taken, part, turned)
         else:
-            yield _product(taken, part, turned)
+            yield _to_term(taken, part, turned)
 
 
-def _product(taken: set[Node], part: Node, minus: bool) -> Term:
-    """Return a product or what stands under a truth, as a term."""
+def _to_term(taken: set[Node], part: Node, minus: bool) -> Term:
+    """Return a product, or a value selected by a truth, as a term."""
     factor, gate = (part.args[0], part.args[1]) if part.op == "mul" else (None, part)
     if gate in taken and gate.op == "select":
         truth, value, _ = gate.args
@@ -163,7 +163,7 @@ def _product(taken: set[Node], part: Node, minus: bool) -> Term:
 
 
 class _Lowering(NamedTuple):
-    """A graph on the way.
+    """State of the lowering of a graph.
 
     Attributes:
         nodes: where instructions are made.
@@ -181,35 +181,35 @@ class _Lowering(NamedTuple):
     ours: dict[str, Callable[..., Node]]
     values: dict[Node, Node]
 
-    def lower(self, node: Node) -> Node:
-        """Return the instructions of a node."""
+    def lower_node(self, node: Node) -> Node:
+        """Return the instruction of a node."""
         args = [self.values[arg] for arg in node.args if arg in self.values]
         if node.op == "input":
-            return self.nodes.input(node.text, self.levels(node.text), node.kind)
+            return self.nodes.intern_input(node.text, self.levels(node.text), node.kind)
         if self.fused and node.op in SUMS:
-            return self._sum(node)
+            return self._lower_sum(node)
         if node.text in ("fmin", "fmax"):
-            return self._extreme(node.text, *args)
+            return self._lower_extreme(node.text, *args)
         if node.text in self.ours:
             return self.ours[node.text](*args)
         return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind)
 
-    def _extreme(self, word: str, a: Node, b: Node) -> Node:
-        """Return the lesser or greater of two numbers, the first of equals; the other of NaN and
-        one.
+    def _lower_extreme(self, word: str, a: Node, b: Node) -> Node:
+        """Return the minimum or maximum of two numbers, the first of equals, the number if
+        the operand beside it is NaN.
         """
         made, op = self.nodes.intern, "least" if word == "fmin" else "most"
-        if _is_number(a):
+        if _is_never_nan(a):
             return made(op, b, a)
-        if _is_number(b) and (self.fused or b.value):
+        if _is_never_nan(b) and (self.fused or b.value):
             return made(op, a, b)  # the sign of zero apart
         better = made("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
-        if not _is_number(b):
+        if not _is_never_nan(b):
             better = made("or", better, made("ne", b, b, kind="bool"))
         return made("select", better, a, b)
 
-    def _sum(self, node: Node) -> Node:
-        """Return a sum, term by term.
+    def _lower_sum(self, node: Node) -> Node:
+        """Return a sum, built term by term.
 
         A term is added as soon as it is known, and what it needs can be forgotten; a plain one
         comes first where it costs no waiting, for a product then needs no instruction of its own;
@@ -217,17 +217,17 @@ class _Lowering(NamedTuple):
         has them.
         """
         made = self.nodes.intern
-        waiting = sorted(_terms(self.taken, node, False), key=Term.order)
-        first = min(waiting[:2], key=Term.effort)
+        waiting = sorted(_sum_terms(self.taken, node, False), key=Term.sort_key)
+        first = min(waiting[:2], key=Term.start_effort)
         waiting.remove(first)
         total = self._signed_value(first)
         if first.factor is not None:
             total = made("mul", self.values[first.factor], total)
         if first.truth is not None:
-            zero = self.nodes.constant(0.0)
+            zero = self.nodes.intern_constant(0.0)
             total = made("select", self.values[first.truth], total, zero)
         for term in waiting:
-            more = self._plus(total, term)
+            more = self._add_term(total, term)
             if term.truth is not None:
                 more = made("select", self.values[term.truth], more, total)
             total = more
@@ -238,15 +238,15 @@ class _Lowering(NamedTuple):
         value = self.values[term.value]
         return self.nodes.intern("neg", value) if term.minus else value
 
-    def _plus(self, total: Node, term: Term) -> Node:
-        """Return a sum and one term more."""
+    def _add_term(self, total: Node, term: Term) -> Node:
+        """Return a sum with a further term added."""
         if term.factor is not None:
             factors = self.values[term.factor], self._signed_value(term)
             return self.nodes.intern("call", *factors, total, text="fma")
         return self.nodes.intern("sub" if term.minus else "add", total, self.values[term.value])
 
 
-def _is_number(node: Node) -> bool:
+def _is_never_nan(node: Node) -> bool:
     """Return whether a node cannot be NaN."""
     if node.op == "input":
         return node.text.startswith("p")

@@ -1,4 +1,4 @@
-"""The processor at hand, and how it computes lanes; LLVM's text compiled and linked for it."""
+"""Host processor and its lanes; LLVM text compiled and linked for it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LARGE_STACK: Final = 2**23
 
 
 class Shape(NamedTuple):
-    """What a kernel is compiled for.
+    """Sizes of a kernel, for which it is compiled.
 
     Attributes:
         sizes: of s, w and p.
@@ -36,7 +36,7 @@ class Shape(NamedTuple):
 
 
 class Form(NamedTuple):
-    """How the lanes of a kernel are computed; it changes no bit.
+    """Arrangement of a kernel's lanes, which changes no bit.
 
     Attributes:
         lanes: of a vector; 1 for plain numbers.
@@ -59,13 +59,17 @@ class Form(NamedTuple):
     piece: int = 5000
 
     @property
-    def text(self) -> str:
-        """As `FIXED` tells it, such as 8,2,0,20; pieces cannot be told."""
+    def setting_text(self) -> str:
+        """Return the form as `FIXED` contains it, for example 8,2,0,20; `piece` has no
+        text.
+        """
         told = self[: 5 if self.branches else 4]
         return ",".join(str(int(number)) for number in told)
 
     def is_cut(self, instructions: int) -> bool:
-        """Return whether a step of so many instructions goes in functions."""
+        """Return whether a step of the given number of instructions is split into
+        functions.
+        """
         return self.streams == 1 and instructions > WHOLE * self.piece
 
 
@@ -74,7 +78,7 @@ ONE: Final = Form(1, 1, False, 0, 60)  # for a single run
 
 
 class Machine(NamedTuple):
-    """What machine code is made for.
+    """Target of machine code.
 
     Attributes:
         triple: LLVM's name of processor and system.
@@ -87,8 +91,8 @@ class Machine(NamedTuple):
     features: str
 
     @property
-    def vector(self) -> tuple[int, int]:
-        """Return lanes of a vector, and how many vectors registers hold."""
+    def vector_shape(self) -> tuple[int, int]:
+        """Return the lanes of a vector and the number of vectors that the registers hold."""
         features = self.features.split(",")
         if "+avx512f" in features:
             return 8, 32
@@ -96,11 +100,11 @@ class Machine(NamedTuple):
             return 4, 16
         return (2, 32) if self.triple.startswith(("aarch64", "arm64")) else (2, 16)
 
-    def form(self, instructions: int, width: int) -> Form:
-        """Return the form of a kernel of so many instructions of a lane, for blocks of so many
-        lanes.
+    def choose_form(self, instructions: int, width: int) -> Form:
+        """Return the form of a kernel with the given instructions per lane, for blocks of
+        `width` lanes.
         """
-        lanes, registers = self.vector
+        lanes, registers = self.vector_shape
         slots = lanes == 8
         if instructions <= PAIRED and width >= 2 * lanes and lanes * registers > 32:
             return Form(lanes, 2, slots, 20 if registers == 32 else 12)
@@ -108,18 +112,18 @@ class Machine(NamedTuple):
             return Form(lanes, 1, slots, 0, 300)
         return Form(lanes, 1, slots, 26)
 
-    def others(self, form: Form) -> list[Form]:
-        """Return forms that a long run tries beside the one that is assumed."""
+    def alternative_forms(self, form: Form) -> list[Form]:
+        """Return the forms that a long run compares with the assumed form."""
         slots = form.lanes == 8
         usual = (2, slots, 20), (2, False, 12), (2, False, 0), (1, slots, 26)
         forms = [Form(form.lanes, *each) for each in usual]
         return [other for other in forms if other != form]
 
-    def target(self, effort: int = 3) -> Any:
-        """Return a compiler for it, of LLVM's effort 0 to 3."""
+    def build_target(self, effort: int = 3) -> Any:
+        """Return an LLVM target machine with optimisation effort 0 to 3."""
         from llvmlite import binding
 
-        _initialize_llvm()
+        _initialise_llvm()
         found = binding.Target.from_triple(self.triple)
         reloc = "static" if found.name.startswith("x86") else "default"
         return found.create_target_machine(
@@ -132,9 +136,10 @@ class Machine(NamedTuple):
         )
 
 
-def form_from_environment() -> Form | None:
-    """Return the form that the environment fixes, such as 8,2,0,20: lanes, streams, slots and
-    registers.
+def environment_form() -> Form | None:
+    """Return the form that the environment fixes, such as 8,2,0,20, or None if it is not set.
+
+    The numbers are lanes, streams, slots and registers.
 
     Raises:
         InputError: `FIXED` is set to something else.
@@ -155,18 +160,18 @@ def form_from_environment() -> Form | None:
 
 
 @functools.cache
-def here() -> Machine:
-    """This one."""
+def host_machine() -> Machine:
+    """Return the processor of this process."""
     from llvmlite import binding
 
-    _initialize_llvm()
+    _initialise_llvm()
     features = binding.get_host_cpu_features().flatten()
     return Machine(binding.get_process_triple(), binding.get_host_cpu_name(), features)
 
 
 @functools.cache
-def _initialize_llvm() -> None:
-    """Tell LLVM to use what it has for this processor."""
+def _initialise_llvm() -> None:
+    """Initialise LLVM for the processor of this process."""
     from llvmlite import binding
 
     binding.initialize_native_target()
@@ -175,7 +180,7 @@ def _initialize_llvm() -> None:
 
 
 def stack() -> int:
-    """Return the bytes of a thread's stack, or fewer."""
+    """Return a lower bound of the stack size of a thread [bytes]."""
     if sys.platform == "win32":
         return SMALL_STACK
     import resource
@@ -187,7 +192,7 @@ def stack() -> int:
 MOST: Final = 3  # effort
 
 
-class Compiled(NamedTuple):
+class MachineCode(NamedTuple):
     """Machine code that is not linked yet.
 
     Attributes:
@@ -199,7 +204,7 @@ class Compiled(NamedTuple):
     code: bytes
 
 
-class Linked(NamedTuple):
+class LinkedCode(NamedTuple):
     """Machine code that can be called.
 
     Attributes:
@@ -211,29 +216,31 @@ class Linked(NamedTuple):
     engine: Any
 
 
-def compile_module(text: str, effort: int = MOST) -> Compiled:
-    """Return the machine code of a module, with LLVM's effort 0 (four times sooner, half as fast)
-    to 3.
+def compile_text(text: str, effort: int = MOST) -> MachineCode:
+    """Compile a module with LLVM's effort 0 (four times sooner, half as fast) to 3; return
+    machine code.
     """
     from llvmlite import binding
 
-    target = here().target(effort)
+    target = host_machine().build_target(effort)
     module = binding.parse_assembly(text)
     declared = [part.name for part in module.functions if part.is_declaration]
-    return Compiled(_callable_functions(declared), target.emit_object(module))
+    return MachineCode(_callable_names(declared), target.emit_object(module))
 
 
-def link_block(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
-    """Return the function `block` of machine code, ready to be called; `kinds` as of `cache.load`.
+def link_block(made: MachineCode, kinds: tuple[str, ...]) -> LinkedCode | None:
+    """Return the function `block` of machine code, ready to be called.
+
+    `kinds` is as for `cache.load_block`.
 
     None if something that it calls is missing from this process, at which LLVM would abort.
     """
     from llvmlite import binding
 
-    library = _library()
+    library = _c_library()
     declarations = "\n".join(f"declare void @{name}()" for name in made.calls)
     names = binding.parse_assembly(declarations)
-    engine = binding.create_mcjit_compiler(names, here().target())
+    engine = binding.create_mcjit_compiler(names, host_machine().build_target())
     for name in made.calls:
         function = getattr(library, name, None)
         if function is not None:
@@ -244,20 +251,21 @@ def link_block(made: Compiled, kinds: tuple[str, ...]) -> Linked | None:
     engine.add_object_file(binding.ObjectFileRef.from_data(made.code))
     engine.finalize_object()
     prototype = ctypes.CFUNCTYPE(None, *map(_c_type, kinds))
-    return Linked(prototype(engine.get_function_address("block")), engine)
+    return LinkedCode(prototype(engine.get_function_address("block")), engine)
 
 
 def _c_type(kind: str) -> Any:
-    """Return the type of an argument: a number, or where an array begins."""
+    """Return the C type of an argument: a number, or a pointer for an array."""
     return ctypes.c_void_p if kind.endswith("*") else np.ctypeslib.as_ctypes_type(np.dtype(kind))
 
 
-def _callable_functions(declared: list[str]) -> list[str]:
-    """Return the C functions that may be called, from the names that LLVM declares.
+def _callable_names(declared: list[str]) -> list[str]:
+    """Return the names of the C functions that may be called, from the names that LLVM
+    declares.
 
     An intrinsic function such as llvm.floor.v2f64 may become a call of floor.
     """
-    library = _library()
+    library = _c_library()
     calls = set()
     for name in declared:
         if not name.startswith("llvm."):
@@ -267,6 +275,6 @@ def _callable_functions(declared: list[str]) -> list[str]:
     return sorted(calls)
 
 
-def _library() -> ctypes.CDLL:
+def _c_library() -> ctypes.CDLL:
     """Return the C library of this process."""
     return ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)

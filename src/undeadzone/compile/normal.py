@@ -1,4 +1,4 @@
-"""Standard normal numbers for many runs at once, a run to a lane.
+"""Standard normal numbers for many runs at once, with a lane for each run.
 
 They are the bits of `noise.gaussian` and `noise.coloured`.
 """
@@ -14,16 +14,16 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache, lanes, philox
-from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, directly_used
-from undeadzone.compile.machine import Form, here
-from undeadzone.compile.print_llvm import TYPES, Names, Text, in_lanes, once
-from undeadzone.compile.schedule import of_graph
+from undeadzone.compile.graph import LANES, SHARED, STEADY, Node, Nodes, operands_at_level
+from undeadzone.compile.machine import Form, host_machine
+from undeadzone.compile.print_llvm import TYPES, Names, Text, print_lanes, print_once
+from undeadzone.compile.schedule import lane_instructions
 from undeadzone.compile.trace import Numpy, Value
 from undeadzone.errors import ShapeError
 from undeadzone.util.arrays import Floats, Integers, shape_text
 
 
-def fill(
+def fill_normal(
     numbers: Floats, first: int, seed: int, words: Sequence[int], runs: Sequence[int] | Integers
 ) -> None:
     """Write standard normal numbers into an array.
@@ -44,13 +44,13 @@ def fill(
             f"numbers: expected steps x {channels} channels x {lanes} lanes, "
             f"found {shape_text(numbers.shape)}"
         )
-    kernel = cache.load(*_fill())
+    kernel = cache.load_block(*_fill_program())
     streams, lane_runs = np.asarray(words, np.uint32), np.asarray(runs, np.uint64)
     kernel(*numbers.shape, numbers, first, seed, streams, lane_runs)
 
 
-def colour(numbers: Floats, state: Floats, first: int, memory: float, drive: float) -> None:
-    """Make first-order noise of white noise, in place.
+def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, drive: float) -> None:
+    """Convert white noise to first-order coloured noise, in place.
 
     Args:
         numbers: as `fill` left them (steps x channels x lanes); at least one step.
@@ -71,18 +71,18 @@ def colour(numbers: Floats, state: Floats, first: int, memory: float, drive: flo
     white = numbers[first == 0 :]
     steps, shared, params = len(white), np.zeros(len(white)), np.array([memory, drive])
     coloured = np.empty_like(white)
-    block = _colouring(math.gcd(state.size, here().vector[0])).block
+    block = _colouring_kernel(math.gcd(state.size, host_machine().vector_shape[0])).block
     block(steps, state.size, state, shared, params, white, coloured)
     white[:] = coloured
 
 
 @functools.cache
-def _colouring(group: int) -> lanes.Kernel:
-    """What colours: a lane for each channel of each run, so many of them in a vector."""
+def _colouring_kernel(group: int) -> lanes.Kernel:
+    """Return the kernel of the colouring filter, with a lane for each channel of each run."""
     last, white, params = ca.SX.sym("s"), ca.SX.sym("w"), ca.SX.sym("p", 2)
     new = params[0] * last + params[1] * white
     step = ca.Function("colour", [last, white, params], [new, new])
-    return lanes.build(step, exogenous=[0], form=Form(group, 1, False, 0))
+    return lanes.build_kernel(step, exogenous=[0], form=Form(group, 1, False, 0))
 
 
 # The arguments of what draws, by name.
@@ -94,13 +94,16 @@ _FILL: Final = {
 
 
 @functools.cache
-def _fill() -> tuple[str, tuple[str, ...]]:
-    """Return text and arguments of what draws: of 32 bits a vector holds twice as many numbers."""
-    return fill_text(2 * here().vector[0]), tuple(_FILL.values())
+def _fill_program() -> tuple[str, tuple[str, ...]]:
+    """Return text and argument types of the filling function.
+
+    A vector holds twice as many 32-bit numbers.
+    """
+    return fill_text(2 * host_machine().vector_shape[0]), tuple(_FILL.values())
 
 
-def _module(text: Text) -> str:
-    """Return a module with the function `block` of this text."""
+def _module_text(text: Text) -> str:
+    """Return the text of a module with the function `block`."""
     given = []
     for name, kind in _FILL.items():
         given.append(f"ptr noalias %{name}" if kind.endswith("*") else f"{TYPES[kind]} %{name}")
@@ -108,51 +111,54 @@ def _module(text: Text) -> str:
     return "\n".join([head, *text.lines, "  ret void", "}", *text.declared.values()])
 
 
-def _parts(text: Text, group: int) -> Iterator[str]:
-    """Print loops over whole groups of runs, and over those that are left; their counts."""
+def _print_run_loops(text: Text, group: int) -> Iterator[str]:
+    """Print loops over whole groups of runs and over the remaining runs; yield their counts."""
     for name, wide, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
         text.lanes = wide
-        with text.loop(name, begin, end, wide) as loop:
+        with text.print_loop(name, begin, end, wide) as loop:
             yield loop
     text.lanes = 1
 
 
 def fill_text(group: int) -> str:
-    """Return the text of what fills an array with normal numbers, a group of runs at a time."""
-    results = _numbers()
-    text, order = Text(1, {}), of_graph(results)
+    """Return the text of the function that fills an array with normal numbers, a group of runs
+    at a time.
+    """
+    results = _normal_nodes()
+    text, order = Text(1, {}), lane_instructions(results)
     text.block = "entry"
-    below = [*directly_used(order, results, STEADY), *directly_used(order, results, SHARED)]
+    below = [*operands_at_level(order, results, STEADY), *operands_at_level(order, results, SHARED)]
     last = text.add("add i64 %first, %steps")
     text.line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")
     begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
-    with text.loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
-        rows = [_row(text, four, i, last, row) for i in range(len(results))]
-        with text.loop("channel", "0", "%channels") as channel:
+    with text.print_loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
+        rows = [_print_row_start(text, four, i, last, row) for i in range(len(results))]
+        with text.print_loop("channel", "0", "%channels") as channel:
             address = text.add(f"getelementptr i32, ptr %words, i64 {channel}")
             word = text.add(f"zext i32 {text.load(address, 'i32')} to i64")
             start = text.add(f"mul i64 {channel}, %lanes")
             have: dict[Node, str] = {}
             given = {"key": "%key", "counter": four, "word": word}
-            once(text, below, have, lambda node: given[node.text])
-            for count in _parts(text, group):
-                (names,) = in_lanes(text, order, [_source(text, have, count)], False)
+            print_once(text, below, have, lambda node: given[node.text])
+            for count in _print_run_loops(text, group):
+                (names,) = print_lanes(text, order, [_run_source(text, have, count)], False)
                 at = text.add(f"add i64 {start}, {count}")
                 for node, (asked, first) in zip(results, rows, strict=True):
-                    with text.where(asked, f"of{text.lanes}.{node.number}"):
+                    with text.print_if(asked, f"of{text.lanes}.{node.number}"):
                         place = text.add(f"add i64 {first}, {at}")
                         text.store(names(node), text.at("%numbers", place), vector=True)
-    return _module(text)
+    return _module_text(text)
 
 
-def _numbers() -> list[Node]:
-    """Return the four numbers of a counter, as doubles."""
+def _normal_nodes() -> list[Node]:
+    """Return the nodes of the four normal numbers of a counter (float64)."""
     nodes = Nodes()
     m = Numpy(nodes)
 
     def given(name: str, level: int) -> Value:
-        return Value(nodes, nodes.input(name, level, "uint64"))
+        """Return an input of the graph."""
+        return Value(nodes, nodes.intern_input(name, level, "uint64"))
 
     run, key = given("run", LANES), given("key", STEADY)
     low, high = run & philox.LOW, run >> philox.HALF
@@ -161,18 +167,21 @@ def _numbers() -> list[Node]:
     return [m.float64(number).node for number in numbers]
 
 
-def _row(text: Text, counter: str, i: int, last: str, row: str) -> tuple[str, str]:
-    """Print whether the i-th step of a counter is asked for, and where its numbers begin."""
+def _print_row_start(text: Text, counter: str, i: int, last: str, row: str) -> tuple[str, str]:
+    """Print whether the i-th step of a counter is requested and the index of its first number;
+    return both.
+    """
     k = text.add(f"add i64 {text.add(f'mul i64 {counter}, 4')}, {i}")
     late, early = text.add(f"icmp ule i64 %first, {k}"), text.add(f"icmp ult i64 {k}, {last}")
     asked = text.add(f"and i1 {late}, {early}")
     return asked, text.add(f"mul i64 {text.add(f'sub i64 {k}, %first')}, {row}")
 
 
-def _source(text: Text, have: dict[Node, str], count: str) -> Names:
-    """What names the runs' numbers, and what all lanes share."""
+def _run_source(text: Text, have: dict[Node, str], count: str) -> Names:
+    """Return the source of names for the run numbers and for values shared by all lanes."""
 
     def source(node: Node) -> str:
+        """Return the name of a value."""
         if node.level == LANES:
             return text.load(text.at("%runs", count), "i64", vector=True)
         return text.splat(have[node], TYPES[node.kind])

@@ -1,4 +1,4 @@
-"""Nodes computed in NumPy's float32 or float64: the bits that exported code must give."""
+"""Reference evaluator of nodes in NumPy's float32 or float64, with the bits of exported code."""
 
 from __future__ import annotations
 
@@ -11,46 +11,47 @@ from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, formula
+from undeadzone.compile.elementary import FUNCTIONS, build_formula
 from undeadzone.compile.graph import Results, required_nodes
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
 
-def replica(results: Results) -> Evaluate:
-    """Return results as a function of inputs by their names, numbers or arrays of a type.
+def reference_evaluator(results: Results) -> Evaluate:
+    """Return the results as a function of inputs by name (numbers or arrays of a type).
 
     Args:
         results: the nodes; there is at least one.
     """
     (kind,) = {node.kind for node in itertools.chain(*results)}
-    return _evaluator(results, elementary(kind))
+    return _build_evaluator(results, elementary_functions(kind))
 
 
 @functools.cache
-def elementary(kind: str) -> dict[str, Callable[..., Any]]:
-    """Return the elementary functions in float32 or float64, of numbers or arrays, by name."""
+def elementary_functions(kind: str) -> dict[str, Callable[..., Any]]:
+    """Return the elementary functions of numbers or arrays in float32 or float64, by name."""
     functions: dict[str, Callable[..., Any]] = dict(_LIBRARY)
     for name in FUNCTIONS:
-        functions[name] = _elementary(name, kind, functions)
+        functions[name] = _build_function(name, kind, functions)
     return functions
 
 
-def _elementary(
+def _build_function(
     name: str, kind: str, functions: dict[str, Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Return one function; those that it calls are made before."""
-    shape = formula(name, kind)
-    evaluate = _evaluator([[shape.result]], functions)
+    """Return an elementary function; the functions that it calls are built before."""
+    shape = build_formula(name, kind)
+    evaluate = _build_evaluator([[shape.result]], functions)
 
     def function(*arguments: Any) -> Any:
+        """Evaluate the function."""
         return evaluate(dict(zip(shape.inputs, arguments, strict=True)))[0][0]
 
     return function
 
 
-def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
-    """Return results as a function, where these functions are called.
+def _build_evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:
+    """Return the results as a function that calls the given elementary functions.
 
     The graph is read once, since it is computed many times: operands are places in a list.
     """
@@ -73,6 +74,7 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
             steps.append((place, operation, operator.itemgetter(*taken)))
 
     def evaluate(entries: dict[str, Any]) -> list[list[Any]]:
+        """Evaluate the results, given the inputs by name."""
         values = begun.copy()
         for place, name in inputs:
             values[place] = entries[name]
@@ -83,15 +85,15 @@ def _evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Ev
     return evaluate
 
 
-def _select(truth: Any, yes: Any, no: Any) -> Any:
-    """Return one of two numbers, or of each two of arrays."""
+def _select_value(truth: Any, yes: Any, no: Any) -> Any:
+    """Select one of two numbers by a truth, entry by entry for arrays."""
     if isinstance(truth, np.ndarray):
         return np.where(truth, yes, no)
     return yes if truth else no
 
 
-def _remainder(x: Any, y: Any) -> Any:
-    """Return x - n y with n the whole number nearest to x / y, as C has it."""
+def _ieee_remainder(x: Any, y: Any) -> Any:
+    """Return x - n y with n the integer nearest to x / y, as C's `remainder`."""
     if not np.isfinite(x) or y == 0 or np.isnan(y):
         return x.dtype.type(np.nan)
     return x.dtype.type(math.remainder(float(x), float(y)))
@@ -101,12 +103,17 @@ _OPERATIONS: Final[dict[str, Callable[..., Any]]] = {
     **{"add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv},
     **{"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne": operator.ne},
     **{"and": operator.and_, "or": operator.or_, "xor": operator.xor, "neg": operator.neg},
-    **{"shl": operator.lshift, "shr": operator.rshift, "not": np.logical_not, "select": _select},
+    **{
+        "shl": operator.lshift,
+        "shr": operator.rshift,
+        "not": np.logical_not,
+        "select": _select_value,
+    },
 }
 _LIBRARY: Final[dict[str, Callable[..., Any]]] = {
     "fabs": np.abs,
     "sqrt": np.sqrt,
     "fmod": np.fmod,
-    "remainder": _remainder,
+    "remainder": _ieee_remainder,
     "copysign": np.copysign,
 }

@@ -1,4 +1,4 @@
-"""A long step as functions of some thousand instructions each.
+"""Outlining of a long step into functions of some thousand instructions each.
 
 LLVM takes the longer for an instruction the longer its function is. What a function is given, and
 what it leaves for a later one or for the end of the step, stands in a frame: vectors of doubles.
@@ -14,7 +14,7 @@ from typing import Final
 
 from undeadzone.compile.graph import STILL, Node
 from undeadzone.compile.machine import Form
-from undeadzone.compile.print_llvm import Names, Text, in_lanes, plain, store_value
+from undeadzone.compile.print_llvm import Names, Text, from_double, print_lanes, to_double
 from undeadzone.compile.schedule import Branch
 
 _POINTERS: Final = ("frame", "sp", "sq")
@@ -22,8 +22,8 @@ _POINTERS: Final = ("frame", "sp", "sq")
 Order = list[Node | Branch]
 
 
-class Pieces:
-    """The functions of a step of one group of lanes.
+class OutlinedStep:
+    """Step of a group of lanes as several functions.
 
     Args:
         order: of the instructions.
@@ -32,27 +32,30 @@ class Pieces:
     """
 
     def __init__(self, order: Order, results: list[Node], form: Form) -> None:
-        self._orders, self._lanes = list(_cut_parts(order, form.piece)), form.lanes
+        self._orders, self._lanes = list(_cut_order(order, form.piece)), form.lanes
         self._made: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
-            self._made.update(dict.fromkeys(_instructions(piece), at))
+            self._made.update(dict.fromkeys(_flat_instructions(piece), at))
         self._last = self._last_uses(results)
         self._places: dict[Node, int] = {}
         self.numbers = self._assign_places() * form.lanes  # that the frame holds
 
     def _last_uses(self, results: list[Node]) -> dict[Node, int]:
-        """Return the last function that is given a value; the end of the step counts as one
-        more.
+        """Return, for each value passed between functions, the last function that uses it.
+
+        The end of the step counts as a further function.
         """
         last: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
-            for node in _operands(piece):
+            for node in _all_operands(piece):
                 if node.level >= STILL and self._made.get(node) != at:
                     last[node] = at
         return last | {node: len(self._orders) for node in results if node in self._made}
 
     def _assign_places(self) -> int:
-        """Find a place in the frame for each value that needs one; how many places there are."""
+        """Assign a place in the frame to each value that needs it; return the number of
+        places.
+        """
         begin: dict[int, list[Node]] = defaultdict(list)
         end: dict[int, list[Node]] = defaultdict(list)
         for node, last in self._last.items():
@@ -68,7 +71,7 @@ class Pieces:
         return next(fresh)
 
     def print_calls(self, text: Text, source: Names) -> Names:
-        """Print the calls; what names the results.
+        """Print the calls; return the source of names for the results.
 
         Args:
             text: where they are printed; %frame, %sp and %sq are there.
@@ -76,13 +79,15 @@ class Pieces:
         """
         for node in self._last:
             if node not in self._made:
-                self._leave(text, node, source(node))
+                self._print_frame_store(text, node, source(node))
         for at in range(len(self._orders)):
-            text.line(f"call void @piece{at}({_pointers('ptr')})")
-        return self._source(text, self._made, source)
+            text.line(f"call void @piece{at}({_pointer_arguments('ptr')})")
+        return self._frame_source(text, self._made, source)
 
-    def functions(self, declared: dict[str, str], tables: Callable[[Text], Names]) -> list[str]:
-        """Return their texts.
+    def outlined_texts(
+        self, declared: dict[str, str], tables: Callable[[Text], Names]
+    ) -> list[str]:
+        """Return the texts of the functions.
 
         Args:
             declared: what the module declares, by name.
@@ -90,68 +95,78 @@ class Pieces:
         """
         numbered = enumerate(self._orders)
         texts = [Text(self._lanes, declared) for _ in self._orders]
-        return [self._function(at, piece, texts[at], tables) for at, piece in numbered]
+        return [self._outlined_text(at, piece, texts[at], tables) for at, piece in numbered]
 
-    def _function(self, at: int, piece: Order, text: Text, tables: Callable[[Text], Names]) -> str:
-        """Return the text of a function: values of the frame are loaded anew at every use."""
+    def _outlined_text(
+        self, at: int, piece: Order, text: Text, tables: Callable[[Text], Names]
+    ) -> str:
+        """Return the text of a function, in which values of the frame are loaded at every
+        use.
+        """
         text.block = "entry"
         have: dict[Node, str] = {}
-        frame = self._source(text, self._places, tables(text))
+        frame = self._frame_source(text, self._places, tables(text))
 
         def source(node: Node) -> str:
+            """Return the name of a value."""
             return have[node] if node in have else frame(node)
 
         for one in piece:
-            (names,) = in_lanes(text, [one], [source], False)
+            (names,) = print_lanes(text, [one], [source], False)
             for node in one.leaving if isinstance(one, Branch) else (one,):
                 have[node] = names(node)
                 if node in self._places:
-                    self._leave(text, node, have[node])
-        head = f"define internal void @piece{at}({_pointers('ptr noalias')}) noinline #0 {{"
+                    self._print_frame_store(text, node, have[node])
+        head = (
+            f"define internal void @piece{at}({_pointer_arguments('ptr noalias')}) noinline #0 {{"
+        )
         return "\n".join([head, "entry:", *text.lines, "  ret void", "}"])
 
-    def _leave(self, text: Text, node: Node, name: str) -> None:
-        """Print what keeps a value in the frame."""
+    def _print_frame_store(self, text: Text, node: Node, name: str) -> None:
+        """Print the instructions that store a value in the frame."""
         address = text.at("%frame", self._places[node] * self._lanes)
-        text.store(store_value(text, node, name, vector=True), address, vector=True)
+        text.store(to_double(text, node, name, vector=True), address, vector=True)
 
-    def _source(self, text: Text, within: Container[Node], otherwise: Names) -> Names:
-        """What names values: of the frame, or others."""
+    def _frame_source(self, text: Text, within: Container[Node], otherwise: Names) -> Names:
+        """Return the source of names for values of the frame, and otherwise the given
+        source.
+        """
 
         def source(node: Node) -> str:
+            """Return the name of a value."""
             if node not in within:
                 return otherwise(node)
             address = text.at("%frame", self._places[node] * self._lanes)
-            return plain(text, node, text.load(address, vector=True), vector=True)
+            return from_double(text, node, text.load(address, vector=True), vector=True)
 
         return source
 
 
-def _pointers(kind: str) -> str:
-    """What every function is given."""
+def _pointer_arguments(kind: str) -> str:
+    """Return the arguments that every function has, as text."""
     return ", ".join([f"{kind} %{name}" for name in _POINTERS])
 
 
-def _instructions(order: Order) -> Iterator[Node]:
-    """Yield the instructions, those of branches too."""
+def _flat_instructions(order: Order) -> Iterator[Node]:
+    """Yield all instructions, including those inside branches."""
     for one in order:
         yield from one.nodes if isinstance(one, Branch) else (one,)
 
 
-def _operands(order: Order) -> Iterator[Node]:
-    """What instructions and branches use."""
+def _all_operands(order: Order) -> Iterator[Node]:
+    """Yield the operands of all instructions and the truths of all branches."""
     for one in order:
         if isinstance(one, Branch):
             yield one.truth
-    for node in _instructions(order):
+    for node in _flat_instructions(order):
         yield from node.args
 
 
-def _cut_parts(order: Order, piece: int) -> Iterator[Order]:
-    """Yield the instructions in parts of about so many."""
+def _cut_order(order: Order, piece: int) -> Iterator[Order]:
+    """Yield the instructions in parts of about `piece` instructions."""
     part: Order = []
     length = 0
-    for one in itertools.chain.from_iterable(_short(one, piece) for one in order):
+    for one in itertools.chain.from_iterable(_split_branch(one, piece) for one in order):
         part.append(one)
         length += len(one.nodes) if isinstance(one, Branch) else 1
         if length >= piece:
@@ -161,8 +176,8 @@ def _cut_parts(order: Order, piece: int) -> Iterator[Order]:
         yield part
 
 
-def _short(one: Node | Branch, piece: int) -> Iterator[Node | Branch]:
-    """Yield a branch as branches that are no longer than a function."""
+def _split_branch(one: Node | Branch, piece: int) -> Iterator[Node | Branch]:
+    """Yield a branch as branches that are not longer than a function."""
     if not isinstance(one, Branch) or len(one.nodes) <= piece:
         yield one
         return

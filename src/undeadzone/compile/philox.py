@@ -1,4 +1,4 @@
-"""Standard normal numbers from counters: the same bits from NumPy arrays and from compiled lanes.
+"""Standard normal numbers from counters, with equal bits in NumPy arrays and in compiled lanes.
 
 Only sums, products, square roots, selections and operations on bits, each rounded once by IEEE 754:
 no elementary function of a library. Numbers are NumPy's, or values of `trace` with other functions
@@ -58,8 +58,8 @@ def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
 
 
 def box_muller(a: Any, b: Any, m: Any = np) -> Any:
-    """Return two independent standard normal numbers (float32): radius sqrt(-2 log u), angle from
-    b.
+    """Return two independent standard normal numbers (float32): radius sqrt(-2 log u), angle
+    from b.
 
     u = (a + 1/2) / 2^32; from 3/4 on it is taken as 1 - v, v as precise as a small u, so that small
     radii (from 1.5e-5) are as fine as large ones (up to 6.76). The angle lies within pi/4 of an

@@ -1,4 +1,4 @@
-"""Nodes as text: expressions with parentheses wherever precedence is not plain, and statements.
+"""Nodes as text: expressions, with parentheses where precedence is not plain, and statements.
 
 The language is C99, or another one by its `Grammar`.
 """
@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, Own, formula
-from undeadzone.compile.graph import Node, Results, required_nodes, uses
+from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, FunctionSet, build_formula
+from undeadzone.compile.graph import Node, Results, count_uses, required_nodes
 from undeadzone.compile.schedule import order_depth_first
 from undeadzone.compile.simplify import round_to_type
 
@@ -40,7 +40,7 @@ _BREAKS: Final = ("+", "-", "*", "/", "?", ":", "=", *_ALIKE[1:])
 
 
 class Grammar(NamedTuple):
-    """What one language writes otherwise than another.
+    """Differences between the target languages.
 
     Attributes:
         types: of values, by NumPy's names.
@@ -58,7 +58,7 @@ class Grammar(NamedTuple):
     signs: dict[str, str]
     of_truths: dict[str, str]
     turned: str
-    own: Own
+    own: FunctionSet
     constant: Callable[[Node], Text]
     library: Callable[[str, str], str]
     apart: Callable[[list[Node]], set[Node]]
@@ -66,7 +66,7 @@ class Grammar(NamedTuple):
 
 
 class Text(NamedTuple):
-    """An expression.
+    """Expression with its outermost operator.
 
     Attributes:
         text: the expression.
@@ -77,28 +77,30 @@ class Text(NamedTuple):
     sign: str = ""
 
     @property
-    def inside(self) -> str:
-        """It as a part of a selection."""
+    def in_parentheses(self) -> str:
+        """Return the expression as a part of a selection."""
         return f"({self.text})" if self.sign else self.text
 
-    def operand(self, sign: str, second: bool = False) -> str:
-        """It as an operand; only sums of sums, products of products and the like go plain."""
+    def as_operand(self, sign: str, second: bool = False) -> str:
+        """Return the expression as an operand; only sums in sums and products in products
+        lack parentheses.
+        """
         if self.sign == "neg" and not second:
             return self.text
         alike = sign in _ALIKE and self.sign == sign
         alike = alike or (sign in _SUMS and self.sign in _SUMS)
-        return self.text if alike and not second else self.inside
+        return self.text if alike and not second else self.in_parentheses
 
 
-def literal(value: float, kind: str) -> str:
-    """Return a number; its text means these bits and no others, beyond the type its largest
-    number.
+def c_literal(value: float, kind: str) -> str:
+    """Return the text of a number, clipped to the type's range; the text represents exactly
+    these bits.
     """
-    return _number(round_to_type(value, kind), kind)
+    return _c_number(round_to_type(value, kind), kind)
 
 
-def _number(value: float, kind: str) -> str:
-    """Return a number that its type holds."""
+def _c_number(value: float, kind: str) -> str:
+    """Return the text of a number that its type can represent."""
     sign, size = "-" if math.copysign(1.0, value) < 0 else "", abs(value)
     single = kind == "float32"
     short, limits = ("FLT", np.finfo(kind)) if single else ("DBL", np.finfo(kind))
@@ -115,7 +117,7 @@ def _number(value: float, kind: str) -> str:
 
 
 class Expressions:
-    """The expressions of nodes.
+    """Writer of the expressions of nodes.
 
     Args:
         style: how numbers and functions are written.
@@ -132,40 +134,44 @@ class Expressions:
         self.functions: set[str] = set()
         self._written: dict[Node, Text] = {}
 
-    def text(self, node: Node) -> Text:
-        """Return a node; it is written once, since locals among its operands are named before."""
+    def write_node(self, node: Node) -> Text:
+        """Return the expression of a node, written once; locals among its operands are
+        named before.
+        """
         if node in self.names:
             return Text(self.names[node])
         if node not in self._written:
-            self._written[node] = self._text(node)
+            self._written[node] = self._write_expression(node)
         return self._written[node]
 
-    def _text(self, node: Node) -> Text:
-        """Return a node that is no local."""
+    def _write_expression(self, node: Node) -> Text:
+        """Return the expression of a node that is not a local."""
         if node.op == "input":
             return Text(self.inputs[node.text])
         if node.op == "const":
             return self.style.language.constant(node)
-        return self._compose(node, [self.text(arg) for arg in node.args])
+        return self._compose_instruction(node, [self.write_node(arg) for arg in node.args])
 
-    def _compose(self, node: Node, args: list[Text]) -> Text:
-        """Return an instruction on its operands."""
+    def _compose_instruction(self, node: Node, args: list[Text]) -> Text:
+        """Return the expression of an instruction on its operands."""
         if node.op == "select":
-            truth, yes, no = (arg.inside for arg in args)
+            truth, yes, no = (arg.in_parentheses for arg in args)
             return Text(f"{truth} ? {yes} : {no}", "?")
         if node.op == "neg":
-            return Text(f"-{args[0].operand('neg', second=True)}", "neg")
+            return Text(f"-{args[0].as_operand('neg', second=True)}", "neg")
         language = self.style.language
         if node.op == "not":
-            return Text(f"{language.turned}{args[0].inside}", "!")
+            return Text(f"{language.turned}{args[0].in_parentheses}", "!")
         if node.op in ("call", "view"):
-            return Text(f"{self._function(node)}({', '.join([arg.text for arg in args])})")
+            return Text(f"{self._function_name(node)}({', '.join([arg.text for arg in args])})")
         signs = language.of_truths if node.args[0].kind == "bool" else language.signs
         sign = signs[node.op]
-        return Text(f"{args[0].operand(sign)} {sign} {args[1].operand(sign, second=True)}", sign)
+        return Text(
+            f"{args[0].as_operand(sign)} {sign} {args[1].as_operand(sign, second=True)}", sign
+        )
 
-    def _function(self, node: Node) -> str:
-        """Return the name of a function; if it is the export's own, it is noted as used."""
+    def _function_name(self, node: Node) -> str:
+        """Return the name of a function; record the export's own functions as used."""
         name, language = node.text or ("number" if node.is_real else "bits"), self.style.language
         if node.op == "call" and name not in language.own.functions:  # exact by IEEE 754
             return language.library(name, self.style.kind)
@@ -173,14 +179,14 @@ class Expressions:
         return f"{self.style.prefix}_{name}"
 
 
-def _constant(node: Node) -> Text:
-    """What is written down."""
+def _c_constant(node: Node) -> Text:
+    """Return the text of a constant."""
     if node.kind == "bool":
         return Text("true" if node.value else "false")
     if not node.is_real:
         number = int(node.text)
         return Text(f"{number}u" if number < 256 else f"0x{number:x}u")
-    text = _number(float(node.text), node.kind)
+    text = _c_number(float(node.text), node.kind)
     return Text(text, "neg" if text.startswith("-") else "")
 
 
@@ -188,7 +194,7 @@ def _constant(node: Node) -> Text:
 
 
 class Names(NamedTuple):
-    """What inputs and results are called.
+    """Names of inputs and results.
 
     Attributes:
         inputs: the expression of each input, by its name.
@@ -206,7 +212,7 @@ class Names(NamedTuple):
 
 
 class Body(NamedTuple):
-    """The statements of a function.
+    """Statements of a function.
 
     Attributes:
         lines: the statements, indented and wrapped.
@@ -217,7 +223,7 @@ class Body(NamedTuple):
     functions: set[str]
 
 
-def body(results: Results, style: Style, names: Names) -> Body:
+def build_body(results: Results, style: Style, names: Names) -> Body:
     """Return the statements that compute results and store them.
 
     In long ones an input is read where it is first used, and a result stored once it is there and
@@ -229,7 +235,7 @@ def body(results: Results, style: Style, names: Names) -> Body:
             if node.args:
                 labels.setdefault(node, name)
     expressions = Expressions(style, names.inputs)
-    found = locals_of(results, expressions, names.meanings | labels)
+    found = find_locals(results, expressions, names.meanings | labels)
     end, used = len(found), _uses_of_inputs(found, results)
     number = {local.node: k for k, local in enumerate(found)}
     short = len(required_nodes(itertools.chain(*results))) <= SMALL
@@ -237,14 +243,16 @@ def body(results: Results, style: Style, names: Names) -> Body:
     for place, name in names.kept.items():
         if name in used:
             first = 0 if short else min(used[name])
-            ahead[first] += wrap_statement(f"const {style.real} {names.inputs[name]} = {place};")
+            ahead[first] += wrap_statement(
+                f"const {style.real_type} {names.inputs[name]} = {place};"
+            )
     if short and ahead[0]:
         ahead[0].append("")
     for nodes, targets in zip(results, names.results, strict=True):
         for node, target in zip(nodes, targets, strict=True):
             last = max(used.get(names.kept.get(target, ""), [0]))
             at = end if short else max(number.get(node, end), last)
-            behind[at] += wrap_statement(f"{target} = {expressions.text(node).text};")
+            behind[at] += wrap_statement(f"{target} = {expressions.write_node(node).text};")
     lines: list[str] = []
     for k, local in enumerate(found):
         lines += [*ahead[k], *local.lines, *behind[k]]
@@ -253,8 +261,9 @@ def body(results: Results, style: Style, names: Names) -> Body:
 
 
 def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]]:
-    """Return the numbers of the locals that use each input, by its name; their count: a result
-    does.
+    """Return the numbers of the locals that use each input, by input name.
+
+    The number of locals stands for a use by a result.
     """
     at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
     for node in reversed(required_nodes(itertools.chain(*results))):
@@ -269,7 +278,7 @@ def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]
 
 
 class Local(NamedTuple):
-    """A local that holds a node.
+    """Local variable that holds a node.
 
     Attributes:
         name: what it is called.
@@ -282,9 +291,8 @@ class Local(NamedTuple):
     lines: list[str]
 
 
-def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
-    """Return the locals, each after those that it needs; `expressions` knows their names from then
-    on.
+def find_locals(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
+    """Return the locals, each after the locals that it needs; `expressions` gets their names.
 
     Args:
         results: the nodes.
@@ -292,7 +300,7 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
         labels: names of some nodes, which then have a local.
     """
     language = expressions.style.language
-    counts = uses(results)
+    counts = count_uses(results)
     order = sorted(counts, key=lambda node: node.number)
     apart = language.apart(order) | labels.keys()
     if len(order) > SMALL:
@@ -300,25 +308,25 @@ def locals_of(results: Results, expressions: Expressions, labels: dict[Node, str
     found: list[Local] = []
     for node in order:
         often = bool(node.args) and counts[node] > 1
-        if often or node in apart or len(expressions.text(node).text) > LONGEST:
+        if often or node in apart or len(expressions.write_node(node).text) > LONGEST:
             name = labels.get(node, f"v{node.number}")
             found.append(Local(name, node, language.statement(name, node, expressions)))
             expressions.names[node] = name
     return found
 
 
-def lines_of(found: list[Local]) -> list[str]:
+def local_statements(found: list[Local]) -> list[str]:
     """Return the statements that fill locals."""
     return list(itertools.chain(*[local.lines for local in found]))
 
 
-def _declare_local(name: str, node: Node, expressions: Expressions) -> list[str]:
-    """Return a local of C."""
-    return wrap_statement(f"const {TYPES[node.kind]} {name} = {expressions.text(node).text};")
+def _c_declaration(name: str, node: Node, expressions: Expressions) -> list[str]:
+    """Return the declaration of a local in C."""
+    return wrap_statement(f"const {TYPES[node.kind]} {name} = {expressions.write_node(node).text};")
 
 
-def _apart(order: list[Node]) -> set[Node]:
-    """What is computed before a selection, not inside it."""
+def _nodes_before_selections(order: list[Node]) -> set[Node]:
+    """Return the nodes that are computed before a selection and not inside it."""
     apart: set[Node] = set()
     small = len(order) <= SMALL
     for node in order:
@@ -329,13 +337,13 @@ def _apart(order: list[Node]) -> set[Node]:
 
 
 def wrap_statement(statement: str, indent: str = INDENT) -> list[str]:
-    """Return a statement in lines of at most `WIDTH` columns, broken before operators and after
+    """Return a statement in lines of at most `WIDTH` columns, split before operators and after
     commas.
     """
     line = indent + statement
     lines: list[str] = []
     while len(line) > WIDTH:
-        cut = _break(line)
+        cut = _break_column(line)
         if cut < 0:
             break
         lines.append(line[:cut].rstrip())
@@ -343,16 +351,16 @@ def wrap_statement(statement: str, indent: str = INDENT) -> list[str]:
     return [*lines, line]
 
 
-def _break(line: str) -> int:
-    """Where to break a line that is too long; -1: nowhere."""
+def _break_column(line: str) -> int:
+    """Return the column at which to split a line that is too long, or -1."""
     start = 2 * len(INDENT) + 4
     places = [line.rfind(f" {sign} ", start, WIDTH - 1) for sign in _BREAKS]
     comma = line.rfind(", ", start, WIDTH - 1)
     return max(*places, comma + 1 if comma >= 0 else -1)
 
 
-def _library(name: str, kind: str) -> str:
-    """Return a function of the C library."""
+def _c_library_name(name: str, kind: str) -> str:
+    """Return the name of a C library function in a type of numbers."""
     return f"{name}f" if kind == "float32" else name
 
 
@@ -362,15 +370,15 @@ C: Final = Grammar(
     _OF_TRUTHS,
     "!",
     OF_WORDS,
-    _constant,
-    _library,
-    apart=_apart,
-    statement=_declare_local,
+    _c_constant,
+    _c_library_name,
+    apart=_nodes_before_selections,
+    statement=_c_declaration,
 )
 
 
 class Style(NamedTuple):
-    """How numbers and functions are written.
+    """Style of numbers and functions.
 
     Attributes:
         kind: NumPy's name of the type of numbers.
@@ -383,8 +391,8 @@ class Style(NamedTuple):
     language: Grammar = C
 
     @property
-    def real(self) -> str:
-        """Return the type of a number."""
+    def real_type(self) -> str:
+        """Return the name of the type of numbers."""
         return self.language.types[self.kind]
 
 
@@ -399,9 +407,8 @@ static inline {to} {prefix}_{name}({of} x)
 }}"""
 
 
-def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
-    """Return the texts of elementary functions, ahead of them those of a number's bits that are
-    used.
+def elementary_texts(names: Iterable[str], used: set[str], style: Style) -> list[str]:
+    """Return the texts of elementary functions, after the bit-access functions that they use.
 
     Args:
         names: of the functions, each after those that it calls.
@@ -410,19 +417,19 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
     """
     texts, called = [], set(used)
     for name in names:
-        shape = formula(name, style.kind)
+        shape = build_formula(name, style.kind)
         expressions = Expressions(style, {text: text for text in shape.inputs})
-        lines = lines_of(locals_of([[shape.result]], expressions, {}))
-        lines += wrap_statement(f"return {expressions.text(shape.result).text};")
-        arguments = ", ".join(f"{style.real} {text}" for text in shape.inputs)
-        head = f"static {style.real} {style.prefix}_{name}({arguments})"
-        texts.append("\n".join([_comment_lines(name), head, "{", *lines, "}"]))
+        lines = local_statements(find_locals([[shape.result]], expressions, {}))
+        lines += wrap_statement(f"return {expressions.write_node(shape.result).text};")
+        arguments = ", ".join(f"{style.real_type} {text}" for text in shape.inputs)
+        head = f"static {style.real_type} {style.prefix}_{name}({arguments})"
+        texts.append("\n".join([_function_comment(name), head, "{", *lines, "}"]))
         called |= expressions.functions
     word = TYPES["uint32" if style.kind == "float32" else "uint64"]
     heads = []
     for name, meaning, to, of in (
-        ("bits", "The bits of a number.", word, style.real),
-        ("number", "The number that has these bits.", style.real, word),
+        ("bits", "The bits of a number.", word, style.real_type),
+        ("number", "The number that has these bits.", style.real_type, word),
     ):
         if name in called:
             view = _VIEW.format(meaning=meaning, to=to, of=of, name=name, prefix=style.prefix)
@@ -430,6 +437,6 @@ def functions(names: Iterable[str], used: set[str], style: Style) -> list[str]:
     return heads + texts
 
 
-def _comment_lines(name: str) -> str:
+def _function_comment(name: str) -> str:
     """Return the comment of a function."""
     return f"/** {str(FUNCTIONS[name].__doc__).strip()} */"

@@ -1,4 +1,4 @@
-"""Instructions printed as LLVM's text, of one number or of a vector of lanes."""
+"""Instructions printed as LLVM text, of a single number or of a vector of lanes."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Names = Callable[[Node], str]
 
 
 class Text:
-    """The body of a function, line by line.
+    """Body of a function, line by line.
 
     Args:
         lanes: of a vector; 1 for plain numbers.
@@ -54,23 +54,23 @@ class Text:
         self._prefix, self._fresh = prefix, 0
 
     def line(self, text: str) -> None:
-        """Add a line that gives no value."""
+        """Append a line without a value."""
         self.lines.append(f"  {text}")
 
     def label(self, name: str) -> None:
-        """Begin a block of instructions."""
+        """Start a block of instructions."""
         self.block = name
         self.lines.append(f"{name}:")
 
     def add(self, text: str) -> str:
-        """Add a line; the name of its value."""
+        """Append a line; return the name of its value."""
         self._fresh += 1
         name = f"%{self._prefix}.{self._fresh}"
         self.lines.append(f"  {name} = {text}")
         return name
 
     def type(self, of_one: str, vector: bool = True) -> str:
-        """Return the type of a vector of lanes, or of one number."""
+        """Return the type of a vector of lanes, or of a single number."""
         return f"<{self.lanes} x {of_one}>" if vector and self.lanes > 1 else of_one
 
     def at(self, base: str, index: int | str) -> str:
@@ -80,17 +80,17 @@ class Text:
         return self.add(f"getelementptr double, ptr {base}, i64 {index}")
 
     def load(self, address: str, of_type: str = "double", vector: bool = False) -> str:
-        """Return the numbers at an address."""
+        """Load the numbers at an address; return the name of the value."""
         return self.add(
             f"load {self.type(of_type, vector)}, ptr {address}, align {_SIZES[of_type]}"
         )
 
     def store(self, name: str, address: str, vector: bool = False) -> None:
-        """Keep numbers at an address."""
+        """Store numbers at an address."""
         self.line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
 
     def splat(self, name: str, of_type: str) -> str:
-        """Return a number in every lane."""
+        """Return the name of a vector with a number in every lane."""
         if self.lanes == 1:
             return name
         vector = self.type(of_type)
@@ -98,28 +98,30 @@ class Text:
         zeros = f"<{self.lanes} x i32> zeroinitializer"
         return self.add(f"shufflevector {vector} {one}, {vector} poison, {zeros}")
 
-    def literal(self, node: Node, vector: bool = True) -> str:
-        """Return a constant; of a float, the double of the same value."""
+    def constant_text(self, node: Node, vector: bool = True) -> str:
+        """Return the text of a constant; a float is written as the double of the same
+        value.
+        """
         of_type, text = TYPES[node.kind], node.text
         if node.is_real:
             (word,) = struct.unpack("<Q", struct.pack("<d", np.dtype(node.kind).type(text)))
             text = f"0x{word:016X}"
         if of_type == "i1":
             text = "true" if text == "1" else "false"
-        return self.every(text, of_type, vector)
+        return self.in_every_lane(text, of_type, vector)
 
-    def every(self, text: str, of_type: str, vector: bool = True) -> str:
-        """What is written down, in every lane."""
+    def in_every_lane(self, text: str, of_type: str, vector: bool = True) -> str:
+        """Return a written number repeated for every lane."""
         if not vector or self.lanes == 1:
             return text
         return f"<{', '.join([f'{of_type} {text}'] * self.lanes)}>"
 
     def zero(self) -> str:
-        """Return 0.0 in every lane."""
+        """Return the text of 0.0 in every lane."""
         return "zeroinitializer" if self.lanes > 1 else "0.0"
 
-    def print(self, node: Node, names: Names, vector: bool = True) -> str:
-        """Print an instruction; the name of its value.
+    def print_node(self, node: Node, names: Names, vector: bool = True) -> str:
+        """Print an instruction; return the name of its value.
 
         Args:
             node: the instruction, neither input nor constant.
@@ -129,39 +131,43 @@ class Text:
         args, last = [names(arg) for arg in node.args], node.args[-1]
         value = self.type(TYPES[last.kind], vector)
         if node.op == "select":
-            return self.choice(args[0], value, args[1], args[2], vector)
+            return self.print_select(args[0], value, args[1], args[2], vector)
         if node.op in ("least", "most"):
             relation = "olt" if node.op == "least" else "ogt"
             better = self.add(f"fcmp {relation} {value} {args[0]}, {args[1]}")
-            return self.choice(better, value, args[0], args[1], vector)
+            return self.print_select(better, value, args[0], args[1], vector)
         if node.op == "call":
             if node.text in _INTRINSICS:
-                return self._intrinsic(node, args, vector)
-            return self._call(node.text, args, vector)
+                return self._print_intrinsic(node, args, vector)
+            return self._print_library_call(node.text, args, vector)
         if node.op in ("convert", "view"):
-            return self._convert(node, args[0], vector)
+            return self._print_conversion(node, args[0], vector)
         if node.op == "not":
-            return self.add(f"xor {value} {args[0]}, {self.every('true', 'i1', vector)}")
+            return self.add(f"xor {value} {args[0]}, {self.in_every_lane('true', 'i1', vector)}")
         words = _OF_TRUTHS if last.kind == "bool" else _OF_WORDS
         word = (_OF_REALS if last.is_real else words)[node.op]
         return self.add(f"{word} {value} {', '.join(args)}")
 
-    def choice(self, condition: str, value: str, yes: str, no: str, vector: bool = True) -> str:
-        """Return one of two values of a type."""
+    def print_select(
+        self, condition: str, value: str, yes: str, no: str, vector: bool = True
+    ) -> str:
+        """Print a selection of two values of a type by a condition; return the name of the
+        value.
+        """
         truth = self.type("i1", vector)
         return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")
 
-    def _convert(self, node: Node, name: str, vector: bool) -> str:
-        """Return a number as one of another type."""
+    def _print_conversion(self, node: Node, name: str, vector: bool) -> str:
+        """Print a conversion of a number to the node's type; return the name of the value."""
         source = node.args[0]
         old, new = TYPES[source.kind], TYPES[node.kind]
         if old == new:
             return name
-        word = "bitcast" if node.op == "view" else _conversion(source, node)
+        word = "bitcast" if node.op == "view" else _conversion_word(source, node)
         return self.add(f"{word} {self.type(old, vector)} {name} to {self.type(new, vector)}")
 
-    def _intrinsic(self, node: Node, args: list[str], vector: bool) -> str:
-        """Return a call of what LLVM makes instructions of."""
+    def _print_intrinsic(self, node: Node, args: list[str], vector: bool) -> str:
+        """Print a call of an LLVM intrinsic; return the name of its value."""
         of_one = TYPES[node.kind]
         value = self.type(of_one, vector)
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
@@ -169,8 +175,8 @@ class Text:
         self.declared[name] = f"declare {value} @{name}({', '.join([value] * len(args))})"
         return self._print_call(name, value, args)
 
-    def _call(self, function: str, args: list[str], vector: bool) -> str:
-        """Calls of a C function, lane by lane."""
+    def _print_library_call(self, function: str, args: list[str], vector: bool) -> str:
+        """Print calls of a C function, lane by lane; return the name of the value."""
         numbers = ", ".join(["double"] * len(args))
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
@@ -183,12 +189,12 @@ class Text:
         return whole
 
     def _print_call(self, function: str, kind: str, args: list[str]) -> str:
-        """Return a call of a function of numbers of a kind."""
+        """Print a call of a function of numbers of a kind; return the name of its value."""
         given = ", ".join([f"{kind} {arg}" for arg in args])
         return self.add(f"call {kind} @{function}({given})")
 
     @contextmanager
-    def loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[str]:
+    def print_loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[str]:
         """Print a loop; its count goes from `begin` by strides while it is below `end`.
 
         Args:
@@ -200,7 +206,7 @@ class Text:
         self.label(name)
         head = len(self.lines)
         self.line(f"%{name}.more = icmp ult i64 {count}, {end}")
-        self._begin_branch(f"%{name}.more", name)
+        self._enter_if(f"%{name}.more", name)
         yield count
         self.line(f"%{name}.next = add i64 {count}, {stride}")
         self.line(f"br label %{name}")
@@ -209,33 +215,35 @@ class Text:
         self.label(f"{name}.past")
 
     @contextmanager
-    def where(self, truth: str, name: str) -> Iterator[None]:
-        """Print what is done where a truth holds.
+    def print_if(self, truth: str, name: str) -> Iterator[None]:
+        """Print the instructions that run if a truth holds.
 
         Args:
             truth: the name of the truth.
             name: of its blocks.
         """
-        self._begin_branch(truth, name)
+        self._enter_if(truth, name)
         yield
         self.line(f"br label %{name}.past")
         self.label(f"{name}.past")
 
-    def _begin_branch(self, truth: str, name: str) -> None:
-        """Begin what is done where a truth holds; without it the way goes past."""
+    def _enter_if(self, truth: str, name: str) -> None:
+        """Start the block that runs if a truth holds, with a jump past the block
+        otherwise.
+        """
         self.line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
         self.label(f"{name}.do")
 
-    def any(self, condition: str) -> str:
-        """Return whether a condition holds in any lane."""
+    def any_lane(self, condition: str) -> str:
+        """Return the name of a truth that holds if a condition holds in any lane."""
         if self.lanes == 1:
             return condition
         bits = self.add(f"bitcast {self.type('i1')} {condition} to i{self.lanes}")
         return self.add(f"icmp ne i{self.lanes} {bits}, 0")
 
 
-def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Names) -> None:
-    """Print as plain numbers what is wanted, and what that needs beyond what is there.
+def print_once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Names) -> None:
+    """Print required values as plain numbers, with all further values that they need.
 
     Args:
         text: where it is printed.
@@ -245,27 +253,28 @@ def once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source: Name
     """
 
     def name(node: Node) -> str:
-        return text.literal(node, False) if node.level == CONSTANT else have[node]
+        """Return the name of a plain number."""
+        return text.constant_text(node, False) if node.level == CONSTANT else have[node]
 
     for node in required_nodes(wanted, have):
         if node.op == "const":
             continue
-        have[node] = source(node) if node.op == "input" else text.print(node, name, False)
+        have[node] = source(node) if node.op == "input" else text.print_node(node, name, False)
 
 
-def store_value(text: Text, node: Node, name: str, vector: bool = False) -> str:
-    """Return a value as a double, the form in which tables keep it."""
+def to_double(text: Text, node: Node, name: str, vector: bool = False) -> str:
+    """Return the name of a value as a double, the form in which tables store it."""
     double = text.type("double", vector)
     if node.kind == "bool":
-        one, zero = (text.every(number, "double", vector) for number in ("1.0", "0.0"))
-        return text.choice(name, double, one, zero, vector)
+        one, zero = (text.in_every_lane(number, "double", vector) for number in ("1.0", "0.0"))
+        return text.print_select(name, double, one, zero, vector)
     if node.kind in ("int64", "uint64"):
         return text.add(f"bitcast {text.type('i64', vector)} {name} to {double}")
     return name
 
 
-def plain(text: Text, node: Node, name: str, vector: bool = False) -> str:
-    """Return a double of a table as the value that it is."""
+def from_double(text: Text, node: Node, name: str, vector: bool = False) -> str:
+    """Return the name of a table's double, converted to the type of its value."""
     double = text.type("double", vector)
     if node.kind == "bool":
         return text.add(f"fcmp une {double} {name}, {text.zero() if vector else '0.0'}")
@@ -274,7 +283,7 @@ def plain(text: Text, node: Node, name: str, vector: bool = False) -> str:
     return name
 
 
-def in_lanes(
+def print_lanes(
     text: Text, order: Sequence[Node | Branch], sources: list[Names], every_use: bool
 ) -> list[Names]:
     """Print the lanes' instructions for several groups of lanes side by side.
@@ -291,8 +300,9 @@ def in_lanes(
     have: list[dict[Node, str]] = [{} for _ in sources]
 
     def name(node: Node, group: int) -> str:
+        """Return the name of a node's value in a group."""
         if node.level == CONSTANT:
-            return text.literal(node)
+            return text.constant_text(node)
         if node in have[group]:
             return have[group][node]
         found = sources[group](node)
@@ -304,28 +314,34 @@ def in_lanes(
         return found
 
     def namer(group: int) -> Names:
+        """Return the source of names for a group."""
         return lambda node: name(node, group)
 
     namers = [namer(group) for group in range(len(sources))]
     for node in order:
         if isinstance(node, Branch):
-            _branch(text, node, have[0], namers[0])
+            _print_branch(text, node, have[0], namers[0])
             continue
         for group, named in enumerate(namers):
-            have[group][node] = text.print(node, named)
+            have[group][node] = text.print_node(node, named)
     return namers
 
 
-def _branch(text: Text, branch: Branch, have: dict[Node, str], name: Names) -> None:
-    """Print a branch for one group; where it is not taken, its values are 0, which no lane uses."""
+def _print_branch(text: Text, branch: Branch, have: dict[Node, str], name: Names) -> None:
+    """Print a branch for a group.
+
+    If the branch is skipped, its values are 0, which no lane uses.
+    """
     condition = name(branch.truth)
     if not branch.holds:
-        condition = text.add(f"xor {text.type('i1')} {condition}, {text.every('true', 'i1')}")
+        condition = text.add(
+            f"xor {text.type('i1')} {condition}, {text.in_every_lane('true', 'i1')}"
+        )
     before, label = dict(have), f"needed{branch.nodes[0].number}"
     came = text.block
-    with text.where(text.any(condition), label):
+    with text.print_if(text.any_lane(condition), label):
         for node in branch.nodes:
-            have[node] = text.print(node, name)
+            have[node] = text.print_node(node, name)
         values = [have[node] for node in branch.leaving]
     have.clear()
     have.update(before)  # what was loaded in the branch is not there beyond it
@@ -335,12 +351,12 @@ def _branch(text: Text, branch: Branch, have: dict[Node, str], name: Names) -> N
         have[node] = text.add(f"phi {kind} {sources}")
 
 
-def entries_of(text: Text, array: str) -> Names:
-    """What loads an input, such as p3, from entry 3 of an array."""
+def entry_source(text: Text, array: str) -> Names:
+    """Return a source that loads an input, such as p3, from entry 3 of an array."""
     return lambda node: text.load(text.at(f"%{array}", int(node.text[1:])))
 
 
-def _conversion(source: Node, target: Node) -> str:
+def _conversion_word(source: Node, target: Node) -> str:
     """Return LLVM's name of a conversion by value."""
     wider = _SIZES[TYPES[target.kind]] > _SIZES[TYPES[source.kind]]
     has_sign = not source.kind.startswith("u")

@@ -1,10 +1,8 @@
-"""Nodes as one WebAssembly module, written byte by byte: no compiler is needed.
+"""Return the module, which exports the functions and the memory as "memory".
 
 Every instruction is the one of IEEE 754 double precision; elementary functions are those of
 exported C. Binary format: WebAssembly Core Specification 1.0, section 5.
 """
-
-from __future__ import annotations
 
 import itertools
 import struct
@@ -12,7 +10,7 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from undeadzone.compile import elementary
-from undeadzone.compile.graph import Node, Results, condition, required_nodes, uses
+from undeadzone.compile.graph import Node, Results, count_uses, required_nodes, to_condition
 from undeadzone.errors import InputError
 
 KIND: Final = "float64"
@@ -39,7 +37,7 @@ _AS_NUMBER, _SELECTED = b"\xb7", b"\x1b"
 
 
 class Function(NamedTuple):
-    """Results of inputs that stand in memory, where they go, too.
+    """Function whose inputs and results are stored in memory.
 
     Attributes:
         name: what it is exported as.
@@ -54,7 +52,7 @@ class Function(NamedTuple):
     targets: list[list[int]]
 
 
-def module(functions: Sequence[Function], size: int) -> bytes:
+def build_module(functions: Sequence[Function], size: int) -> bytes:
     """Return the module: it exports the functions, and the memory as "memory".
 
     Args:
@@ -64,26 +62,30 @@ def module(functions: Sequence[Function], size: int) -> bytes:
     Raises:
         InputError: an instruction that WebAssembly has not.
     """
-    own = _own(functions)
+    own = _own_functions(functions)
     calls = {name: len(functions) + k for k, name in enumerate(own)}
-    shapes = [elementary.formula(name, KIND) for name in own]
-    bodies = [_function_body(function, calls) for function in functions]
+    shapes = [elementary.build_formula(name, KIND) for name in own]
+    bodies = [_memory_body(function, calls) for function in functions]
     bodies += [_elementary_body(shape, calls) for shape in shapes]
     kinds = [0] * len(functions) + [len(shape.inputs) for shape in shapes]
-    exports = [_name(each.name) + b"\0" + _unsigned_leb128(k) for k, each in enumerate(functions)]
-    exports.append(_name("memory") + b"\x02\0")
+    exports = [
+        _encode_name(each.name) + b"\0" + _encode_unsigned(k) for k, each in enumerate(functions)
+    ]
+    exports.append(_encode_name("memory") + b"\x02\0")
     sections = [
-        _section(1, [_type(0, 0), _type(1, 1), _type(2, 1)]),
-        _section(3, [_unsigned_leb128(kind) for kind in kinds]),
-        _section(5, [b"\0" + _unsigned_leb128(-(-size // PAGE))]),
-        _section(7, exports),
-        _section(10, [_unsigned_leb128(len(body)) + body for body in bodies]),
+        _encode_section(1, [_encode_type(0, 0), _encode_type(1, 1), _encode_type(2, 1)]),
+        _encode_section(3, [_encode_unsigned(kind) for kind in kinds]),
+        _encode_section(5, [b"\0" + _encode_unsigned(-(-size // PAGE))]),
+        _encode_section(7, exports),
+        _encode_section(10, [_encode_unsigned(len(body)) + body for body in bodies]),
     ]
     return _MAGIC + b"".join(sections)
 
 
-def _own(functions: Sequence[Function]) -> list[str]:
-    """Return the elementary functions that are called, but those of WebAssembly.
+def _own_functions(functions: Sequence[Function]) -> list[str]:
+    """Return the elementary functions that are called and not built into WebAssembly.
+
+    Raise InputError.
 
     Raises InputError.
     """
@@ -93,26 +95,27 @@ def _own(functions: Sequence[Function]) -> list[str]:
     return [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
 
 
-def _function_body(function: Function, calls: dict[str, int]) -> bytes:
-    """Return the body of a function between places in memory."""
+def _memory_body(function: Function, calls: dict[str, int]) -> bytes:
+    """Return the body of a function from and to memory."""
     writer = _Writer(function.results, function.inputs, {}, calls)
     code = writer.fill_locals()
     for nodes, targets in zip(function.results, function.targets, strict=True):
         for node, target in zip(nodes, targets, strict=True):
-            code += b"\x41\0" + writer.code(node) + b"\x39\x03" + _unsigned_leb128(target)
-    return writer.declare_locals() + code + b"\x0b"
+            code += b"\x41\0" + writer.encode_node(node) + b"\x39\x03" + _encode_unsigned(target)
+    return writer.local_declaration() + code + b"\x0b"
 
 
 def _elementary_body(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
     """Return the body of an elementary function."""
     arguments = {text: k for k, text in enumerate(shape.inputs)}
     writer = _Writer([[shape.result]], {}, arguments, calls)
-    code = writer.fill_locals() + writer.code(shape.result)
-    return writer.declare_locals() + code + b"\x0b"
+    code = writer.fill_locals() + writer.encode_node(shape.result)
+    return writer.local_declaration() + code + b"\x0b"
 
 
 class _Writer:
-    """The instructions of nodes; what is used more than once stays in a local.
+    """Writer of the instructions of nodes; a value that is used more than once is stored in a
+    local.
 
     Args:
         results: the nodes.
@@ -137,7 +140,7 @@ class _Writer:
 
     def _local_nodes(self, results: Results) -> dict[str, list[Node]]:
         """Return the nodes that a local holds, by their types."""
-        counts = uses(results)
+        counts = count_uses(results)
         depths: dict[Node, int] = {}
         kept: dict[str, list[Node]] = {kind: [] for kind in _TYPES}
         for node in sorted(counts, key=lambda node: node.number):
@@ -150,67 +153,72 @@ class _Writer:
                 kept[node.kind].append(node)
         return kept
 
-    def declare_locals(self) -> bytes:
+    def local_declaration(self) -> bytes:
         """Return the declaration of the locals."""
         held = {_TYPES[kind]: len(nodes) for kind, nodes in self._kept.items() if nodes}
-        groups = [_unsigned_leb128(count) + bytes([kind]) for kind, count in held.items()]
-        return _unsigned_leb128(len(groups)) + b"".join(groups)
+        groups = [_encode_unsigned(count) + bytes([kind]) for kind, count in held.items()]
+        return _encode_unsigned(len(groups)) + b"".join(groups)
 
     def fill_locals(self) -> bytes:
-        """Return the instructions that fill the locals, each after those that it needs."""
+        """Return the instructions that fill the locals, each after the locals that it
+        needs.
+        """
         kept = itertools.chain(*self._kept.values())
         numbers = {node: self._first + k for k, node in enumerate(kept)}
         code = b""
         for node in sorted(numbers, key=lambda node: node.number):
-            code += self.code(node) + b"\x21" + _unsigned_leb128(numbers[node])
+            code += self.encode_node(node) + b"\x21" + _encode_unsigned(numbers[node])
             self._locals[node] = numbers[node]
         return code
 
-    def code(self, node: Node) -> bytes:
+    def encode_node(self, node: Node) -> bytes:
         """Return the instructions of a node."""
         if node in self._locals:
-            return b"\x20" + _unsigned_leb128(self._locals[node])
+            return b"\x20" + _encode_unsigned(self._locals[node])
         if node.op == "const":
-            return _constant(node)
+            return _encode_constant(node)
         if node.op == "input":
-            return b"\x41\0\x2b\x03" + _unsigned_leb128(self._inputs[node.text])
-        truth = condition(node)
+            return b"\x41\0\x2b\x03" + _encode_unsigned(self._inputs[node.text])
+        truth = to_condition(node)
         if truth is not None:
-            return self.code(truth) + _AS_NUMBER
+            return self.encode_node(truth) + _AS_NUMBER
         if node.op == "select":
-            asked, yes, no = map(self.code, node.args)
+            asked, yes, no = map(self.encode_node, node.args)
             return yes + no + asked + _SELECTED
-        values = b"".join(map(self.code, node.args))
+        values = b"".join(map(self.encode_node, node.args))
         if node.op != "call":
             return values + _CODES[node.args[0].kind][node.op]
         if node.text in _BUILT_IN:
             return values + _BUILT_IN[node.text]
-        return values + b"\x10" + _unsigned_leb128(self._calls[node.text])
+        return values + b"\x10" + _encode_unsigned(self._calls[node.text])
 
 
 def _is_short(node: Node) -> bool:
     """Return whether a node is a constant of a few bytes."""
-    return node.op == "const" and len(_constant(node)) < REAL
+    return node.op == "const" and len(_encode_constant(node)) < REAL
 
 
-def _constant(node: Node) -> bytes:
-    """What is written down; a small whole number is converted: three bytes in place of nine."""
+def _encode_constant(node: Node) -> bytes:
+    """Return the code of a constant.
+
+    A small integer is converted: three bytes in place of nine.
+    """
     if node.kind == "bool":
-        return b"\x41" + _signed_leb128(int(node.text))
+        return b"\x41" + _encode_signed(int(node.text))
     if not node.is_real:
         word = int(node.text)
-        return b"\x42" + _signed_leb128(word - (1 << 64) if word >> 63 else word)
+        return b"\x42" + _encode_signed(word - (1 << 64) if word >> 63 else word)
     value = float(node.text)
     bits = struct.pack("<d", value)
     if abs(value) < 64 and bits == struct.pack("<d", int(value)):
-        return b"\x41" + _signed_leb128(int(value)) + _AS_NUMBER
+        return b"\x41" + _encode_signed(int(value)) + _AS_NUMBER
     return b"\x44" + bits
 
 
 # --- The smallest parts of a module
 
 
-def _signed_leb128(value: int) -> bytes:
+def _encode_signed(value: int) -> bytes:
     """Return a signed integer in LEB128."""
     code = bytearray()
     while True:
@@ -221,7 +229,7 @@ def _signed_leb128(value: int) -> bytes:
         code.append(low | 0x80)
 
 
-def _unsigned_leb128(value: int) -> bytes:
+def _encode_unsigned(value: int) -> bytes:
     """Return an unsigned integer in LEB128."""
     code = bytearray()
     while value > 0x7F:
@@ -230,24 +238,24 @@ def _unsigned_leb128(value: int) -> bytes:
     return bytes([*code, value])
 
 
-def _name(text: str) -> bytes:
-    """Return a name, its length first."""
-    return _unsigned_leb128(len(text)) + text.encode()
+def _encode_name(text: str) -> bytes:
+    """Return a name, preceded by its length."""
+    return _encode_unsigned(len(text)) + text.encode()
 
 
-def _type(arguments: int, results: int) -> bytes:
+def _encode_type(arguments: int, results: int) -> bytes:
     """Return the type of a function of numbers."""
     reals = bytes([_TYPES[KIND]])
     return (
         b"\x60"
-        + _unsigned_leb128(arguments)
+        + _encode_unsigned(arguments)
         + reals * arguments
-        + _unsigned_leb128(results)
+        + _encode_unsigned(results)
         + reals * results
     )
 
 
-def _section(number: int, entries: list[bytes]) -> bytes:
+def _encode_section(number: int, entries: list[bytes]) -> bytes:
     """Return a section of the module."""
-    content = _unsigned_leb128(len(entries)) + b"".join(entries)
-    return bytes([number]) + _unsigned_leb128(len(content)) + content
+    content = _encode_unsigned(len(entries)) + b"".join(entries)
+    return bytes([number]) + _encode_unsigned(len(content)) + content

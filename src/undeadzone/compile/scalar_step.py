@@ -1,4 +1,4 @@
-"""A step compiled for one run: a call for each sample, or for some at a time."""
+"""Step compiled for a single run: a call for each sample, or for several samples at a time."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache
-from undeadzone.compile.kernel import graphs, source
+from undeadzone.compile.kernel import build_graphs, print_kernel
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import ONE, Shape, here
+from undeadzone.compile.machine import ONE, Shape, host_machine
 from undeadzone.util.arrays import Floats
 
 ROWS: Final = 128  # samples in a call
@@ -32,7 +32,7 @@ define void @block(ptr noalias %memory) nounwind {{
 
 
 class CompiledStepper:
-    """`interpret.Stepper` in machine code: the same bits, a fraction of the time.
+    """Machine code for `interpret.Stepper`: the same bits in a fraction of the time.
 
     All numbers stand in one array, so that a call takes one address. It is compiled once, whatever
     the numbers, and kept on disk.
@@ -57,8 +57,8 @@ class CompiledStepper:
         self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
         self.w, self.out = self._rows[0], self._outs[0]
-        self._block = cache.compile_or_load(_recipe(step, starts), ("float64*",))
-        function = ctypes.cast(self._block.function, ctypes.c_void_p).value
+        self._block = cache.load_or_compile(_stepper_recipe(step, starts), ("float64*",))
+        function = ctypes.cast(self._block.c_function, ctypes.c_void_p).value
         assert function is not None
         # It holds the interpreter's lock, as a change of threads takes longer than a sample.
         self._call = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(function)
@@ -69,7 +69,7 @@ class CompiledStepper:
         self._call(self._address)
 
     def run(self, w: Floats) -> Floats:
-        """Return the outputs along w (N x inputs), a row each; the state advances."""
+        """Return the outputs along w (N x outputs) and advance the state."""
         outputs = np.empty((len(w), self.out.size))
         for start in range(0, len(w), ROWS):
             rows = w[start : start + ROWS]
@@ -83,14 +83,15 @@ class CompiledStepper:
         return outputs
 
 
-def _recipe(step: ca.Function, starts: list[int]) -> cache.Recipe:
-    """How to make `block`, whose memory has parts that begin there."""
+def _stepper_recipe(step: ca.Function, starts: list[int]) -> cache.Recipe:
+    """Return the recipe of `block`, whose memory has parts that begin at `starts`."""
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
-    functions = graphs(step, (), shape, {}, {})
+    functions = build_graphs(step, (), shape, {}, {})
 
     def make() -> tuple[str, str]:
-        made = source(functions, shape, here(), Arithmetic(), 1, ONE, "steps")
+        """Return the text of the kernel and an empty note."""
+        made = print_kernel(functions, shape, host_machine(), Arithmetic(), 1, ONE, "steps")
         _, p, s, w, out, _ = starts
         return made.text + _BLOCK.format(p=p, s=s, w=w, out=out), ""
 

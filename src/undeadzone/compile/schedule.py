@@ -1,4 +1,4 @@
-"""The order of a lane's instructions, and which of them are skipped.
+"""Order of a lane's instructions, and branches that skip instructions.
 
 As many go at once as registers hold. What only one truth needs is gathered: it is skipped where no
 lane of a group needs it.
@@ -24,12 +24,12 @@ _USUAL: Final = 4
 Users = dict[Node, list[Node]]
 
 
-def of_graph(results: Iterable[Node]) -> list[Node]:
-    """Return the lanes' instructions in the order in which they were made."""
+def lane_instructions(results: Iterable[Node]) -> list[Node]:
+    """Return the lanes' instructions in the order of creation."""
     return [node for node in required_nodes(results) if node.level == LANES and node.op != "input"]
 
 
-def _users(order: list[Node]) -> Users:
+def _find_users(order: list[Node]) -> Users:
     """Return the instructions that use each value."""
     users: Users = defaultdict(list)
     for node in order:
@@ -39,25 +39,25 @@ def _users(order: list[Node]) -> Users:
 
 
 def order_instructions(results: list[Node], registers: int) -> list[Node]:
-    """Return the lanes' instructions, by list scheduling if registers are counted.
+    """Return the lanes' instructions in order, by list scheduling if registers are counted.
 
     First comes what is farthest from the end, until that many numbers are waiting for their use;
     then what makes a register free.
     """
-    made = of_graph(results)
+    made = lane_instructions(results)
     if not registers:
         return order_depth_first(made, results)
     state = _start_schedule(made, results)
     order: list[Node] = []
     while state.ready:
-        best = state.best(len(order), registers)
+        best = state.choose_next(len(order), registers)
         order.append(best)
-        state.place(best, len(order))
+        state.place_instruction(best, len(order))
     return order
 
 
 def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
-    """Return each instruction right behind what it needs, of which the longest chain comes first.
+    """Return the instructions, each directly after its operands, the longest chain first.
 
     Args:
         made: the instructions, each behind those that it needs.
@@ -77,8 +77,8 @@ def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
     return list(order)
 
 
-class _State(NamedTuple):
-    """A schedule on the way.
+class _ListSchedule(NamedTuple):
+    """State of a list schedule.
 
     Attributes:
         users: of each instruction.
@@ -98,16 +98,16 @@ class _State(NamedTuple):
     live: set[Node]
     ready: list[Node]
 
-    def best(self, clock: int, registers: int) -> Node:
-        """What to place in a cycle."""
-        frees, height = self._frees, self.height
+    def choose_next(self, clock: int, registers: int) -> Node:
+        """Return the instruction to place in a cycle."""
+        frees, height = self._count_freed, self.height
         if len(self.live) >= registers:
             return max(self.ready, key=lambda node: (frees(node), height[node], -node.number))
         now = [node for node in self.ready if self.at[node] <= clock] or self.ready
         return max(now, key=lambda node: (height[node], frees(node), -node.number))
 
-    def place(self, node: Node, clock: int) -> None:
-        """Take an instruction for placed; `clock` cycles have passed."""
+    def place_instruction(self, node: Node, clock: int) -> None:
+        """Mark an instruction as placed, after `clock` cycles."""
         self.ready.remove(node)
         for arg in set(node.args):
             self.left[arg] -= 1
@@ -117,12 +117,12 @@ class _State(NamedTuple):
             self.live.add(node)
         for user in self.users[node]:
             self.waiting[user] -= 1
-            self.at[user] = max(self.at.get(user, 0), clock + _latency(node) - 1)
+            self.at[user] = max(self.at.get(user, 0), clock + _latency_cycles(node) - 1)
             if self.waiting[user] == 0:
                 self.ready.append(user)
 
-    def _frees(self, node: Node) -> int:
-        """How many registers more are free after an instruction."""
+    def _count_freed(self, node: Node) -> int:
+        """Return by how many registers more are free after an instruction."""
         ended = 0
         for arg in set(node.args):
             last = arg.level == LANES and self.left[arg] == 1
@@ -130,28 +130,30 @@ class _State(NamedTuple):
         return ended - (node.kind != "bool")
 
 
-def _start_schedule(order: list[Node], results: list[Node]) -> _State:
+def _start_schedule(order: list[Node], results: list[Node]) -> _ListSchedule:
     """Return a schedule in which nothing is placed."""
-    inside, users = set(order), _users(order)
+    inside, users = set(order), _find_users(order)
     waiting = {node: len(inside.intersection(node.args)) for node in order}
     left = Counter(set(results))
     height: dict[Node, int] = {}
     for node in order:
         left.update(set(node.args))
     for node in reversed(order):
-        height[node] = _latency(node) + max((height[user] for user in users[node]), default=0)
+        height[node] = _latency_cycles(node) + max(
+            (height[user] for user in users[node]), default=0
+        )
     ready = [node for node in order if waiting[node] == 0]
-    return _State(users, height, waiting, dict.fromkeys(ready, 0), left, set(), ready)
+    return _ListSchedule(users, height, waiting, dict.fromkeys(ready, 0), left, set(), ready)
 
 
-def _latency(node: Node) -> int:
-    """Return cycles until the result of an instruction is there."""
+def _latency_cycles(node: Node) -> int:
+    """Return the cycles until the result of an instruction is available."""
     is_xor = node.op == "ne" and node.args[0].kind == "bool"
     return 1 if is_xor else _LATENCY.get(node.text or node.op, _USUAL)
 
 
 class Branch(NamedTuple):
-    """Instructions that count only where a truth holds, or only where it does not.
+    """Instructions that count only if a truth holds, or only if it does not hold.
 
     Attributes:
         truth: which is asked of all lanes of a group.
@@ -177,15 +179,15 @@ def gather_branches(order: list[Node], results: list[Node], least: int) -> list[
         results: what is wanted of them.
         least: instructions that are worth a branch.
     """
-    users = _users(order)
-    kept = _guards_of_branch(order, set(results), users, least)
-    return _Gathering(order, set(results), users, kept).all() if kept else list(order)
+    users = _find_users(order)
+    kept = _assign_guards(order, set(results), users, least)
+    return _Gathering(order, set(results), users, kept).order_all() if kept else list(order)
 
 
-def _guards_of_branch(
+def _assign_guards(
     order: list[Node], results: set[Node], users: Users, least: int
 ) -> dict[Node, Guard]:
-    """Return the guard of each instruction of a branch."""
+    """Return the guard of each instruction that belongs to a branch."""
     nothing: frozenset[Guard] = frozenset()
     guards: dict[Node, frozenset[Guard]] = {}
     for node in reversed(order):
@@ -198,17 +200,17 @@ def _guards_of_branch(
     for node, each in guards.items():
         possible = each & worth
         if possible:
-            kept[node] = max(possible, key=lambda guard: (counts[guard], _rank(guard)))
+            kept[node] = max(possible, key=lambda guard: (counts[guard], _guard_rank(guard)))
     return kept
 
 
-def _rank(guard: Guard) -> tuple[int, bool]:
-    """What decides between equal guards."""
+def _guard_rank(guard: Guard) -> tuple[int, bool]:
+    """Return the sort key that decides between equal guards."""
     return guard[0].number, guard[1]
 
 
 def _guards_of_use(node: Node, user: Node, guards: frozenset[Guard]) -> frozenset[Guard]:
-    """On what a use of a value counts, given on what its user does."""
+    """Return the guards of a use of a value, given the guards of its user."""
     if user.op != "select" or user.args[0] is node or user.args[0].level < LANES:
         return guards
     places = [arg is node for arg in user.args[1:]]
@@ -216,7 +218,7 @@ def _guards_of_use(node: Node, user: Node, guards: frozenset[Guard]) -> frozense
 
 
 class _Gathering:
-    """Instructions on the way into their order, those of no branch first.
+    """State of the ordering of instructions, those outside branches first.
 
     Args:
         order, results, users, kept: as above.
@@ -235,36 +237,36 @@ class _Gathering:
             if node in kept:
                 self._sorter.add(node, kept[node][0])  # the truth comes before its branch
         self._sorter.prepare()
-        self._place()
+        self._release_dependents()
 
-    def all(self) -> list[Node | Branch]:
-        """Return all instructions."""
+    def order_all(self) -> list[Node | Branch]:
+        """Return all instructions in order."""
         found: list[Node | Branch] = []
         while self._free or any(self._held.values()):
             while self._free:
                 _, node = heapq.heappop(self._free)
                 found.append(node)
-                self._place(node)
+                self._release_dependents(node)
             if any(self._held.values()):
-                found.append(self._branch())
+                found.append(self._take_branch())
         return found
 
-    def _place(self, *nodes: Node) -> None:
-        """Take instructions for placed, so that others can be."""
+    def _release_dependents(self, *nodes: Node) -> None:
+        """Mark instructions as placed and queue the instructions that become ready."""
         self._sorter.done(*nodes)
         for node in self._sorter.get_ready():
             ready = self._held[self._kept[node]] if node in self._kept else self._free
             heapq.heappush(ready, (self._place_of[node], node))
 
-    def _branch(self) -> Branch:
-        """Return the branch of which most is ready, with all of it that becomes ready on the
-        way.
+    def _take_branch(self) -> Branch:
+        """Return the branch with most ready instructions, with all that become ready on
+        the way.
         """
-        guard = max(self._held, key=lambda guard: (len(self._held[guard]), _rank(guard)))
+        guard = max(self._held, key=lambda guard: (len(self._held[guard]), _guard_rank(guard)))
         nodes = []
         while self._held[guard]:
             nodes.append(heapq.heappop(self._held[guard])[1])
-            self._place(nodes[-1])
+            self._release_dependents(nodes[-1])
         inside = set(nodes)
         leaving = [node for node in nodes if self._is_used_outside(node, inside)]
         return Branch(*guard, nodes, leaving)

@@ -98,7 +98,9 @@ class Batch(NamedTuple):
         """
         nothing_yet = np.zeros((len(own.states), tree.size(self.measured.tally)))
         start, noise = np.hstack([own.states, nothing_yet]), self.own.supply(runs)
-        return lanes.run(kernel, start, self.exogenous, self.params, noise, own.params, **options)
+        return lanes.run_lanes(
+            kernel, start, self.exogenous, self.params, noise, own.params, **options
+        )
 
 
 def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
@@ -124,7 +126,7 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     largest = np.abs(problem.reference.value(t)).max()
     params = np.append(binding.params, vary.tolerance * largest)
     own = draw_values(problem, loop, binding)
-    kernel = lanes.build(
+    kernel = lanes.build_kernel(
         measured.step,
         measured.rare,
         exogenous=own.entries,

@@ -357,8 +357,8 @@ def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Inte
         knots = np.empty((count + 1, m, runs.size))
         knots[:known] = last
         fresh = knots[known:]
-        normal.fill(fresh, first + known, seed, words, runs)
-        normal.colour(fresh, state, first + known, *disturbance.colour)
+        normal.fill_normal(fresh, first + known, seed, words, runs)
+        normal.colour_noise(fresh, state, first + known, *disturbance.colour)
         last[:] = knots[-1]
         knots = knots * disturbance.rms[:, None]
         along = [knots[:-1] * a + knots[1:] * b for a, b in disturbance.weights]
@@ -376,7 +376,7 @@ def _source_of_words(own: RunNoise, runs: Integers) -> Source:
 
     def source(first: int, count: int) -> Floats:
         numbers = np.empty((count, channels, runs.size))
-        normal.fill(numbers, first, own.seed, own.words, runs)
+        normal.fill_normal(numbers, first, own.seed, own.words, runs)
         if edges and count:
             moves = numbers[:, wear] * own.strides[:, None]
             moves[0] += walk

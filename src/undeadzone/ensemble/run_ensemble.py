@@ -255,13 +255,13 @@ def _record_outputs(
     params = batch.binding.params.copy()
     step = batch.loop.step
     s, w, p = (ca.SX.sym(name, step.size1_in(i)) for i, name in enumerate("swp"))
-    show = interpret.stateless([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
+    show = interpret.build_stateless_step([ca.vertcat(s, w), p], step(s, w, p)[1][outputs])
     shown = np.empty((len(runs), len(instants), len(outputs)))
     for lane, trail in enumerate(trails):
         states, _, drawn = np.split(trail, [s.numel(), finals.shape[1]], axis=1)
         instants[:, batch.own.entries] = drawn
         params[list(batch.binding.indices)] = own.params[lane]
-        shown[lane] = interpret.evaluate_rows(show, np.hstack([states, instants]), params)
+        shown[lane] = interpret.map_rows(show, np.hstack([states, instants]), params)
     return shown
 
 

@@ -1,1 +1,1 @@
-"""Numerical methods that know nothing of control."""
+"""Numerical methods without knowledge of control."""

@@ -1,4 +1,6 @@
-"""From the moments of a filter to those given the whole record, by adjoint variables."""
+"""Smoothing: from a filter's moments to the moments given the whole record, by adjoint
+variables.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ TINY = 1e-12  # relative eigenvalues below which a covariance tells nothing of a
 EXACT = 1e-8  # standard deviations within which a reading moved a belief along its rows alone
 
 
-class Later(NamedTuple):
-    """What later samples say of a belief of mean m and covariance P of N variables.
+class LaterInformation(NamedTuple):
+    """Information of later samples about a state estimate of mean m and covariance P (N
+    variables).
 
     Given them, its mean is m + P push and its covariance P - P known P.
 
@@ -26,13 +29,16 @@ class Later(NamedTuple):
     known: Floats
 
     @classmethod
-    def nothing(cls, size: int) -> Later:
-        """There are no later samples."""
+    def no_information(cls, size: int) -> LaterInformation:
+        """Return the information if no later samples exist."""
         return cls(np.zeros(size), np.zeros((size, size)))
 
 
-def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
-    """Return the beliefs at B samples given later ones, and what all say of the first belief.
+def smooth_backward(
+    moments: Any, later: LaterInformation
+) -> tuple[Floats, Floats, LaterInformation]:
+    """Return the estimates at B samples given later samples, and the information about the
+    first estimate.
 
     Args:
         moments: `Moments` of a filter, with arrays of a row a sample.
@@ -62,11 +68,12 @@ def back(moments: Any, later: Later) -> tuple[Floats, Floats, Later]:
             closed = unit - gained[k] @ belief.cov[k]
             push = more[k] + closed @ push
             known = gained[k] + closed @ known @ closed.T
-    return mean, cov, Later(push, known)
+    return mean, cov, LaterInformation(push, known)
 
 
 def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, Floats]:
-    """Return (push, known) that make `after` from `before`, as of `Later`, at each of B samples.
+    """Return (push, known) that turn `before` into `after`, as of `LaterInformation`, for B
+    samples.
 
     Args:
         before, after: beliefs (means B x N, covariances B x N x N).
@@ -79,7 +86,7 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
     scale = np.sqrt(np.maximum(np.diagonal(seen, axis1=1, axis2=2), 0.0)) + 1e-300
     square = scale[:, :, None] * scale[:, None, :]
     fine = np.isfinite(seen).all(axis=(1, 2)) & np.isfinite(lost).all(axis=(1, 2))
-    inverse = _inverse(np.where(fine[:, None, None], seen / square, 0.0))
+    inverse = _pseudo_inverses(np.where(fine[:, None, None], seen / square, 0.0))
     weight = inverse @ (rows @ lost @ np.swapaxes(rows, 1, 2) / square) @ inverse / square
     shift = (inverse @ ((rows @ gained[:, :, None]) / scale[:, :, None])) / scale[:, :, None]
     push = (np.swapaxes(rows, 1, 2) @ shift)[:, :, 0]
@@ -90,12 +97,12 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
     rest = np.abs(gained - (along @ shift)[:, :, 0]) / std
     otherwise = fine & ((off.max(axis=(1, 2)) > EXACT) | (rest.max(axis=1) > EXACT))
     for k in np.flatnonzero(otherwise):
-        whole = _inverse(P[k] / pairs[k]) / pairs[k]
+        whole = _pseudo_inverses(P[k] / pairs[k]) / pairs[k]
         push[k] = whole @ gained[k]
         known[k] = whole @ lost[k] @ whole
     return push, known
 
 
-def _inverse(matrices: Floats) -> Floats:
-    """Return pseudo-inverses of symmetric matrices of unit diagonal."""
+def _pseudo_inverses(matrices: Floats) -> Floats:
+    """Return the pseudo-inverses of symmetric matrices of unit diagonal."""
     return np.asarray(np.linalg.pinv(matrices, rcond=TINY, hermitian=True))

@@ -1,4 +1,4 @@
-"""Solutions over a step with dense output, and steps that find where the sensor changes side.
+"""Solutions over a step with dense output, and steps that locate branch changes of the sensor.
 
 On one branch of the sensor a step is smooth; where the side changes inside it the branch is
 followed up to there, so that the order survives the kink.
@@ -20,7 +20,7 @@ CHANGES = 2  # of side that are located in a step
 
 
 class DenseStep(NamedTuple):
-    """A solution on one branch over a step, or over what is left of it.
+    """Solution on a branch over a step, or over the rest of a step.
 
     Attributes:
         end: the state at the end.
@@ -39,13 +39,13 @@ class DenseStep(NamedTuple):
     slope: Callable[[Any], ca.SX]
 
 
-def runge_kutta(
+def build_rk4_arcs(
     rate: Callable[[ca.SX, Any, Any], ca.SX],
     output: Callable[[ca.SX], ca.SX],
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Return arcs of x' = rate(x, c, mode) by RK4 with cubic dense output.
+    """Return a solver for arcs of x' = rate(x, c, mode) by RK4 with cubic dense output.
 
     Args:
         rate: the right-hand side at the fraction c of the step, on the branch `mode`.
@@ -65,6 +65,7 @@ def runge_kutta(
     cubic, tangent = (ca.Function("z", given, [f(*given)]) for f in (hermite, hermite_slope))
 
     def arc(x: ca.SX, start: Any, mode: Any) -> DenseStep:
+        """Return the solution from x at the fraction `start` of the step to its end."""
         rest = 1.0 - start
         k1 = rate(x, start, mode)
         end = rk4(lambda state, c: rate(state, start + c * rest, mode), x, h * rest, k1)
@@ -82,14 +83,15 @@ def runge_kutta(
     return arc
 
 
-def taylor(
+def build_taylor_arcs(
     rate: Callable[[ca.SX, ca.SX, Any], ca.SX],
     output: Callable[[ca.SX], ca.SX],
     inputs: list[ca.SX],
     states: int,
     h: ca.SX,
 ) -> Callable[[ca.SX, Any, Any], DenseStep]:
-    """Return arcs of x' = rate(x, w, mode) by Taylor series of as many terms as there are `inputs`.
+    """Return a solver for arcs of x' = rate(x, w, mode) by Taylor series with a term for each
+    input.
 
     Exact but for the terms left out.
 
@@ -108,6 +110,7 @@ def taylor(
     seen = ca.Function("seen", [x, dx], [ca.jtimes(output(x), x, dx)], {"allow_free": True})
 
     def arc(start: ca.SX, begin: Any, mode: Any) -> DenseStep:
+        """Return the solution from a state at the fraction `begin` of the step to its end."""
         rest = 1.0 - begin
         along = ca.jtimes(rate(x, w, mode), ca.vertcat(x, w), ca.vertcat(dx, dw))
         follow = ca.Function("follow", [x, w, dx, dw], [along], {"allow_free": True})
@@ -117,25 +120,29 @@ def taylor(
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
         z = [output(start), *(seen(start, term) for term in terms[1:])]
         # State and z are the polynomials of c with these coefficients.
-        end, onward = _polynomial(terms, 1.0), output(start + terms[1] / 2)
+        end, onward = _evaluate_polynomial(terms, 1.0), output(start + terms[1] / 2)
         slopes = [k * term for k, term in enumerate(z)][1:]
-        at, along, slope = (partial(_polynomial, each) for each in (terms, z, slopes))
+        at, along, slope = (partial(_evaluate_polynomial, each) for each in (terms, z, slopes))
         return DenseStep(end, output(end), onward, at, along, slope)
 
     return arc
 
 
 def _shift_inputs(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
-    """Return the coefficients of the inputs over the rest of a step after the fraction `begin`."""
+    """Return the coefficients of the inputs over the rest of a step after the fraction
+    `begin`.
+    """
     moved = []
     for k in range(len(inputs)):
         derivative = [math.comb(j, k) * inputs[j] for j in range(k, len(inputs))]
-        moved.append(rest**k * _polynomial(derivative, begin))
+        moved.append(rest**k * _evaluate_polynomial(derivative, begin))
     return moved
 
 
-def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
-    """Return terms[0] + terms[1] c + ... by Horner's rule; at 1, the smallest first."""
+def _evaluate_polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
+    """Evaluate terms[0] + terms[1] c + ... by Horner's rule; at c = 1, the smallest term
+    first.
+    """
     at_end = isinstance(c, float) and c == 1.0
     total = terms[-1]
     for term in terms[-2::-1]:
@@ -144,7 +151,9 @@ def _polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
 
 
 class Mode(Protocol):
-    """A branch of the loop, with the side that is read on it (per output), as `Levels` count."""
+    """Branch of the loop, with the side that is read on the branch (per output), as `Levels`
+    count.
+    """
 
     @property
     def side(self) -> Any:
@@ -156,7 +165,8 @@ Branch = TypeVar("Branch", bound=Mode)
 
 
 class Levels(NamedTuple):
-    """Levels of z between the sides (p each): side k is read above k of `above` and below none.
+    """Levels of z between the sides (p each): side k is read above k of `above` and below
+    none.
 
     Side -k is read below k of `below`. From the lowest of `below` to the highest of `above` they
     never fall.
@@ -171,7 +181,7 @@ class Levels(NamedTuple):
 
 
 class Crossing(NamedTuple):
-    """What changed, per output.
+    """Change of side, per output.
 
     Attributes:
         changed: whether anything did.
@@ -187,7 +197,7 @@ class Crossing(NamedTuple):
 
 
 class StepAttempt(NamedTuple):
-    """A step with so many changes of side located.
+    """Step with a given number of side changes located.
 
     Attributes:
         end: the state at its end.
@@ -198,8 +208,8 @@ class StepAttempt(NamedTuple):
     more: ca.SX
 
 
-class _Followed(NamedTuple):
-    """A step along its changes of side: its end, and its last branch, arc and change."""
+class _StepPath(NamedTuple):
+    """Step along its changes of side: its end, and its last branch, arc and change."""
 
     end: ca.SX
     mode: Any
@@ -207,8 +217,8 @@ class _Followed(NamedTuple):
     changed: ca.SX
 
 
-class _Course(NamedTuple):
-    """The outputs z (p) along an arc.
+class _OutputPath(NamedTuple):
+    """Outputs z (p) along an arc.
 
     Attributes:
         start, final: z at the beginning and at the end.
@@ -226,15 +236,15 @@ class _Course(NamedTuple):
     peak: ca.SX
 
 
-def step_with_events(
+def locate_side_changes(
     arc: Callable[[ca.SX, Any, Any], DenseStep],
     levels: Levels,
     first: Branch,
     second: Callable[[Branch, Crossing], Branch],
     x: ca.SX,
 ) -> list[StepAttempt]:
-    """Return a step from x: with no change of side, with one simple one located, with `CHANGES` of
-    them.
+    """Return steps from x with no side change, with a simple change located, and with
+    `CHANGES` changes.
 
     The last attempt also minds where z turns. The first attempt that needs no more is right, or the
     last. An excursion that ends before the step does is two changes. Branch-free, and the first
@@ -252,12 +262,12 @@ def step_with_events(
     """
     whole = arc(x, 0.0, first)
 
-    def follow(changes: int, turning: bool) -> _Followed:
-        """Return the step with so many changes located one after another."""
+    def follow(changes: int, turning: bool) -> _StepPath:
+        """Follow the step with the given number of changes located in sequence."""
         mode, now, end = first, whole, whole.end
         begin, changed = ca.SX(0.0), ca.SX(0.0)
         for _ in range(changes):
-            crossing, c = _earliest(now, levels, mode.side, turning)
+            crossing, c = _find_first_crossing(now, levels, mode.side, turning)
             split = ca.mmin(c)
             at_split = ca.logic_and(crossing.changed, c <= split)
             mode = second(mode, crossing._replace(changed=at_split))
@@ -265,29 +275,32 @@ def step_with_events(
             now = arc(now.at(split), begin, mode)
             changed = ca.sum1(crossing.changed) > 0
             end = ca.if_else(changed, now.end, end)
-        return _Followed(end, mode, now, changed)
+        return _StepPath(end, mode, now, changed)
 
-    unchanged = StepAttempt(whole.end, _may_change(whole, levels, first.side))
+    unchanged = StepAttempt(whole.end, _can_change_side(whole, levels, first.side))
     simple = follow(changes=1, turning=False)
     turns = ca.sum1(whole.slope(0.0) * whole.slope(1.0) < 0) > 0
-    again = ca.logic_or(turns, _may_change(simple.arc, levels, simple.mode.side))
+    again = ca.logic_or(turns, _can_change_side(simple.arc, levels, simple.mode.side))
     more = ca.logic_or(ca.logic_not(simple.changed), again)
     full = follow(changes=CHANGES, turning=True)
     return [unchanged, StepAttempt(simple.end, more), StepAttempt(full.end, ca.SX(0.0))]
 
 
-def _may_change(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
+def _can_change_side(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
     """Return whether the side may change on an arc.
 
     It may if it is another at the end, or would be if z went on for half of the arc as it sets
     out.
     """
-    final, onward = _beyond(arc.final, levels, side), _beyond(arc.onward, levels, side)
+    final, onward = (
+        _is_on_other_side(arc.final, levels, side),
+        _is_on_other_side(arc.onward, levels, side),
+    )
     return ca.sum1(ca.logic_or(final, onward)) > 0
 
 
-def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
-    """Return whether z lies where another side is read."""
+def _is_on_other_side(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
+    """Return whether z lies in the range of a different side (p)."""
     other = ca.SX(0.0)
     for k, (above, below) in enumerate(zip(*levels, strict=True)):
         other = ca.logic_or(other, (z > above) != (side > k))
@@ -295,39 +308,40 @@ def _beyond(z: ca.SX, levels: Levels, side: ca.SX) -> ca.SX:
     return other
 
 
-def _earliest(arc: DenseStep, levels: Levels, side: ca.SX, turning: bool) -> tuple[Crossing, ca.SX]:
-    """Return the first change of each output on an arc, and the fraction of the arc at which it is.
+def _find_first_crossing(
+    arc: DenseStep, levels: Levels, side: ca.SX, turning: bool
+) -> tuple[Crossing, ca.SX]:
+    """Return the first change of each output on an arc, and the fraction of the arc at the
+    change.
 
     The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
     move one way.
     """
-    course = _course(arc, turning)
-    ends = _beyond(course.final, levels, side)
-    returns = ca.logic_and(ca.logic_not(ends), _beyond(course.peak, levels, side))
+    course = _build_output_path(arc, turning)
+    ends = _is_on_other_side(course.final, levels, side)
+    returns = ca.logic_and(ca.logic_not(ends), _is_on_other_side(course.peak, levels, side))
     excursion = ca.logic_and(course.turns, returns)
     farthest = ca.if_else(excursion, course.peak, course.final)
-    crossing = _crossing(farthest, levels, side)
-    c = _meeting(arc, course, crossing)
+    crossing = _find_crossing(farthest, levels, side)
+    c = _solve_crossing(arc, course, crossing)
     return crossing, ca.if_else(crossing.changed, c, 1.0)
 
 
-def _course(arc: DenseStep, turning: bool) -> _Course:
-    """Return z along an arc; without `turning` it is taken to move one way."""
+def _build_output_path(arc: DenseStep, turning: bool) -> _OutputPath:
+    """Return the outputs z along an arc; without `turning`, z is assumed to be monotone."""
     start, final = arc.output(0.0), arc.final
     s0, s1 = arc.slope(0.0), arc.slope(1.0)
     turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)
-    turn = ca.if_else(turns, _secant(arc.slope, s0, s1), 1.0)
-    return _Course(start, final, s0, turns, turn, arc.output(turn))
+    turn = ca.if_else(turns, _find_slope_zero(arc.slope, s0, s1), 1.0)
+    return _OutputPath(start, final, s0, turns, turn, arc.output(turn))
 
 
-def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
-    """Return the change of side of an output that comes from `side` and reaches z: to the next
-    one.
-    """
+def _find_crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
+    """Return the change of an output from `side` to the next side on the way to z."""
     outermost = len(levels.above)
     up, down = (
-        first_crossed_level(levels, side, ca.SX(1.0)),
-        first_crossed_level(levels, side, ca.SX(0.0)),
+        next_level(levels, side, ca.SX(1.0)),
+        next_level(levels, side, ca.SX(0.0)),
     )
     rises = ca.logic_and(side < outermost, z > up)
     falls = ca.logic_and(side > -outermost, z < down)
@@ -338,8 +352,8 @@ def _crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
     return Crossing(changed, side + way + skipped * way, ca.if_else(rises, up, down), rises)
 
 
-def first_crossed_level(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
-    """Return the level that z meets first when it leaves a side (p).
+def next_level(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
+    """Return the level that z meets first when leaving a side (p).
 
     Args:
         levels: between the sides.
@@ -354,8 +368,10 @@ def first_crossed_level(levels: Levels, side: ca.SX, rising: ca.SX) -> ca.SX:
     return level
 
 
-def _meeting(arc: DenseStep, course: _Course, crossing: Crossing) -> ca.SX:
-    """Return the fraction of an arc at which z meets the level, by Newton's method from a guess."""
+def _solve_crossing(arc: DenseStep, course: _OutputPath, crossing: Crossing) -> ca.SX:
+    """Return the fraction of an arc at which z reaches the level, by Newton's method from a
+    guess.
+    """
     z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
     # z moves through the level as it does at first: ahead of the turn.
     before = (course.slope > 0) == crossing.rising
@@ -367,24 +383,24 @@ def _meeting(arc: DenseStep, course: _Course, crossing: Crossing) -> ca.SX:
     part = ca.sqrt(ca.fmax((course.peak - level) / (course.peak - end), 0.0))
     parabola = ca.if_else(before, turn * (1.0 - part), turn + (1.0 - turn) * part)
     line = (level - z0) / (z1 - z0)
-    c = _clamp(ca.if_else(turns, parabola, line), low, high)
+    c = _clamp_between(ca.if_else(turns, parabola, line), low, high)
     for _ in range(NEWTON):
-        c = _clamp(c - (arc.output(c) - level) / arc.slope(c), low, high)
+        c = _clamp_between(c - (arc.output(c) - level) / arc.slope(c), low, high)
     return c
 
 
-def _secant(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
-    """Where a slope that changes its sign between 0 and 1 vanishes."""
+def _find_slope_zero(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
+    """Return the zero between 0 and 1 of a slope that changes its sign, by the secant method."""
     before, after = ca.SX.zeros(s0.shape), s0
     c = s0 / (s0 - s1)
     for _ in range(NEWTON):
         now = slope(c)
         moved = c - now * (c - before) / (now - after)
         settled = now == after
-        before, after, c = c, now, ca.if_else(settled, c, _clamp(moved, 0.0, 1.0))
+        before, after, c = c, now, ca.if_else(settled, c, _clamp_between(moved, 0.0, 1.0))
     return c
 
 
-def _clamp(c: ca.SX, low: Any, high: Any) -> ca.SX:
-    """Return c brought between low and high."""
+def _clamp_between(c: ca.SX, low: Any, high: Any) -> ca.SX:
+    """Return c limited to the range from low to high."""
     return ca.fmin(ca.fmax(c, low), high)

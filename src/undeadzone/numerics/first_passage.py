@@ -1,4 +1,4 @@
-"""When an uncertain position reaches an edge for the first time, and what is known where it does.
+"""First passage of an uncertain position over an edge, and the state estimate at the passage.
 
 A position that is watched sample by sample stays short of an edge for as long as nothing is heard.
 To cut the belief at the edge in every sample is wrong: each cut takes a tail from what is cut
@@ -17,13 +17,13 @@ from typing import Any
 
 import casadi as ca
 
-from undeadzone.numerics.gaussian import Gaussian, below, update_unless_glitch
+from undeadzone.numerics.gaussian import Gaussian, normal_cdf, update_with_outliers
 
 LEAST = 1e-6  # chance of not being beyond some edge, below which all has arrived
 
 
-def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
-    """Return the chance that excess + h (x - x^) + v > 0.
+def chance_beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
+    """Return the probability that excess + h (x - x^) + v > 0.
 
     Args:
         belief: of x (N).
@@ -32,11 +32,11 @@ def beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
         R: variance of v, of where the edge is.
     """
     std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + R)
-    return below(excess / std)
+    return normal_cdf(excess / std)
 
 
-def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
-    """Return the shares of what has reached no edge that reach each of them in a sample; together
+def arrival_shares(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
+    """Return the shares of the not yet arrived that reach each edge in a sample; their sum is
     <= 1.
 
     Args:
@@ -54,8 +54,9 @@ def arriving(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list
     return shares
 
 
-def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any = None) -> Gaussian:
-    """Return the belief of what has just arrived: excess + h (x - x^) + v = 0.
+def condition_on_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any = None) -> Gaussian:
+    """Return the state estimate of a position that has just arrived: excess + h (x - x^) + v =
+    0.
 
     Args:
         belief: of x (N), uncut.
@@ -64,4 +65,4 @@ def at_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any = None) ->
         R: variance of v.
         moved: as `update_unless_glitch` takes it.
     """
-    return update_unless_glitch(belief, h, -excess, R, 1.0, None, 0.0, moved).belief
+    return update_with_outliers(belief, h, -excess, R, 1.0, None, 0.0, moved).belief

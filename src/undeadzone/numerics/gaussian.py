@@ -1,4 +1,5 @@
-"""Gaussian beliefs on CasADi expressions: predict, correct by a reading, truncate at a bound.
+"""Gaussian state estimates on CasADi expressions: prediction, measurement update, truncation at a
+bound.
 
 Readings that may be wrong, and silences that may be fake, are used by matching mean and covariance.
 docs/filters.md derives the formulas.
@@ -20,7 +21,7 @@ TAIL = 10.0  # standard deviations over which a glitch is spread, besides its re
 
 
 class Gaussian(NamedTuple):
-    """A normal distribution of N variables.
+    """Normal distribution of N variables.
 
     Attributes:
         mean: (N).
@@ -31,14 +32,14 @@ class Gaussian(NamedTuple):
     cov: Any
 
 
-def triangle(cov: Any, entries: ca.Sparsity) -> Any:
+def to_upper_entries(cov: Any, entries: ca.Sparsity) -> Any:
     """Return the given entries of a symmetric matrix, of its upper triangle, column by column."""
     return ca.project(cov, entries).nz[:]
 
 
-def symmetric(column: Any, entries: ca.Sparsity) -> Any:
-    """Return the symmetric matrix whose `triangle` is given; outside these entries it is known to
-    be 0.
+def from_upper_entries(column: Any, entries: ca.Sparsity) -> Any:
+    """Return the symmetric matrix with the given `to_upper_entries`; outside these entries it
+    is 0.
     """
     return ca.triu2symm(ca.SX(entries, column))
 
@@ -54,7 +55,8 @@ def linearise(f: Callable[[Any], Any], at: Any) -> tuple[Any, Any]:
 
 
 class Products(NamedTuple):
-    """A function G Z (l r) of x whose l and r (C) are linear in x, and multiplied one by one.
+    """Function G Z (l r) of x whose l and r (C) are linear in x, and multiplied entry by
+    entry.
 
     Attributes:
         G: its first rows; the others are 0 (at most N x M).
@@ -75,8 +77,9 @@ def predict(
     lasting: Any = 1.0,
     bend: Callable[[Any], Products] | None = None,
 ) -> Gaussian:
-    """Return the belief after x+ = x + f(x) + w, to second order; exact for degree 2 and lasting =
-    1.
+    """Predict the state estimate for x+ = x + f(x) + w to second order.
+
+    The result is exact for degree 2 and lasting = 1.
 
     Args:
         belief: of x (N).
@@ -90,16 +93,18 @@ def predict(
     moved, E = linearise(change, belief.mean)
     X = ca.SX.sym("X", belief.mean.shape[0])
     if bend is None:
-        G, (shift, excess) = ca.SX.eye(X.shape[0]), bent(belief, change(X), X)
+        G, (shift, excess) = ca.SX.eye(X.shape[0]), second_order_terms(belief, change(X), X)
     else:
-        G, (shift, excess) = bend(X).G, covariance_of_product(belief.cov, bend(X), X)
+        G, (shift, excess) = bend(X).G, product_terms(belief.cov, bend(X), X)
         G = ca.vertcat(G, ca.SX(X.shape[0] - G.shape[0], G.shape[1]))
     mean = belief.mean + (moved + G @ shift)
-    return Gaussian(mean, spread(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
+    return Gaussian(mean, propagate_covariance(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
 
 
-def bent(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
-    """What the second derivatives of b(X) add to its mean and covariance at first order."""
+def second_order_terms(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
+    """Return the effect of the second derivatives of b(X) on its mean and first-order
+    covariance.
+    """
     rows = [row for row, bends in enumerate(ca.which_depends(b, X, 2, True)) if bends]
     hessians = ca.substitute([ca.hessian(b[row], X)[0] for row in rows], [X], [belief.mean])
     products = [H @ belief.cov for H in hessians]
@@ -111,16 +116,20 @@ def bent(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
     return shift, excess
 
 
-def covariance_of_product(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
-    """Return the same of Z (l r), which has no others, if P is the covariance of X."""
+def product_terms(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
+    """Return the second-order terms of Z (l r), which has no further derivatives, given the
+    covariance P of X.
+    """
     left, right = ca.jacobian(of.left, X), ca.jacobian(of.right, X)
     across = left @ P @ right.T
-    each = from_upper((left @ P @ left.T) * (right @ P @ right.T) + across * across.T)
+    each = mirror_upper((left @ P @ left.T) * (right @ P @ right.T) + across * across.T)
     return of.Z @ ca.diag(across), of.Z @ each @ of.Z.T
 
 
-def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = None) -> Gaussian:
-    """Return the belief after x+ = x + f(x) + w, to first order.
+def predict_first_order(
+    belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = None
+) -> Gaussian:
+    """Predict the state estimate for x+ = x + f(x) + w to first order.
 
     Args:
         belief: of x (N).
@@ -129,21 +138,21 @@ def advance(belief: Gaussian, change: Callable[[Any], Any], Q: Any, E: Any = Non
         E: the Jacobian of f to take (N x N); default: that at the mean.
     """
     moved, slope = linearise(change, belief.mean) if E is None else (change(belief.mean), E)
-    return Gaussian(belief.mean + moved, spread(belief.cov, slope, Q))
+    return Gaussian(belief.mean + moved, propagate_covariance(belief.cov, slope, Q))
 
 
-def spread(P: Any, E: Any, Q: Any) -> Any:
-    """Return (I + E) P (I + E)' + Q as P and its increment.
+def propagate_covariance(P: Any, E: Any, Q: Any) -> Any:
+    """Return (I + E) P (I + E)' + Q, computed as P and its increment (N x N).
 
     At fast sampling E is small: to add I first would round it, in single precision until the
     covariance is not positive any more.
     """
     gained = E @ P
-    return from_upper(P + (gained + gained.T + gained @ E.T + Q))
+    return mirror_upper(P + (gained + gained.T + gained @ E.T + Q))
 
 
-def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
-    """Return the belief after one reading h x + v, by Joseph's form.
+def joseph_update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian, Any]:
+    """Return the state estimate after a scalar measurement h x + v, by Joseph's form.
 
     In that form rounding cannot make the covariance indefinite.
 
@@ -163,7 +172,7 @@ def update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[Gaussian
     K = use * along / S
     half = P - K @ along.T
     cov = half - (half @ h.T - R * K) @ K.T
-    return Gaussian(mean + K * e, from_upper(cov)), S
+    return Gaussian(mean + K * e, mirror_upper(cov)), S
 
 
 def mix_gaussians(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussian:
@@ -178,11 +187,11 @@ def mix_gaussians(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussia
     for share, one in zip(shares, beliefs, strict=True):
         off = one.mean - mean
         cov += share * one.cov + (share * off) @ off.T
-    return Gaussian(mean, from_upper(cov))
+    return Gaussian(mean, mirror_upper(cov))
 
 
-def truncate_scalar(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
-    """What is known given low <= x <= high, by matching mean and variance.
+def truncate_to_range(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
+    """Return the effect of the condition low <= x <= high, by matching mean and variance.
 
     Nothing changes where the probability of that is below `UNLIKELY`: it is not believed.
 
@@ -200,41 +209,43 @@ def truncate_scalar(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any,
     return shift, shift**2 + (b * at_b - a * at_a) * (2 * scale * share), twice / 2
 
 
-def chance(alpha: Any) -> tuple[Any, Any]:
-    """Return phi(alpha) of the standard normal distribution, and its hazard phi(alpha) /
+def normal_cdf_and_hazard(alpha: Any) -> tuple[Any, Any]:
+    """Return Phi(alpha) of the standard normal distribution and its hazard phi(alpha) /
     Phi(alpha).
 
     Below -5 by the asymptotic series of the hazard, 1e-4 accurate there.
     """
-    here, inside = density(alpha), _inside(alpha)
+    here, inside = normal_density(alpha), _normal_cdf_limited(alpha)
     far = ca.fmax(-alpha, DEEP)
     series = far + (1 - (2 - 10 / far**2) / far**2) / far
     ratio = ca.if_else(alpha > -DEEP, here / inside, series)
     return ca.if_else(alpha > -DEEP, inside, here / series), ratio
 
 
-def _inside(alpha: Any) -> Any:
-    """Return phi(alpha) of the standard normal distribution; below -5 as there."""
-    return below(ca.fmax(alpha, -DEEP))
+def _normal_cdf_limited(alpha: Any) -> Any:
+    """Return Phi(alpha) of the standard normal distribution, constant below -5."""
+    return normal_cdf(ca.fmax(alpha, -DEEP))
 
 
-def below(x: Any) -> Any:
-    """Return phi(x) of the standard normal distribution, to rounding of 1: 0 far below."""
+def normal_cdf(x: Any) -> Any:
+    """Return Phi(x) of the standard normal distribution, accurate to the rounding of 1: 0 far
+    below.
+    """
     return (1 + ca.erf(x / math.sqrt(2))) / 2
 
 
-def density(x: Any) -> Any:
+def normal_density(x: Any) -> Any:
     """Return phi(x) of the standard normal distribution."""
     return ca.exp(-0.5 * x**2) * (1 / math.sqrt(2 * math.pi))
 
 
-def from_upper(cov: Any) -> Any:
-    """Return the symmetric matrix with this upper triangle."""
+def mirror_upper(cov: Any) -> Any:
+    """Return the symmetric matrix with the upper triangle of a matrix."""
     return ca.triu2symm(ca.triu(cov))
 
 
-class Weighed(NamedTuple):
-    """What is known after a reading, or a silence, that may be wrong.
+class RobustUpdate(NamedTuple):
+    """Result of a measurement update, or of a censored sample, that may be an outlier.
 
     Attributes:
         belief: mean and covariance of the mixture of both cases.
@@ -251,7 +262,7 @@ class Weighed(NamedTuple):
     likely: Any
 
 
-def update_unless_glitch(
+def update_with_outliers(
     belief: Gaussian,
     h: Any,
     e: Any,
@@ -261,9 +272,10 @@ def update_unless_glitch(
     reach: Any,
     moved: Any = None,
     surprise: Any = 0.0,
-) -> Weighed:
-    """Return the belief after one reading h x + v that may be a glitch, by matching mean and
-    covariance.
+) -> RobustUpdate:
+    """Update a state estimate by a scalar measurement h x + v that may be an outlier.
+
+    Mean and covariance of the mixture of both cases are matched.
 
     A glitch says nothing of x and is evenly spread.
 
@@ -281,10 +293,10 @@ def update_unless_glitch(
     """
     P = belief.cov
     S = ca.fmax(h @ P @ h.T, 0.0) + R
-    return settle(belief, P @ h.T / S, e, S, R, use, odds, reach, moved, surprise)
+    return update_with_gain(belief, P @ h.T / S, e, S, R, use, odds, reach, moved, surprise)
 
 
-def settle(
+def update_with_gain(
     belief: Gaussian,
     K: Any,
     e: Any,
@@ -295,8 +307,8 @@ def settle(
     reach: Any,
     moved: Any = None,
     surprise: Any = 0.0,
-) -> Weighed:
-    """Return the belief after a reading of which the gain is known, or after a glitch.
+) -> RobustUpdate:
+    """Update a state estimate by a measurement of known gain that may be an outlier.
 
     The covariance loses one product k k', which rounds each entry once and leaves it as it is where
     nothing is used; no variance falls below that of v seen through the gain, which it cannot in
@@ -312,22 +324,24 @@ def settle(
     """
     std = ca.sqrt(S)
     if odds is None:
-        return Weighed(_shift_belief(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0)
+        return RobustUpdate(
+            _shift_estimate(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0
+        )
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = ca.exp(odds) / (reach + TAIL * std)
     right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)
     trust = right / (right + wrong)
     weight = trust * use
-    after = _shift_belief(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
+    after = _shift_estimate(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
     likely = ca.if_else(use, right + wrong, 1.0)
-    return Weighed(after, near, std, ca.if_else(use, trust, 1.0), likely)
+    return RobustUpdate(after, near, std, ca.if_else(use, trust, 1.0), likely)
 
 
-def _shift_belief(
+def _shift_estimate(
     belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, moved: Any = None
 ) -> Gaussian:
-    """Return the belief moved by a share of K e.
+    """Return the state estimate shifted by a share of K e.
 
     Args:
         belief: of x (N).
@@ -341,14 +355,14 @@ def _shift_belief(
     """
     mean, P = belief
     shift = K if moved is None else moved * K
-    cov = P - lost_given(K, shift, weight * S, weight * between)
+    cov = P - covariance_loss(K, shift, weight * S, weight * between)
     least = weight * R * shift**2
     cov += ca.diag(ca.fmax(least - ca.project(ca.diag(cov), least.sparsity()), 0.0))
-    return Gaussian(mean + weight * e * shift, from_upper(cov))
+    return Gaussian(mean + weight * e * shift, mirror_upper(cov))
 
 
-def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
-    """What a covariance loses: g certain g' - (g - s) certain (g - s)' - s between s'.
+def covariance_loss(along: Any, shift: Any, certain: Any, between: Any) -> Any:
+    """Return the loss of a covariance: g certain g' - (g - s) certain (g - s)' - s between s'.
 
     Its upper triangle; of variables that are moved fully, those of s = g, it is one product of g
     with another vector, which only the shares of the others make longer.
@@ -370,9 +384,9 @@ def lost_given(along: Any, shift: Any, certain: Any, between: Any) -> Any:
     return lost
 
 
-def together(readings: Sequence[Weighed]) -> Weighed:
-    """What is known after readings that were taken one after the other, as columns."""
-    return Weighed(
+def stack_updates(readings: Sequence[RobustUpdate]) -> RobustUpdate:
+    """Return the result of consecutive measurement updates, with scalars stacked as columns."""
+    return RobustUpdate(
         belief=readings[-1].belief,
         e=ca.vertcat(*(one.e for one in readings)),
         std=ca.vertcat(*(one.std for one in readings)),
@@ -382,7 +396,7 @@ def together(readings: Sequence[Weighed]) -> Weighed:
 
 
 class Bound(NamedTuple):
-    """That excess + h (x - x^) + v <= 0, where it is used.
+    """Condition excess + h (x - x^) + v <= 0, if it is used.
 
     Attributes:
         h: row of the bound (1 x N).
@@ -395,8 +409,8 @@ class Bound(NamedTuple):
     use: Any
 
 
-class Cut(NamedTuple):
-    """What is known after one or two bounds of one reading, which may be fake.
+class TruncationUpdate(NamedTuple):
+    """Result of a truncation at the bounds of a reading that may be fake.
 
     Attributes:
         belief: mean and covariance of the mixture of both cases.
@@ -411,16 +425,16 @@ class Cut(NamedTuple):
     likely: Any
 
 
-def truncate_belief(
+def truncate_at_bounds(
     belief: Gaussian,
     bounds: Sequence[Bound],
     R: Any,
     limit: float,
     fake: Any = None,
     moved: Any = None,
-) -> Cut:
-    """Return the belief given one bound, or both ends of an interval, by matching mean and
-    covariance.
+) -> TruncationUpdate:
+    """Return the state estimate given a bound, or both ends of an interval, by moment
+    matching.
 
     Args:
         belief: of x (N), with the mean x^.
@@ -435,7 +449,7 @@ def truncate_belief(
     H = ca.vertcat(*(bound.h for bound in bounds))
     K = P @ H.T
     G = H @ K
-    told = (_one if len(bounds) == 1 else _two)(bounds, G, R, limit)
+    told = (_one_bound_moments if len(bounds) == 1 else _interval_moments)(bounds, G, R, limit)
     trust, likely, between = ca.SX(1.0), 1.0, 0.0
     if fake is not None:
         wrong = ca.exp(fake)
@@ -445,13 +459,13 @@ def truncate_belief(
         between = trust * (1 - trust) * (told.shift @ told.shift.T)
     moving = K if moved is None else moved * K
     certain = trust * told.lost
-    lost = lost_given(K, moving, certain, between)
-    after = Gaussian(mean + moving @ (trust * told.shift), from_upper(P - lost))
-    return Cut(after, told.used, trust, likely)
+    lost = covariance_loss(K, moving, certain, between)
+    after = Gaussian(mean + moving @ (trust * told.shift), mirror_upper(P - lost))
+    return TruncationUpdate(after, told.used, trust, likely)
 
 
-class _Told(NamedTuple):
-    """What bounds say of the k variables h x, of covariance G.
+class _BoundMoments(NamedTuple):
+    """Moments of the k variables h x, of covariance G, given their bounds.
 
     Attributes:
         shift: x^ moves by P H' shift (k).
@@ -466,18 +480,20 @@ class _Told(NamedTuple):
     chance: Any
 
 
-def _one(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
-    """What one bound says."""
+def _one_bound_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _BoundMoments:
+    """Return the moments given a single bound."""
     (bound,) = bounds
     std = ca.sqrt(ca.fmax(G, 0.0) + R)
     alpha = ca.fmax(-bound.excess / std, -CLIP)
     used = ca.logic_and(bound.use, alpha < limit)
-    likely, ratio = chance(alpha)
-    return _Told(*_moments(ca.if_else(used, ratio, 0.0), alpha, std), (used,), likely)
+    likely, ratio = normal_cdf_and_hazard(alpha)
+    return _BoundMoments(
+        *_shift_and_loss(ca.if_else(used, ratio, 0.0), alpha, std), (used,), likely
+    )
 
 
-def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
-    """What both ends of an interval say.
+def _interval_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _BoundMoments:
+    """Return the moments given both ends of an interval.
 
     Nothing is beyond both, so that the chance of the interval is Phi(a) + Phi(b) - 1, with a and b
     how far inside of its ends the mean lies, in standard deviations; its moments follow from the
@@ -490,36 +506,36 @@ def _two(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _Told:
     use = ca.vertcat(*(bound.use for bound in bounds))
     heard = ca.logic_and(use, alpha < limit)
     lower = ca.fmin(alpha[0], alpha[1])
-    inside = ca.vertcat(_inside(alpha[0]), _inside(alpha[1]))
+    inside = ca.vertcat(_normal_cdf_limited(alpha[0]), _normal_cdf_limited(alpha[1]))
     other = ca.vertcat(inside[1], inside[0])
     nearest = ca.fmin(inside[0], inside[1])
     left = ca.fmax(inside[0] + inside[1] - 1, NARROW * nearest)
-    each = (chance(alpha[0]), chance(alpha[1]))
+    each = (normal_cdf_and_hazard(alpha[0]), normal_cdf_and_hazard(alpha[1]))
     ratio = ca.vertcat(each[0][1], each[1][1])
     pair = ratio * inside / left
     unsure = (1 - math.erf(limit / math.sqrt(2))) / 2
     both = ca.logic_and(use, 1 - inside > unsure * other)
     both = ca.logic_and(ca.mmin(both), ca.logic_and(ca.mmax(heard), lower > -DEEP))
-    both = ca.logic_and(both, _are_moments(_moments(pair, alpha, std)[1], G))
+    both = ca.logic_and(both, _is_valid_covariance(_shift_and_loss(pair, alpha, std)[1], G))
     asked = ca.if_else(heard, alpha, CLIP)
     first = asked[0] <= asked[1]
     alone = ca.logic_and(heard, ca.vertcat(first, ca.logic_not(first)))
     slope = ca.if_else(both, pair, ca.if_else(alone, ratio, 0.0))
     used = ca.logic_or(both, alone)
     likely = ca.fmin(each[0][0], each[1][0]) * (left / nearest)
-    return _Told(*_moments(slope, alpha, std), (used[0], used[1]), likely)
+    return _BoundMoments(*_shift_and_loss(slope, alpha, std), (used[0], used[1]), likely)
 
 
-def _moments(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
-    """Return `shift` and `lost` of `_Told`, with the slope of the log of the chance in each alpha
-    (k).
+def _shift_and_loss(slope: Any, alpha: Any, std: Any) -> tuple[Any, Any]:
+    """Return `shift` (k) and `lost` (k x k), given the slope of the log probability in each
+    alpha (k).
     """
     shift = -slope / std
     return shift, shift @ shift.T + ca.diag(slope * alpha / std**2)
 
 
-def _are_moments(lost: Any, G: Any) -> Any:
-    """Return whether G - G lost G is a covariance, and none above G (2 x 2 each)."""
+def _is_valid_covariance(lost: Any, G: Any) -> Any:
+    """Return whether G - G lost G is a covariance that does not exceed G (2 x 2 each)."""
     trace = ca.sum1(ca.sum2(lost * G))
     det = (lost[0, 0] * lost[1, 1] - lost[0, 1] ** 2) * (G[0, 0] * G[1, 1] - G[0, 1] ** 2)
     below = ca.logic_and(trace < 2, 1 - trace + det > 0)

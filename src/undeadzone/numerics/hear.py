@@ -1,4 +1,5 @@
-"""`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
+"""Dead-zone update: the reading of a sensor with a dead zone for any Kalman filter, with NumPy
+alone.
 
 It is also what the graph of `Censored` computes, written to be read: a reading on a sure side is
 linear in state and widths; a silent one says on which side of both edges z is, which is matched in
@@ -24,7 +25,7 @@ CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
 
 class DeadzoneMemory(NamedTuple):
-    """What is kept from one reading to the next.
+    """Memory of the dead-zone update from one reading to the next.
 
     Attributes:
         last, previous: the last two readings, 0 where one was missing [y].
@@ -38,7 +39,7 @@ class DeadzoneMemory(NamedTuple):
 
 
 class DeadzoneUpdate(NamedTuple):
-    """What is known after a reading.
+    """Result of the dead-zone update.
 
     Attributes:
         mean: in the shape that was given.
@@ -58,14 +59,14 @@ class DeadzoneUpdate(NamedTuple):
 
 
 class Gauss(NamedTuple):
-    """A mean (N) and its covariance (N x N)."""
+    """Mean (N) with its covariance (N x N)."""
 
     mean: Floats
     cov: Floats
 
 
-class Edge(NamedTuple):
-    """One edge: the width is row @ mean + known.
+class ZoneBreakpoint(NamedTuple):
+    """Breakpoint of the dead zone: the width is row @ mean + known.
 
     Attributes:
         sign: 1 on the right, -1 on the left.
@@ -92,7 +93,7 @@ def deadzone_update(
     noise_before: float = 0.0,
     slope: float = 1.0,
 ) -> DeadzoneUpdate:
-    """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
+    """Return mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
     behind.
 
     Args:
@@ -116,7 +117,7 @@ def deadzone_update(
     Raises:
         InputError, ShapeError: unless shapes agree and noise is there.
     """
-    shape, belief = np.shape(mean), _require_belief(mean, cov)
+    shape, belief = np.shape(mean), _to_gauss(mean, cov)
     if not slope > 0:
         raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
@@ -125,8 +126,8 @@ def deadzone_update(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
             f"{noise_before:g}; of a clean sensor give its resolution"
         )
-    z = _row("C", C, len(belief.mean))
-    edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
+    z = _require_row("C", C, len(belief.mean))
+    edges = [_build_breakpoint("right", 1, right, z), _build_breakpoint("left", -1, left, z)]
     waits = np.array([ear.right, ear.left])
     later = np.maximum(waits - 1, 0)
     if not np.isfinite(y):
@@ -137,14 +138,16 @@ def deadzone_update(
             0,
         )
     gate = SILENT * noise
-    side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
+    side = _is_surely_right(y, ear.last, ear.previous, gate) - _is_surely_right(
+        -y, -ear.last, -ear.previous, gate
+    )
     e = std = 0.0
     if side:
         edge = edges[0] if side > 0 else edges[1]
         e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
         belief, std = _correct_linear(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
-        belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
+        belief, heard = _update_inside_zone(belief, z, edges, gate / slope, rms**2, waits == 0)
         later = np.where(heard, rest, later)
     return DeadzoneUpdate(
         belief.mean.reshape(shape),
@@ -156,16 +159,16 @@ def deadzone_update(
     )
 
 
-def _require_belief(mean: Array, cov: Array) -> Gauss:
-    """Return mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
+def _to_gauss(mean: Array, cov: Array) -> Gauss:
+    """Return mean (N) and covariance (N x N) as new arrays. Raise ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
     return Gauss(m, P)
 
 
-def _row(name: str, value: Array, count: int) -> Floats:
-    """Return a row (N). Raises ShapeError."""
+def _require_row(name: str, value: Array, count: int) -> Floats:
+    """Return a value as a row (N). Raise ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
         raise ShapeError(
@@ -174,27 +177,28 @@ def _row(name: str, value: Array, count: int) -> Floats:
     return row
 
 
-def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
-    """Return an edge of known or estimated width. Raises InputError, ShapeError."""
+def _build_breakpoint(name: str, sign: int, width: Array, z: Floats) -> ZoneBreakpoint:
+    """Return a breakpoint of known or estimated width. Raise InputError or ShapeError."""
     if np.ndim(width):
-        return Edge(sign, _row(name, width, z.size), 0.0)
+        return ZoneBreakpoint(sign, _require_row(name, width, z.size), 0.0)
     known = float(np.asarray(width))
     if not known >= 0:
         raise InputError(f"{name}: a known width must be at least 0, found {known:g}")
-    return Edge(sign, np.zeros(z.size), known)
+    return ZoneBreakpoint(sign, np.zeros(z.size), known)
 
 
-def _sure(y: float, last: float, previous: float, gate: float) -> int:
-    """Return whether a reading is surely on the right: far out, or announced by the two before
-    it.
+def _is_surely_right(y: float, last: float, previous: float, gate: float) -> int:
+    """Return 1 if a reading is surely on the right, else 0.
+
+    It is sure if it is far out, or if the two readings before announce it.
     """
     announced = last > gate and previous > gate and 2 * last - previous > gate
     return int(y > 2 * gate or (announced and y > 0))
 
 
 def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
-    """Return the belief after a linear reading, by Joseph's form, and the innovation's
-    deviation.
+    """Return the estimate after a linear reading, by Joseph's form, and the innovation's
+    standard deviation.
     """
     m, P = belief
     S = h @ P @ h + R
@@ -203,10 +207,11 @@ def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss
     return Gauss(m + K * e, half - np.outer(half @ h, K) + R * np.outer(K, K)), sqrt(S)
 
 
-def _within(
-    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
+def _update_inside_zone(
+    belief: Gauss, z: Floats, edges: list[ZoneBreakpoint], slack: float, R: float, asked: Flags
 ) -> tuple[Gauss, Flags]:
-    """Return the belief given that z is inside of both edges, and which of them were heard.
+    """Return the estimate given that z is inside both breakpoints, and flags of the used
+    breakpoints (2).
 
     Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
     inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
@@ -223,30 +228,32 @@ def _within(
     heard = asked & (alpha < DOUBT)
     if heard.any():
         nearest = np.argmin(np.where(heard, alpha, np.inf))
-        slope[nearest] = _hazard(alpha[nearest])
+        slope[nearest] = _normal_hazard(alpha[nearest])
     unsure = 1 - inside > UNSURE * inside[::-1]
     if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
         both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
-        if _are_moments(_bend(both, alpha, std) @ G):
+        if _is_valid_loss(_log_chance_bend(both, alpha, std) @ G):
             slope = both
-    after = P - K @ _bend(slope, alpha, std) @ K.T
+    after = P - K @ _log_chance_bend(slope, alpha, std) @ K.T
     return Gauss(m - K @ (slope / std), (after + after.T) / 2), slope > 0
 
 
-def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
-    """Of the log of the chance, less, in the directions of the edges (2 x 2)."""
+def _log_chance_bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
+    """Return the negative curvature of the log probability in the directions of the
+    breakpoints (2 x 2).
+    """
     return np.outer(slope / std, slope / std) + np.diag(slope * alpha / std**2)
 
 
-def _are_moments(lost: Floats) -> bool:
-    """Return whether the belief loses no more than all, and no less than nothing, in any
+def _is_valid_loss(lost: Floats) -> bool:
+    """Return whether the loss of covariance lies between nothing and everything in every
     direction.
     """
     trace, det = np.trace(lost), np.linalg.det(lost)
     return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
 
 
-def _hazard(alpha: float) -> float:
+def _normal_hazard(alpha: float) -> float:
     """Return phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its
     series.
     """

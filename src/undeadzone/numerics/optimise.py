@@ -1,4 +1,4 @@
-"""Seeded search for minima of functions without useful gradients, many points per call.
+"""Seeded search for minima of functions without useful gradients, with many points per call.
 
 `evolve` minimises one objective; `pareto` finds the trade-off between several.
 """
@@ -18,7 +18,7 @@ NEIGHBOURS = 12  # weights that share their solutions
 TILT = 0.05
 
 
-def evolve(
+def minimise_by_cmaes(
     cost: Callable[[Floats], Floats],
     low: Floats,
     high: Floats,
@@ -67,7 +67,7 @@ def evolve(
     return low + best * span, least
 
 
-def pareto(
+def find_pareto_front(
     costs: Callable[[Floats], Floats],
     low: Floats,
     high: Floats,
@@ -77,8 +77,8 @@ def pareto(
     rounds: int = 120,
     tick: Callable[[], None] = lambda: None,
 ) -> tuple[Floats, Floats]:
-    """Return a Pareto front of k objectives, by MOEA/D with differential evolution, Li and Zhang
-    (2009).
+    """Return a Pareto front of k objectives, by MOEA/D with differential evolution, Li and
+    Zhang (2009).
 
     Each weight on a grid keeps the point whose largest weighted loss is least. Losses are scaled
     to run from 0 at the least to 1 at the greatest cost on the front.
@@ -98,30 +98,31 @@ def pareto(
     rng = np.random.default_rng(seed)
     points = np.vstack([starts, low + (high - low) * rng.uniform(size=(SAMPLES, low.size))])
     values = costs(points)
-    weights = np.maximum(_grid(values.shape[1], divisions), 1e-3)
-    near = _neighbours(weights)
-    frame = _frame(values)
-    chosen = scalar(values, *frame, weights).argmin(axis=1)
+    weights = np.maximum(_weight_grid(values.shape[1], divisions), 1e-3)
+    near = _nearest_weights(weights)
+    frame = _cost_range(values)
+    chosen = scalar_costs(values, *frame, weights).argmin(axis=1)
     points, values = points[chosen], values[chosen]
     for turn in range(rounds):
-        children = _children(rng, points, near, low, high)
+        children = _breed_children(rng, points, near, low, high)
         offered = costs(children)
         if turn % 5 == 0:
-            frame = _frame(np.vstack([values, offered]))
-        present = scalar(values, *frame, weights).diagonal()
-        best, loss = _best_offers(scalar(offered, *frame, weights), near)
+            frame = _cost_range(np.vstack([values, offered]))
+        present = scalar_costs(values, *frame, weights).diagonal()
+        best, loss = _best_offers(scalar_costs(offered, *frame, weights), near)
         better = (loss < present)[:, None]
         points = np.where(better, children[best], points)
         values = np.where(better, offered[best], values)
         tick()
-    kept = np.flatnonzero(find_undominated(values) & np.isfinite(values).all(axis=1))
+    kept = np.flatnonzero(is_undominated(values) & np.isfinite(values).all(axis=1))
     _, firsts = np.unique(values[kept].round(9), axis=0, return_index=True)
     distinct = kept[np.sort(firsts)]
     return points[distinct], values[distinct]
 
 
-def scalar(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
-    """Return the scalar cost (w, b) of b points under each of w weights: the largest weighted loss.
+def scalar_costs(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> Floats:
+    """Return the scalar cost (w, b) of b points for each of w weights: the largest weighted
+    loss.
 
     A small part of the sum of the losses is added to it.
 
@@ -134,22 +135,24 @@ def scalar(values: Floats, least: Floats, greatest: Floats, weights: Floats) -> 
     return np.asarray(loss.max(axis=2) + TILT * loss.sum(axis=2))
 
 
-def find_undominated(values: Floats) -> np.ndarray:
-    """Which of b points, given by their costs (b, k), no other one beats in all costs."""
+def is_undominated(values: Floats) -> np.ndarray:
+    """Return which of b points, given by their costs (b, k), no other point beats in all costs
+    (b).
+    """
     no_better = (values[:, None] >= values).all(axis=2)
     worse = no_better & (values[:, None] > values).any(axis=2)
     return ~np.any(worse, axis=1)
 
 
-def _children(
+def _breed_children(
     rng: np.random.Generator, points: Floats, near: Integers, low: Floats, high: Floats
 ) -> Floats:
-    """Return a new point (w, d) for each weight from the points (w, d), by differences and rare
+    """Return a new point for each weight (w, d), by differences of points (w, d) and rare
     jumps.
     """
     size, d = points.shape
-    one = _mates(rng, near)
-    two = _mates(rng, near)
+    one = _choose_mates(rng, near)
+    two = _choose_mates(rng, near)
     crossed = rng.uniform(size=(size, d)) < (0.9 if d < 5 else 0.5)
     children = np.where(crossed, points + 0.6 * (points[one] - points[two]), points)
     jumps = rng.uniform(size=(size, d)) < 1 / d
@@ -157,8 +160,10 @@ def _children(
     return np.clip(children + 0.03 * (high - low) * jump, low, high)
 
 
-def _mates(rng: np.random.Generator, near: Integers) -> Integers:
-    """For each weight, the number of a point to mate with: of a neighbour, or seldom of any."""
+def _choose_mates(rng: np.random.Generator, near: Integers) -> Integers:
+    """Return, for each weight, the index of a point to mate with (w): a neighbour, or rarely
+    any point.
+    """
     size, neighbours = near.shape
     anywhere = rng.uniform(size=size) < 0.1
     any_point = rng.integers(0, size, size)
@@ -166,14 +171,17 @@ def _mates(rng: np.random.Generator, near: Integers) -> Integers:
     return np.where(anywhere, any_point, neighbour)
 
 
-def _neighbours(weights: Floats) -> Integers:
-    """Return the numbers of the nearest weights (w, at most NEIGHBOURS), itself first."""
+def _nearest_weights(weights: Floats) -> Integers:
+    """Return the indices of the nearest weights (w, at most NEIGHBOURS), the weight itself
+    first.
+    """
     distance = ((weights[:, None] - weights) ** 2).sum(axis=2)
     return np.argsort(distance, axis=1)[:, :NEIGHBOURS]
 
 
 def _best_offers(losses: Floats, near: Integers) -> tuple[Integers, Floats]:
-    """For each weight, the best of its neighbours' new points: their number (w), scalar cost (w).
+    """Return, for each weight, the index (w) and scalar cost (w) of the best new point of its
+    neighbours.
 
     Args:
         losses: scalar cost (w, w) under each weight (first axis) of each new point (second).
@@ -185,16 +193,16 @@ def _best_offers(losses: Floats, near: Integers) -> tuple[Integers, Floats]:
     return best, offers[np.arange(len(offers)), best]
 
 
-def _frame(values: Floats) -> tuple[Floats, Floats]:
-    """Return least and greatest costs (k) on the front of the points so far, from their costs (b,
-    k).
+def _cost_range(values: Floats) -> tuple[Floats, Floats]:
+    """Return the least and greatest costs (k) on the front of the points so far, from their
+    costs (b, k).
     """
     admitted = values[np.isfinite(values).all(axis=1)]
-    front = admitted[find_undominated(admitted)]
+    front = admitted[is_undominated(admitted)]
     return front.min(axis=0), front.max(axis=0)
 
 
-def _grid(k: int, divisions: int) -> Floats:
-    """Return all k-tuples of multiples of 1 / divisions that add up to 1."""
+def _weight_grid(k: int, divisions: int) -> Floats:
+    """Return all k-tuples of multiples of 1 / divisions whose sum is 1."""
     tuples = itertools.product(range(divisions + 1), repeat=k)
     return np.array([parts for parts in tuples if sum(parts) == divisions]) / divisions

@@ -1,4 +1,4 @@
-"""Classical Runge-Kutta and cubic dense output, on any values that add and scale."""
+"""Classical Runge-Kutta step and cubic dense output, for any values that add and scale."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
-    """Return one step of x' = rate(x, c).
+    """Integrate x' = rate(x, c) over a step by the classical Runge-Kutta method.
 
     Args:
         rate: the right-hand side at the fraction c of the step, 0 <= c <= 1.
@@ -22,7 +22,7 @@ def rk4(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> An
 
 
 def rk4_change(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None) -> Any:
-    """What `rk4` adds to x."""
+    """Return the increment that `rk4` adds to x."""
     k1 = rate(x, 0.0) if k1 is None else k1
     k2 = rate(x + h / 2 * k1, 0.5)
     k3 = rate(x + h / 2 * k2, 0.5)

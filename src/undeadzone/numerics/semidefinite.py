@@ -1,4 +1,4 @@
-"""Linear objectives over linear matrix inequalities, handed to Clarabel as they stand."""
+"""Linear objectives over linear matrix inequalities, solved by Clarabel."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from undeadzone.util.arrays import Floats
 ACCEPTED = 0.1  # residual of the solver's answer; whoever needs a proof checks the answer itself
 
 
-def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats | None:
-    """Return x that minimises cost'x with every block(x) >= 0; None if there is none.
+def minimise_semidefinite(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats | None:
+    """Return x that minimises cost'x with every block(x) >= 0 (n), or None if it is
+    infeasible.
 
     The answer is the solver's: whoever uses it as a proof checks it (`dissipation.check`).
 
@@ -36,7 +37,7 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
         cost,
         sparse.csc_matrix(np.stack(columns, axis=1)),
         right,
-        [_cone(block) for block in constant],
+        [_clarabel_cone(block) for block in constant],
         settings,
     )
     solution = solver.solve()
@@ -47,9 +48,9 @@ def minimise(cost: Floats, blocks: Callable[[Floats], list[Floats]]) -> Floats |
     return x
 
 
-def symmetric(entries: Floats, n: int) -> Floats:
-    """Return the symmetric n x n matrix with these n (n + 1) / 2 entries, its upper triangle by
-    rows.
+def symmetric_matrix(entries: Floats, n: int) -> Floats:
+    """Return the symmetric n x n matrix with the given n (n + 1) / 2 entries, its upper
+    triangle by rows.
     """
     P = np.zeros((n, n))
     row, column = np.triu_indices(n)
@@ -57,7 +58,7 @@ def symmetric(entries: Floats, n: int) -> Floats:
     return P
 
 
-def _cone(block: Floats) -> Any:
+def _clarabel_cone(block: Floats) -> Any:
     """Return Clarabel's cone of a block."""
     import clarabel
 
@@ -67,13 +68,13 @@ def _cone(block: Floats) -> Any:
 
 
 def _stack_blocks(blocks: list[Floats]) -> Floats:
-    """Return all blocks in one vector."""
-    return np.concatenate([_vector(block) for block in blocks])
+    """Return all blocks in a single vector."""
+    return np.concatenate([_block_to_vector(block) for block in blocks])
 
 
-def _vector(block: Floats) -> Floats:
-    """Return a vector as it is; of a matrix the upper triangle column by column, as Clarabel wants
-    it.
+def _block_to_vector(block: Floats) -> Floats:
+    """Return a vector unchanged, or the upper triangle of a matrix column by column, as
+    Clarabel expects.
 
     Entries off the diagonal are multiplied by sqrt 2.
     """

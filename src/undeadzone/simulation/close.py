@@ -415,11 +415,11 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
     edges = wiring.levels(noise)
 
     def after(mode: Mode, crossing: dense_output.Crossing) -> Mode:
-        edge = dense_output.first_crossed_level(edges, mode.side, crossing.rising)
+        edge = dense_output.next_level(edges, mode.side, crossing.rising)
         return branch_after_crossing(mode, crossing, edge, right, left)
 
     levels = dense_output.Levels(*(tuple(edge - noise.before for edge in part) for part in edges))
-    attempts = dense_output.step_with_events(arc, levels, before, after, step.start)
+    attempts = dense_output.locate_side_changes(arc, levels, before, after, step.start)
     return [attempt._replace(end=wiring.admissible(like, attempt.end)) for attempt in attempts]
 
 
@@ -464,11 +464,11 @@ def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_ou
         return evaluate(column, series, *mode)
 
     if order == loop.RUNGE_KUTTA:
-        return dense_output.runge_kutta(rate, output, size, h)
+        return dense_output.build_rk4_arcs(rate, output, size, h)
     nonlinear_rate = any(ca.which_depends(derivative, ca.vertcat(x, w), 2, True))
     if nonlinear_rate or any(ca.which_depends(output(x), x, 2, True)):
         raise InputError(
             "simulation.order: above 4 only for a plant, an observer and a controller that are "
             "linear on each side of the zone; use 4"
         )
-    return dense_output.taylor(rate_of_series, output, step.columns, size, h)
+    return dense_output.build_taylor_arcs(rate_of_series, output, step.columns, size, h)

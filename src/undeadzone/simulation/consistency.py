@@ -102,7 +102,7 @@ class Consistency:
         if not nu.size:
             return np.empty(0)
         rows = np.column_stack([nu, counted])
-        along, self._sums = interpret.run(self._graph, self._sums, rows, self._rates)
+        along, self._sums = interpret.run_interpreted(self._graph, self._sums, rows, self._rates)
         self.B = float(along[-1, 0])
         self._samples += nu.size
         self._exceeded += int((along[:, 0] > CHANCE).sum())

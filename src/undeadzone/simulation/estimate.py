@@ -25,7 +25,7 @@ from undeadzone.logs.names import Layout, parse_columns
 from undeadzone.logs.samples import Faults, LogReader, Placed, place_on_steps, samples_of_text
 from undeadzone.logs.whole import BINARY, samples_of, samples_of_arrays
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.adjoint import Later, back
+from undeadzone.numerics.adjoint import LaterInformation, smooth_backward
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.filtering.multiple_models import LEAST
 from undeadzone.observers.filtering.smoothing import Moments
@@ -168,7 +168,7 @@ class _Ahead(NamedTuple):
         worst: record; None at the end of the log.
     """
 
-    later: list[Later]
+    later: list[LaterInformation]
     odds: Floats
     worst: Any
 
@@ -218,9 +218,11 @@ def smooth(
     w = np.hstack([y, u])
     starts, numbers = [graphs.filter.start], graphs.filter.numbers
     for first in range(0, len(w), BLOCK):
-        _, state = interpret.run(graphs.step, starts[-1], w[first : first + BLOCK], numbers)
+        _, state = interpret.run_interpreted(
+            graphs.step, starts[-1], w[first : first + BLOCK], numbers
+        )
         starts.append(state)
-    nothing = [Later.nothing(one.before.mean.size) for one in graphs.like]
+    nothing = [LaterInformation.no_information(one.before.mean.size) for one in graphs.like]
     ahead = _Ahead(nothing, np.zeros(len(nothing)), None)
     pieces = []
     for k in range(len(starts) - 2, -1, -1):
@@ -248,8 +250,10 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     where, of_estimate = tree.slices((init, np.zeros(model.m)))[0], tree.slices(known.out).estimate
     return _Graphs(
         ca.Function("watched", inputs, [following, ca.vertcat(given, known.s)]),
-        interpret.stateless([ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))),
-        interpret.stateless([row, known.p], ca.cse(tree.stack(out))),
+        interpret.build_stateless_step(
+            [ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))
+        ),
+        interpret.build_stateless_step([row, known.p], ca.cse(tree.stack(out))),
         known,
         [getattr(of_estimate, name) for name in SHOWN],
         like,
@@ -271,20 +275,20 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
         What is shown of each sample (B x outputs), and what is ahead of the samples before.
     """
     numbers = graphs.filter.numbers
-    watched, final = interpret.run(graphs.step, start, w, numbers)
+    watched, final = interpret.run_interpreted(graphs.step, start, w, numbers)
     estimates, before_each = np.split(watched, [-start.size], axis=1)
     states = np.vstack([before_each[1:], final])  # after each sample
-    moments = interpret.evaluate_rows(graphs.moments, np.hstack([before_each, w]), numbers)
+    moments = interpret.map_rows(graphs.moments, np.hstack([before_each, w]), numbers)
     every = _arrays(graphs.like, moments)
     beliefs, before = [], []
     for one, later in zip(every, ahead.later, strict=True):
-        mean, cov, first = back(one, later)
+        mean, cov, first = smooth_backward(one, later)
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
         before.append(first)
     logs = np.column_stack([one.log for one in every])
     shares, odds = _shares(graphs, states, logs, ahead.odds)
     records, worst = _records(graphs, states, ahead.worst)
-    shown = interpret.evaluate_rows(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    shown = interpret.map_rows(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
     # Where no belief can be smoothed, the filter itself shows.
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])

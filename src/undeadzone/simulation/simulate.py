@@ -252,11 +252,13 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > interpret.WORTH
         compiled = (
-            lanes.build(*parts, width=1, hurry=False) if wait else lanes.cached_kernel(*parts)
+            lanes.build_kernel(*parts, width=1, hurry=False)
+            if wait
+            else lanes.read_cached_kernel(*parts)
         )
         if compiled is not None:
-            return partial(lanes.run_alone, compiled)
-    return partial(interpret.run, loop.step)
+            return partial(lanes.run_single_lane, compiled)
+    return partial(interpret.run_interpreted, loop.step)
 
 
 def name_outputs(loop: Loop, outputs: Floats) -> Outputs:

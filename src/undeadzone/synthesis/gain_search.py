@@ -13,7 +13,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify
-from undeadzone.numerics.optimise import evolve, find_undominated, pareto, scalar
+from undeadzone.numerics.optimise import (
+    find_pareto_front,
+    is_undominated,
+    minimise_by_cmaes,
+    scalar_costs,
+)
 from undeadzone.synthesis.task import (
     Candidate,
     Scores,
@@ -117,14 +122,16 @@ def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, F
     cost, size = _cost(task, weights), population(task)
     best, least = low, np.inf
     for start in range(STARTS):
-        point, value = evolve(cost, low, high, seed * STARTS + start, size, SHORT)
+        point, value = minimise_by_cmaes(cost, low, high, seed * STARTS + start, size, SHORT)
         if start == 0 or value < least:
             best, least = point, value
         tick(1)
-    best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best)[0])
+    best = _better(cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best)[0])
     while True:
         low, high = box(task)
-        best = _better(cost, best, evolve(cost, low, high, seed, size, LONG, best, NEAR)[0])
+        best = _better(
+            cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best, NEAR)[0]
+        )
         if task.room >= MOST or not gains_at_limit(task, best):
             return task, best
         task = task._replace(room=min(2 * task.room, MOST))
@@ -217,7 +224,9 @@ def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) 
     quick = score(task, *gains_at(task, quickest[None]), mismatch=False, gains=False)
     limit = float(quick.rate[0]) * FLOOR
     traded, advance = partial(_costs, task, limit=limit), partial(tick, 1)
-    points, costs = pareto(traded, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance)
+    points, costs = find_pareto_front(
+        traded, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance
+    )
     bars = [np.full(3, np.inf)]
     if present is not None:
         level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
@@ -255,7 +264,7 @@ def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
         costs = _log_objectives(scores, limit)
         every = np.hstack([np.log(scores.mismatch)[:, None], costs])
         weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
-        largest = scalar(every, least, greatest, weights)[0]
+        largest = scalar_costs(every, least, greatest, weights)[0]
         return np.asarray(largest + WORSE * (costs >= bar).any(axis=1))
 
     return loss
@@ -284,7 +293,7 @@ def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: i
         return np.asarray((_costs(task, points, limit) - level).max(axis=1))
 
     size, start = population(task), point_of(task, present)
-    return evolve(worst, *box(task), seed, size, LONG, start, NEAR)[0]
+    return minimise_by_cmaes(worst, *box(task), seed, size, LONG, start, NEAR)[0]
 
 
 def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
@@ -311,7 +320,7 @@ def _front(task: Task, points: Floats) -> list[Candidate]:
     task = watch_frequencies(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
     candidates = [candidate_at(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
-    keep = find_undominated(np.array([_prices(one) for one in candidates]))
+    keep = is_undominated(np.array([_prices(one) for one in candidates]))
     return [one for one, kept in zip(candidates, keep, strict=True) if kept]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import InputError
-from undeadzone.numerics.optimise import evolve
+from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.address import numbers
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
@@ -358,7 +358,7 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
 
     size = 4 + int(3 * np.log(start.size))
     low, high, rounds = np.zeros(start.size), np.ones(start.size), PATIENCE * what.budget // size
-    evolve(cost, low, high, seed, size, rounds, start, spread)
+    minimise_by_cmaes(cost, low, high, seed, size, rounds, start, spread)
 
 
 def _penalise_margin(worth: Evaluation, least: float) -> Floats:

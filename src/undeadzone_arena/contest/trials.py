@@ -106,7 +106,7 @@ def _seeded(problem: Problem, seed: int) -> Problem:
 def _interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
     """Return the outputs of a loop on CasADi's virtual machine."""
     state = tree.pack(loop.state._replace(plant=problem.x0))
-    outputs, _ = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
     return name_outputs(loop, outputs)
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from undeadzone.numerics.optimise import evolve
+from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats
@@ -142,7 +142,9 @@ def best(
     else:
         size = 4 + int(3 * np.log(d))
         rounds = -(-(budget - 1) // size)  # rounded up
-        evolve(costs, np.zeros(d), np.ones(d), search, size, rounds, np.full(d, 0.5), SPREAD)
+        minimise_by_cmaes(
+            costs, np.zeros(d), np.ones(d), search, size, rounds, np.full(d, 0.5), SPREAD
+        )
     regret, numbers = min(tried, key=lambda each: each[0])
     return Found(regret=regret, before=tried[0][0], candidates=len(tried), knobs=numbers)
 

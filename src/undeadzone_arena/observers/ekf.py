@@ -13,7 +13,13 @@ import casadi as ca
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer, no_further
 from undeadzone.nonlinearities.sensor import Zone, branch, zone
-from undeadzone.numerics.gaussian import Gaussian, Weighed, linearise, predict, update_unless_glitch
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    RobustUpdate,
+    linearise,
+    predict,
+    update_with_outliers,
+)
 from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
@@ -54,7 +60,7 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
         return joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 
-def correct_predicted(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
+def correct_predicted(q: Params, belief: Gaussian, sample: Sample) -> RobustUpdate:
     """Return the correction on the branch where the estimate is."""
     return corrected(q, belief, sample, sample.sight, sample.seen)
 
@@ -66,7 +72,7 @@ def correct_measured(
     q: Params,
     belief: Gaussian,
     sample: Sample,
-) -> Weighed:
+) -> RobustUpdate:
     """Return the correction on the measured branch.
 
     With `pseudo`, a silent sensor is read on the branch where the estimate is.
@@ -84,8 +90,8 @@ def correct_measured(
     return corrected(q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0))
 
 
-def corrected(q: Params, belief: Gaussian, sample: Sample, sight: Sight, use: Any) -> Weighed:
+def corrected(q: Params, belief: Gaussian, sample: Sample, sight: Sight, use: Any) -> RobustUpdate:
     """Return the correction by a reading that is linearised where the estimate is."""
     expected, h = linearise(sight, belief.mean)
     e, i = ca.if_else(use, sample.y - expected, 0.0), sample.i
-    return update_unless_glitch(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])
+    return update_with_outliers(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])

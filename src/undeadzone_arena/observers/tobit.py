@@ -14,12 +14,12 @@ from undeadzone.interfaces import Observer, no_further
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone
 from undeadzone.numerics.gaussian import (
     Gaussian,
-    Weighed,
-    below,
-    density,
+    RobustUpdate,
     linearise,
+    normal_cdf,
+    normal_density,
     predict,
-    settle,
+    update_with_gain,
 )
 from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.observers.filtering.gaussian_filter import Params
@@ -52,7 +52,7 @@ class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
 
 def correct_tobit(
     model: System, limited: bool, q: Params, belief: Gaussian, sample: Sample
-) -> Weighed:
+) -> RobustUpdate:
     """Return the correction by the mean of the reading and by its slopes, averaged over the
     branches.
 
@@ -67,7 +67,7 @@ def correct_tobit(
         h[place] -= 1
         std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + q.R[i])
         beyond = (sign * z - belief.mean[place]) / std
-        chance, slim = below(beyond), density(beyond)
+        chance, slim = normal_cdf(beyond), normal_density(beyond)
         expected += sign * std * (chance * beyond + slim)
         square += std**2 * (chance * (1 + beyond**2) + beyond * slim)
         slope += sign * chance * h
@@ -76,4 +76,4 @@ def correct_tobit(
     foretold = no_further(expected, sample.y, sample.side) if limited else expected
     use = ca.logic_and(sample.seen, foretold == expected)
     e = ca.if_else(use, sample.y - foretold, 0.0)
-    return settle(belief, along / S, e, S, q.R[i], use, sample.odds, q.doubt.reach[i])
+    return update_with_gain(belief, along / S, e, S, q.R[i], use, sample.odds, q.doubt.reach[i])

@@ -12,7 +12,7 @@ import casadi as ca
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.gaussian import Gaussian, Weighed, settle
+from undeadzone.numerics.gaussian import Gaussian, RobustUpdate, update_with_gain
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import scalar
@@ -44,11 +44,11 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
         """Return the filter for a sampled model."""
         weights = self._weights(model.n + 2 * model.p)
 
-        def correct(q: Params, belief: Gaussian, sample: Sample) -> Weighed:
+        def correct(q: Params, belief: Gaussian, sample: Sample) -> RobustUpdate:
             R, reach = q.R[sample.i], q.doubt.reach[sample.i]
             expected, S, K = unscented.gain(belief, sample.sight, R, weights)
             e = ca.if_else(sample.seen, sample.y - expected, 0.0)
-            return settle(belief, K, e, S, R, sample.seen, sample.odds, reach)
+            return update_with_gain(belief, K, e, S, R, sample.seen, sample.odds, reach)
 
         def predict(belief: Gaussian, move: Any, Q: Any) -> Gaussian:
             return unscented.predict(belief, move, Q, weights)

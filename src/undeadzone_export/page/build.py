@@ -16,7 +16,7 @@ import numpy as np
 import undeadzone
 from undeadzone.compile import print_wasm
 from undeadzone.compile.graph import Results, required_nodes
-from undeadzone.compile.lower import portable
+from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -254,7 +254,9 @@ def _require_quick(problem: Problem, size: int) -> None:
 
 def _results(loop: Loop) -> Results:
     """What a step computes as a rule."""
-    return portable(loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND)
+    return build_portable_nodes(
+        loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND
+    )
 
 
 def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
@@ -272,10 +274,10 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
         ]
     printed = []
     for name, function, results in functions:
-        nodes = portable(function, print_wasm.KIND)
+        nodes = build_portable_nodes(function, print_wasm.KIND)
         targets = [_addresses(places[part], sizes[part]) for part in results]
         printed.append(print_wasm.Function(name, nodes, inputs, targets))
-    return print_wasm.module(printed, print_wasm.REAL * sum(sizes.values())), places
+    return print_wasm.build_module(printed, print_wasm.REAL * sum(sizes.values())), places
 
 
 def _addresses(start: int, size: int) -> list[int]:

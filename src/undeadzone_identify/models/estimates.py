@@ -224,7 +224,7 @@ def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Fl
     """
     states, _, numbers = kernel.shape.sizes
     at_first, none = np.zeros(states), np.zeros(numbers)
-    return lanes.run(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
+    return lanes.run_lanes(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
 
 
 def around(theta: Floats, free: Integers, steps: Floats) -> Floats:

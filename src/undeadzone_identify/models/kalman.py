@@ -127,7 +127,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     log = ok * ca.if_else(lost, WORST, density)
     out = seen if moments else log
     step = ca.Function("kalman", [state, exogenous, numbers], [following, out])
-    return lanes.build(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
+    return lanes.build_kernel(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
 
 
 def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, Any]:

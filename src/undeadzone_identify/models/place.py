@@ -83,7 +83,7 @@ def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     z = rest + move
     following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1], move)
     step = ca.Function("friction", [state, exogenous, numbers], [following, z])
-    return lanes.build(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
+    return lanes.build_kernel(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
 
 
 def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:

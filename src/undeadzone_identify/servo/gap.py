@@ -66,7 +66,7 @@ def _kernel() -> lanes.Kernel:
     level = ca.if_else(starts, begun, predictor.pulled_level(lane, state[MEAN], x[0]))
     step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
     own = LATEST + 1 + 2
-    return lanes.build(step, exogenous=[own], width=16, fused=True)
+    return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 
 
 def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
@@ -87,7 +87,7 @@ def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Obse
     signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
     signals[log.start, LATEST + 2] = 1.0
-    levels, _ = lanes.run(
+    levels, _ = lanes.run_lanes(
         _kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
     )
     return [_record_levels(log, theta, level, draw) for level in levels[:, :, 0]]

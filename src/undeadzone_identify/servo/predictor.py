@@ -30,7 +30,7 @@ import casadi as ca
 
 from undeadzone.compile import lanes
 from undeadzone.nonlinearities.play import apply_backlash
-from undeadzone.numerics.gaussian import chance
+from undeadzone.numerics.gaussian import normal_cdf_and_hazard
 
 LATEST = 8  # samples by which the input may be late at most
 WIDTH = 64  # lanes of a kernel
@@ -202,12 +202,12 @@ def _compile_kernel(name: str, state: Any, signals: Any, numbers: Any, out: _Out
     if what != "sums":
         seen = out.seen if what == "all" else out.seen[:2]
         step = ca.Function(name, [state, signals, numbers], [out.following, seen])
-        return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+        return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
     total = ca.SX.sym("total")
     added = total + ca.if_else(out.counts != 0, density(out.seen[0], out.seen[1]), 0.0)
     whole = ca.vertcat(state, total), signals, numbers
     step = ca.Function(name, [*whole], [ca.vertcat(out.following, added), ca.SX(0, 1)])
-    return lanes.build(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
+    return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
 
 
 @cache
@@ -334,7 +334,7 @@ def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
     """
     s = ca.sqrt(variance)
     a, b = (mean - half) / s, (-half - mean) / s
-    (mass_a, hazard_a), (mass_b, hazard_b) = chance(a), chance(b)
+    (mass_a, hazard_a), (mass_b, hazard_b) = normal_cdf_and_hazard(a), normal_cdf_and_hazard(b)
     at_a, at_b = mass_a * hazard_a, mass_b * hazard_b
     above, below = s * (a * mass_a + at_a), s * (b * mass_b + at_b)
     squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)

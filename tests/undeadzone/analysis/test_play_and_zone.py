@@ -519,8 +519,8 @@ def test_engines_agree_to_the_last_bit(
     short = {"duration": 2.0}
     scenario = both(READINGS[reading], observer, model=RANGES, simulation=short)
     step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run(step, states, exogenous, params)
-    outputs, _ = lanes.run(lanes.build(step, width=1), states, exogenous, params)
+    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
+    outputs, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
     assert distance(outputs[0], expected) <= 1e-13
 
 

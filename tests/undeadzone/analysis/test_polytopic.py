@@ -23,7 +23,7 @@ from undeadzone.analysis.certificate.polytopic import (
     slopes_on,
 )
 from undeadzone.analysis.error_dynamics import Dynamics
-from undeadzone.compile.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, build_enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
@@ -84,7 +84,7 @@ def test_an_enclosure_holds_every_value(
     function = ca.Function("f", [w], [ca.densify(plant.move(ca.SX(0, 1), w, ca.SX(1, 1)))[0]])
     low = np.clip(corner, -3, 3)
     high = np.minimum(low + width, 3)
-    (bound,) = enclosure(function)([Interval(low[:, None], high[:, None])])
+    (bound,) = build_enclosure(function)([Interval(low[:, None], high[:, None])])
     points = np.vstack(
         [
             np.random.default_rng(seed).uniform(low, high, (200, 2)),
@@ -101,11 +101,13 @@ def test_an_enclosure_is_tight_where_a_variable_stands_once() -> None:
     function = ca.Function(
         "f", [x], [ca.vertcat(ca.sin(x[0]), ca.sqrt(x[1]) * ca.cos(x[0]), 1 / x[1], x[1] ** 2)]
     )
-    (bound,) = enclosure(function)([Interval(np.array([[0.5], [4.0]]), np.array([[2.0], [9.0]]))])
+    (bound,) = build_enclosure(function)(
+        [Interval(np.array([[0.5], [4.0]]), np.array([[2.0], [9.0]]))]
+    )
     assert bound.low[:, 0] == pytest.approx([np.sin(0.5), 3 * np.cos(2.0), 1 / 9, 16], rel=1e-13)
     assert bound.high[:, 0] == pytest.approx([1, 3 * np.cos(0.5), 0.25, 81], rel=1e-13)
     with pytest.raises(InputError, match="no bounds are known for the function erf"):
-        enclosure(ca.Function("f", [x], [ca.erf(x)]))
+        build_enclosure(ca.Function("f", [x], [ca.erf(x)]))
 
 
 @pytest.mark.parametrize("Ts", [None, 1e-3])
@@ -488,7 +490,7 @@ def test_a_wave_s_top_near_the_end_of_an_interval_is_inside(turns: int) -> None:
     for function, top in ((ca.sin, np.pi / 2), (ca.cos, 0.0)):
         angle = 2 * np.pi * turns + top
         short = 0.3e-12 * (1 + angle)
-        waves = enclosure(ca.Function("wave", [x], [function(x)]))
+        waves = build_enclosure(ca.Function("wave", [x], [function(x)]))
         for sign, end in ((1.0, "high"), (-1.0, "low")):
             place = angle + (np.pi if sign < 0 else 0.0)
             for low, high in ((place - 0.5, place + short), (place - short, place + 0.5)):

@@ -24,7 +24,7 @@ from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.numerics.semidefinite import minimise
+from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 
@@ -621,7 +621,7 @@ def least_gain_over_weights(errors: Dynamics, reading: Floats, unit: float) -> f
             real = [np.block([[-M.real, M.imag], [-M.imag, -M.real]]) for M in phi]
             return [q - 1e-9, *real]
 
-        q = minimise(np.append(np.zeros(errors.groups.shape[1]), 1.0), blocks)
+        q = minimise_semidefinite(np.append(np.zeros(errors.groups.shape[1]), 1.0), blocks)
         assert q is not None
         worst = np.linalg.eigvalsh(supplies(errors, reading, unit, q, G))[..., -1].max(axis=1)
         chosen = np.union1d(chosen, np.argsort(worst)[-6:])

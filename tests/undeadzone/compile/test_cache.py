@@ -27,15 +27,15 @@ PLANTED = -3.0  # what planted code gives, 6 what the source says
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
     yield tmp_path / "kernels"
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
 
 
 def computed(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
-    cache.compile_or_load.cache_clear()
-    block = cache.load(SOURCE.format(factor=factor), KINDS)
+    cache.load_or_compile.cache_clear()
+    block = cache.load_block(SOURCE.format(factor=factor), KINDS)
     result = np.zeros(1)
     block(3.0, result)
     return float(result[0]), not block.text
@@ -163,7 +163,7 @@ def test_a_relative_folder_is_ignored(
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setenv(variable, "here")
     monkeypatch.chdir(tmp_path)
-    kept = cache_folder.choose_folder()
+    kept = cache_folder.cache_directory()
     assert kept is None or kept.is_relative_to(tmp_path / "home")
     assert (kept is None) == (variable == "HOME")
     assert computed() == (6.0, False)
@@ -172,13 +172,13 @@ def test_a_relative_folder_is_ignored(
 
 def test_where_kernels_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDEADZONE_CACHE", "/here")
-    assert cache_folder.choose_folder() == Path("/here")
+    assert cache_folder.cache_directory() == Path("/here")
     monkeypatch.delenv("UNDEADZONE_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", "/there")
-    assert cache_folder.choose_folder() == Path("/there/undeadzone")
+    assert cache_folder.cache_directory() == Path("/there/undeadzone")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "/home/someone")
-    assert cache_folder.choose_folder() == Path("/home/someone/.cache/undeadzone")
+    assert cache_folder.cache_directory() == Path("/home/someone/.cache/undeadzone")
 
 
 def aged(folder: Path, days: dict[str, float]) -> None:
@@ -197,9 +197,9 @@ def left(folder: Path) -> set[str]:
 def test_what_nobody_used_for_long_is_deleted_when_something_is_written(folder: Path) -> None:
     ages = {"old.kernel": 91.0, ".half.kernel": 91.0, "new.kernel": 89.0, "other.txt": 400.0}
     aged(folder, ages)
-    assert cache_folder.read(folder, "new.kernel") == bytes(10)
+    assert cache_folder.read_kernel_file(folder, "new.kernel") == bytes(10)
     assert left(folder) == set(ages)
-    cache_folder.keep(folder, "now.kernel", b"code")
+    cache_folder.write_kernel_file(folder, "now.kernel", b"code")
     assert left(folder) == {"new.kernel", "other.txt", "now.kernel"}
 
 
@@ -208,6 +208,6 @@ def test_of_too_many_bytes_the_least_recently_used_go_first(
 ) -> None:
     monkeypatch.setattr(cache_folder, "LARGEST", 25)
     aged(folder, {"a.kernel": 3.0, "b.kernel": 2.0, "c.kernel": 1.0, "d.kernel": 0.5})
-    assert cache_folder.read(folder, "a.kernel") == bytes(10)  # used just now
-    cache_folder.keep(folder, "now.kernel", bytes(1000))
+    assert cache_folder.read_kernel_file(folder, "a.kernel") == bytes(10)  # used just now
+    cache_folder.write_kernel_file(folder, "now.kernel", bytes(1000))
     assert left(folder) == {"a.kernel", "d.kernel", "now.kernel"}

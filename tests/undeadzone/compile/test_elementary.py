@@ -41,12 +41,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def kernel(width: int = 128) -> lanes.Kernel:
     x = ca.SX.sym("x")
     step = stateless([x], [getattr(ca, name)(x) for name in FUNCTIONS])
-    return lanes.build(step, width=width, fused=True)
+    return lanes.build_kernel(step, width=width, fused=True)
 
 
 def computed(name: str, x: Array, width: int = 128) -> Floats:
     """A function of many numbers, by lanes."""
-    outputs, _ = lanes.run(kernel(width), np.reshape(x, (-1, 1)), np.empty((1, 0)), np.empty(0))
+    outputs, _ = lanes.run_lanes(
+        kernel(width), np.reshape(x, (-1, 1)), np.empty((1, 0)), np.empty(0)
+    )
     return outputs[:, 0, FUNCTIONS.index(name)]
 
 
@@ -168,7 +170,7 @@ def test_sine_and_cosine_share_their_arithmetic() -> None:
     counts = []
     for angle in (x, 2 * x):
         step = stateless([x], [ca.sin(x), ca.cos(angle)])
-        code = lanes.build(step, width=128, fused=True).block.text
+        code = lanes.build_kernel(step, width=128, fused=True).block.text
         counts.append(len(re.findall(r"call .*@llvm\.fma", code)))
     shared, apart = counts
     assert shared == apart / 2

@@ -24,7 +24,7 @@ import once
 from undeadzone import registry
 from undeadzone.compile import cache, interpret, kernel, lanes
 from undeadzone.compile.lower import Arithmetic
-from undeadzone.compile.machine import here
+from undeadzone.compile.machine import host_machine
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -131,7 +131,7 @@ def compiled(
     step: ca.Function, states: Floats, exogenous: Floats, params: Floats
 ) -> tuple[Floats, Floats]:
     """A single run on lanes, in the shape of `interpret.run`."""
-    outputs, finals = lanes.run(lanes.build(step, width=8), states, exogenous, params)
+    outputs, finals = lanes.run_lanes(lanes.build_kernel(step, width=8), states, exogenous, params)
     return outputs[0], finals[0]
 
 
@@ -177,7 +177,7 @@ def test_every_observer_and_controller_runs_the_same(
         simulation={"duration": 3.0, "step": 1e-2, "switching": "plain"},
     )
     loop = parts(scenario)[:4]
-    expected, results = interpret.run(*loop), compiled(*loop)
+    expected, results = interpret.run_interpreted(*loop), compiled(*loop)
     assert np.ptp(expected[0], axis=0).max() > 0.1
     assert max(map(distance, results, expected)) < 1e-13
 
@@ -199,7 +199,7 @@ def test_every_observer_and_controller_runs_the_same(
 )
 def test_every_kind_of_plant_and_sensor_runs_the_same(changes: dict[str, Any], time: str) -> None:
     loop = parts(small(time, **changes))[:4]
-    expected, results = interpret.run(*loop), compiled(*loop)
+    expected, results = interpret.run_interpreted(*loop), compiled(*loop)
     assert {-1.0, 0.0, 1.0} <= set(expected[0].ravel().tolist())
     assert max(map(distance, results, expected)) < 1e-13
 
@@ -207,7 +207,7 @@ def test_every_kind_of_plant_and_sensor_runs_the_same(changes: dict[str, Any], t
 @pytest.mark.parametrize("time", BOTH)
 def test_without_elementary_functions_every_bit_agrees(time: str) -> None:
     loop = parts(small(time))[:4]
-    assert all(map(identical, compiled(*loop), interpret.run(*loop)))
+    assert all(map(identical, compiled(*loop), interpret.run_interpreted(*loop)))
 
 
 @pytest.mark.parametrize("time", BOTH)
@@ -216,7 +216,7 @@ def test_missing_samples_run_the_same(time: str) -> None:
     instants = 3 if time == "continuous" else 1
     after = np.arange(1, instants + 1) * (exogenous.shape[1] // instants) - 1
     exogenous[50:80, after] = np.nan
-    expected = interpret.run(step, state, exogenous, params)
+    expected = interpret.run_interpreted(step, state, exogenous, params)
     assert np.isnan(expected[0]).any()
     assert np.isfinite(expected[1]).all()
     assert all(map(identical, compiled(step, state, exogenous, params), expected))
@@ -247,8 +247,8 @@ def generated(step: ca.Function, folder: Path) -> ca.Function:
 @pytest.mark.parametrize("scenario", [scene(), small("sampled")], ids=["paper", "sampled"])
 def test_generated_C_runs_the_same(scenario: Scenario, tmp_path: Path) -> None:
     step, state, exogenous, params, _ = parts(scenario)
-    results = interpret.run(generated(step, tmp_path), state, exogenous, params)
-    expected = interpret.run(step, state, exogenous, params)
+    results = interpret.run_interpreted(generated(step, tmp_path), state, exogenous, params)
+    expected = interpret.run_interpreted(step, state, exogenous, params)
     assert max(map(distance, results, expected)) < 1e-15
 
 
@@ -303,18 +303,20 @@ SPECIAL = [*USUAL, 1e-9, 710.0, 1e308, 5e-324, -1e-310, np.inf, -np.inf, np.nan]
 
 def lanes_once(step: ca.Function, states: Floats) -> Floats:
     """The outputs of one step from each row of states."""
-    return lanes.run(lanes.build(step, width=8), states, np.empty((1, 0)), np.empty(0))[0][:, 0]
+    return lanes.run_lanes(
+        lanes.build_kernel(step, width=8), states, np.empty((1, 0)), np.empty(0)
+    )[0][:, 0]
 
 
 def fused_once(step: ca.Function, states: Floats) -> Floats:
     """The same with sums of products rounded once."""
-    kernel = lanes.build(step, width=8, fused=True)
-    return lanes.run(kernel, states, np.empty((1, 0)), np.empty(0))[0][:, 0]
+    kernel = lanes.build_kernel(step, width=8, fused=True)
+    return lanes.run_lanes(kernel, states, np.empty((1, 0)), np.empty(0))[0][:, 0]
 
 
 def machine_once(step: ca.Function, states: Floats) -> Floats:
     nothing = np.empty((1, 0)), np.empty(0)
-    return np.array([interpret.run(step, state, *nothing)[0][0] for state in states])
+    return np.array([interpret.run_interpreted(step, state, *nothing)[0][0] for state in states])
 
 
 def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Function:
@@ -373,7 +375,7 @@ def test_random_graphs_mean_the_same(step: ca.Function, states: list[tuple[float
 def test_an_unknown_instruction_is_named() -> None:
     a = ca.SX.sym("a")
     with pytest.raises(InputError, match="OP_ERFINV"):
-        lanes.build(stateless([a], [ca.erfinv(a)]))
+        lanes.build_kernel(stateless([a], [ca.erfinv(a)]))
 
 
 def test_structural_zeros_and_unused_inputs() -> None:
@@ -401,10 +403,12 @@ def varied(**options: Any) -> tuple[Floats, Floats]:
     step, state, exogenous, params, names = parts(small("sampled"))
     threads = options.pop("threads", None)
     own = shocks(len(exogenous))
-    kernel = lanes.build(step, params=[names.index("sensor.right[0]")], exogenous=[5, 3], **options)
+    kernel = lanes.build_kernel(
+        step, params=[names.index("sensor.right[0]")], exogenous=[5, 3], **options
+    )
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] = WIDTHS
-    return lanes.run(kernel, states, exogenous, params, own, WIDTHS[:, None], threads=threads)
+    return lanes.run_lanes(kernel, states, exogenous, params, own, WIDTHS[:, None], threads=threads)
 
 
 def test_a_lane_is_a_single_run_to_the_last_bit() -> None:
@@ -413,7 +417,7 @@ def test_a_lane_is_a_single_run_to_the_last_bit() -> None:
     for i in (0, 7, 18):
         exogenous[:, [5, 3]] = shocks(len(exogenous))[:, :, i]
         params[names.index("sensor.right[0]")] = state[0] = WIDTHS[i]
-        expected = interpret.run(step, state, exogenous, params)
+        expected = interpret.run_interpreted(step, state, exogenous, params)
         assert identical(outputs[i], expected[0])
         assert identical(finals[i], expected[1])
     assert np.unique(finals[:, 0]).size == WIDTHS.size
@@ -444,24 +448,30 @@ def printed(step: ca.Function, **options: Any) -> str:
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = kernel.Shape(sizes, (), (), tuple(range(step.size1_out(1))))
     options = {"arithmetic": Arithmetic(), "width": 16} | options
-    return kernel.source(kernel.graphs(step, (), shape, {}, {}), shape, here(), **options).text
+    return kernel.print_kernel(
+        kernel.build_graphs(step, (), shape, {}, {}), shape, host_machine(), **options
+    ).text
 
 
 @pytest.mark.parametrize("time", BOTH)
 def test_fused_lanes_agree_to_rounding(time: str) -> None:
     step, state, exogenous, params, _ = parts(small(time))
     assert "llvm.fma" in printed(step, arithmetic=Arithmetic(fused=True))
-    outputs, finals = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
-    expected = interpret.run(step, state, exogenous, params)
+    outputs, finals = lanes.run_lanes(
+        lanes.build_kernel(step, width=8, fused=True), state, exogenous, params
+    )
+    expected = interpret.run_interpreted(step, state, exogenous, params)
     assert distance(outputs[0], expected[0]) < 1e-13
     assert distance(finals[0], expected[1]) < 1e-13
 
 
 def test_fused_lanes_do_not_depend_on_what_is_shared() -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    shared = lanes.run(lanes.build(step, width=8, fused=True), state, exogenous, params)
-    kernel = lanes.build(step, width=16, fused=True, params=range(params.size))
-    own = lanes.run(kernel, state, exogenous, params, lane_params=np.tile(params, (3, 1)))
+    shared = lanes.run_lanes(
+        lanes.build_kernel(step, width=8, fused=True), state, exogenous, params
+    )
+    kernel = lanes.build_kernel(step, width=16, fused=True, params=range(params.size))
+    own = lanes.run_lanes(kernel, state, exogenous, params, lane_params=np.tile(params, (3, 1)))
     assert all(identical(a[2], b[0]) for a, b in zip(own, shared, strict=True))
 
 
@@ -515,21 +525,21 @@ def test_lanes_are_computed_by_vector_instructions(folder: Path) -> None:
     """Of a kernel that is compiled here; one that is kept has no text."""
     step = parts(small("sampled"))[0]
     exogenous, params = range(step.size1_in(1)), range(step.size1_in(2))
-    built = lanes.build(step, params=params, exogenous=exogenous, width=32)
+    built = lanes.build_kernel(step, params=params, exogenous=exogenous, width=32)
     assert re.search(r"fmul <\d+ x double>", built.block.text)
 
 
 def test_progress_counts_the_steps_of_all_lanes() -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
     done: list[int] = []
-    kernel = lanes.build(step, width=8)
-    lanes.run(kernel, np.tile(state, (19, 1)), exogenous, params, progress=done.append)
+    kernel = lanes.build_kernel(step, width=8)
+    lanes.run_lanes(kernel, np.tile(state, (19, 1)), exogenous, params, progress=done.append)
     assert sum(done) == 19 * len(exogenous)
 
 
 def test_misuse_is_named() -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    kernel = lanes.build(step, width=8, params=[1])
+    kernel = lanes.build_kernel(step, width=8, params=[1])
     for error, match, arguments in (
         (ShapeError, "lanes", (np.tile(state, (2, 1)), exogenous, params, None, np.ones((3, 1)))),
         (ShapeError, "lane_params", (state, exogenous, params)),
@@ -538,9 +548,9 @@ def test_misuse_is_named() -> None:
         (ShapeError, "params", (state, exogenous, params[1:], None, np.ones((3, 1)))),
     ):
         with pytest.raises(error, match=match):
-            lanes.run(kernel, *arguments)
+            lanes.run_lanes(kernel, *arguments)
     with pytest.raises(InputError, match="record"):
-        lanes.build(step, record=[99])
+        lanes.build_kernel(step, record=[99])
 
 
 # --- Kernels on disk
@@ -549,17 +559,17 @@ def test_misuse_is_named() -> None:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
     yield tmp_path / "kernels"
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
 
 
 def doubled(factor: float = 2.0) -> tuple[float, bool]:
     """(factor * 3 computed by a kernel, whether it was taken from disk)."""
     a = ca.SX.sym("a")
-    cache.compile_or_load.cache_clear()
-    kernel = lanes.build(stateless([a], [a * factor]), width=8)
-    outputs, _ = lanes.run(kernel, np.array([3.0]), np.empty((1, 0)), np.empty(0))
+    cache.load_or_compile.cache_clear()
+    kernel = lanes.build_kernel(stateless([a], [a * factor]), width=8)
+    outputs, _ = lanes.run_lanes(kernel, np.array([3.0]), np.empty((1, 0)), np.empty(0))
     return float(outputs[0, 0, 0]), not kernel.block.text
 
 
@@ -576,7 +586,7 @@ def test_another_machine_or_version_compiles_again(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     doubled()
-    monkeypatch.setattr(cache, "_machine", lambda: "LLVM 99 on another processor")
+    monkeypatch.setattr(cache, "_host_description", lambda: "LLVM 99 on another processor")
     assert doubled() == (6.0, False)
     assert len(list(folder.glob("*.kernel"))) == 2
 
@@ -654,7 +664,7 @@ def test_processes_may_compile_the_same_kernel_at_once(folder: Path) -> None:
 
 def test_other_arguments_are_refused() -> None:
     a, flat = ca.SX.sym("a"), np.zeros(100)
-    block = lanes.build(stateless([a], [a]), width=8).block
+    block = lanes.build_kernel(stateless([a], [a]), width=8).block
     for wrong in (np.zeros(100, np.float32), np.zeros(200)[::2]):
         with pytest.raises(TypeError, match="expected a contiguous array of float64"):
             block(1, flat, wrong, flat, flat, flat)

@@ -37,9 +37,9 @@ from undeadzone.compile.machine import (
     Form,
     Machine,
     Shape,
-    compile_module,
-    form_from_environment,
-    here,
+    compile_text,
+    environment_form,
+    host_machine,
     stack,
 )
 from undeadzone.errors import InputError
@@ -91,9 +91,9 @@ def kept_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("UNDEADZONE_CACHE", str(tmp_path_factory.mktemp("kernels")))
-        cache.compile_or_load.cache_clear()
+        cache.load_or_compile.cache_clear()
         yield
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
 
 
 def every_instruction() -> ca.Function:
@@ -120,10 +120,12 @@ def test_every_instruction_means_the_same_in_every_form(form: Form) -> None:
     step = every_instruction()
     states = np.array(np.meshgrid(SPECIAL, SPECIAL)).reshape(2, -1).T
     nothing = np.empty((1, 0)), np.empty(0)
-    found = lanes.run(lanes.build(step, form=form), states, *nothing)[0][:, 0]
+    found = lanes.run_lanes(lanes.build_kernel(step, form=form), states, *nothing)[0][:, 0]
     exact = len(UNARY) + len(BINARY)
     assert identical(found[:, :exact], machine_once(step, states)[:, :exact])
-    assert identical(found, lanes.run(lanes.build(step, width=1), states, *nothing)[0][:, 0])
+    assert identical(
+        found, lanes.run_lanes(lanes.build_kernel(step, width=1), states, *nothing)[0][:, 0]
+    )
 
 
 @pytest.mark.usefixtures("kept_kernels")
@@ -135,12 +137,12 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
     states, total = np.stack([numbers, numbers[::-1]], axis=1), len(numbers)
     rows = np.stack([numbers[::-1], numbers], axis=1)
     options: dict[str, Any] = {"exogenous": [0, 1]} if shared else {"params": [0, 1]}
-    own = lanes.build(step, fused=fused, **options)
+    own = lanes.build_kernel(step, fused=fused, **options)
     for form in list(FORMS.values())[::3]:
-        usual = lanes.build(step, fused=fused, form=form)
+        usual = lanes.build_kernel(step, fused=fused, form=form)
         for k in range(0, total, 15):
             given_w = np.tile(rows[k], (3, 1))
-            expected = lanes.run(
+            expected = lanes.run_lanes(
                 own,
                 states,
                 given_w,
@@ -148,7 +150,7 @@ def test_what_all_lanes_share_means_the_same_as_what_each_has(shared: bool, fuse
                 np.tile(given_w[:, :, None], (1, 1, total)) if shared else None,
                 None if shared else np.tile(rows[k], (total, 1)),
             )
-            found = lanes.run(usual, states, given_w, rows[k])
+            found = lanes.run_lanes(usual, states, given_w, rows[k])
             assert all(map(identical, found, expected)), form
 
 
@@ -164,9 +166,11 @@ def test_random_graphs_mean_the_same_in_every_form(
     step: ca.Function, states: list[tuple[float, ...]], form: Form, fused: bool
 ) -> None:
     nothing = np.empty((1, 0)), np.empty(0)
-    usual = lanes.build(step, width=8, fused=fused)
-    found = lanes.run(lanes.build(step, form=form, fused=fused), np.array(states), *nothing)
-    assert all(map(identical, found, lanes.run(usual, np.array(states), *nothing)))
+    usual = lanes.build_kernel(step, width=8, fused=fused)
+    found = lanes.run_lanes(
+        lanes.build_kernel(step, form=form, fused=fused), np.array(states), *nothing
+    )
+    assert all(map(identical, found, lanes.run_lanes(usual, np.array(states), *nothing)))
 
 
 @pytest.mark.usefixtures("kept_kernels")
@@ -178,8 +182,8 @@ def test_a_loop_with_rare_parts_has_the_same_bits_in_every_form(name: str, fused
     states = np.tile(state, (19, 1))
     states[:7, 0] += np.linspace(0.2, 1.0, 7)
     run = (states, exogenous[:150], tree.pack(loop.params))
-    usual = lanes.run(lanes.build(*loop.parts, width=1, fused=fused), *run)
-    found = lanes.run(lanes.build(*loop.parts, form=FORMS[name], fused=fused), *run)
+    usual = lanes.run_lanes(lanes.build_kernel(*loop.parts, width=1, fused=fused), *run)
+    found = lanes.run_lanes(lanes.build_kernel(*loop.parts, form=FORMS[name], fused=fused), *run)
     assert all(map(identical, found, usual))
 
 
@@ -203,8 +207,8 @@ def test_rare_parts_change_the_lanes_that_ask_for_them(form: Form, which: str) -
     values[asks] += 1.0
     step, rare = flagged()
     states = np.stack([values, np.zeros(24)], axis=1)
-    built = lanes.build(step, rare, form=form)
-    _, finals = lanes.run(built, states, np.full((1, 1), 0.25), np.array([3.0]))
+    built = lanes.build_kernel(step, rare, form=form)
+    _, finals = lanes.run_lanes(built, states, np.full((1, 1), 0.25), np.array([3.0]))
     expected = values + 0.25
     expected[asks] = -values[asks]
     assert finals[:, 0].tolist() == expected.tolist()
@@ -217,25 +221,25 @@ def test_code_of_no_effort_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) ->
     assert loop.parts is not None
     run = (np.tile(state, (19, 1)), exogenous, tree.pack(loop.params))
     better: list[Any] = []
-    monkeypatch.setattr(cache.Block, "improve", lambda block, make: better.append(make))
+    monkeypatch.setattr(cache.CompiledBlock, "improve", lambda block, make: better.append(make))
     for fused in (False, True):
-        cache.compile_or_load.cache_clear()
-        built = lanes.build(*loop.parts, fused=fused)
-        hurried = lanes.run(built, *run)
+        cache.load_or_compile.cache_clear()
+        built = lanes.build_kernel(*loop.parts, fused=fused)
+        hurried = lanes.run_lanes(built, *run)
         built.block._codes.append(better.pop()())
-        assert all(map(identical, hurried, lanes.run(built, *run)))
+        assert all(map(identical, hurried, lanes.run_lanes(built, *run)))
 
 
 def test_the_best_code_takes_the_place_of_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "LONG", 0)
     a = ca.SX.sym("a")
-    built = lanes.build(stateless([a], [a * 17.0]), width=8)
-    built.block.settle()
+    built = lanes.build_kernel(stateless([a], [a * 17.0]), width=8)
+    built.block.wait_until_best()
     assert len(built.block._codes) == 2
-    outputs, _ = lanes.run(built, np.array([3.0]), np.empty((1, 0)), np.empty(0))
+    outputs, _ = lanes.run_lanes(built, np.array([3.0]), np.empty((1, 0)), np.empty(0))
     assert outputs[0, 0, 0] == 51.0
-    cache.compile_or_load.cache_clear()
-    again = lanes.build(stateless([a], [a * 17.0]), width=8)
+    cache.load_or_compile.cache_clear()
+    again = lanes.build_kernel(stateless([a], [a * 17.0]), width=8)
     assert again.block.text == ""
 
 
@@ -244,9 +248,9 @@ def test_code_of_no_effort_has_to_fit_onto_the_stack(monkeypatch: pytest.MonkeyP
     a = ca.SX.sym("a")
     for room, codes in ((2**23, 2), (100, 1)):
         monkeypatch.setattr(cache, "stack", lambda room=room: room)
-        cache.compile_or_load.cache_clear()
-        built = lanes.build(stateless([a], [a * float(room)]), width=8)
-        built.block.settle()
+        cache.load_or_compile.cache_clear()
+        built = lanes.build_kernel(stateless([a], [a * float(room)]), width=8)
+        built.block.wait_until_best()
         assert len(built.block._codes) == codes
     assert cache.FRAME < stack() < 2**24
 
@@ -258,7 +262,7 @@ def zone(lanes_own: bool) -> tuple[lanes.Kernel, ca.Function]:
     out = p[0] * (side > 0) - p[1] * (side < 0)
     step = ca.Function("step", [s, w, p], [s, s - out])
     options: dict[str, Any] = {"params": [0, 1]} if lanes_own else {}
-    return lanes.build(step, fused=True, width=8, **options), step
+    return lanes.build_kernel(step, fused=True, width=8, **options), step
 
 
 @pytest.mark.parametrize("lanes_own", [False, True])
@@ -269,7 +273,7 @@ def test_edges_of_a_zone_do_not_cross_or_are_refused(lanes_own: bool) -> None:
 
     def offsets(edges: Floats) -> Floats:
         rows = np.tile(edges, (5, 1)) if lanes_own else None
-        return lanes.run(built, states, np.empty((1, 0)), edges, lane_params=rows)[0][:, 0, 0]
+        return lanes.run_lanes(built, states, np.empty((1, 0)), edges, lane_params=rows)[0][:, 0, 0]
 
     for edges in ([1.0, 0.5], [0.25, -0.25], [0.0, 0.0]):
         numbers = np.array(edges)
@@ -282,11 +286,11 @@ def test_edges_of_a_zone_do_not_cross_or_are_refused(lanes_own: bool) -> None:
 # --- Text and machine code
 
 
-def source_of(step: ca.Function, rare: Any, machine: Machine, **options: Any) -> kernel.Source:
+def source_of(step: ca.Function, rare: Any, machine: Machine, **options: Any) -> kernel.KernelText:
     sizes = (step.size1_in(0), step.size1_in(1), step.size1_in(2))
     shape = Shape(sizes, (3, 5), (0, 1), (0,))
-    functions = kernel.graphs(step, rare, shape, {}, {})
-    return kernel.source(
+    functions = kernel.build_graphs(step, rare, shape, {}, {})
+    return kernel.print_kernel(
         functions, shape, machine, **({"arithmetic": Arithmetic(fused=True), "width": 64} | options)
     )
 
@@ -304,13 +308,13 @@ def test_code_is_made_for_other_machines(machine: Machine, width: int, register:
     module = binding.parse_assembly(made.text)
     module.verify()
     assert made.form.lanes == width
-    assert len(re.findall(register, machine.target().emit_assembly(module))) > 100
+    assert len(re.findall(register, machine.build_target().emit_assembly(module))) > 100
 
 
 def test_texts_are_the_same_however_often_they_are_made() -> None:
     loop = prepare(resolve_scenario(small()))[0]
     assert loop.parts is not None
-    texts = {source_of(*loop.parts, machine=here()).text for _ in range(2)}
+    texts = {source_of(*loop.parts, machine=host_machine()).text for _ in range(2)}
     assert len(texts) == 1
 
 
@@ -326,7 +330,7 @@ def test_machine_code_of_a_loop_stays_short() -> None:
     )
     step = parts(scenario)[0]
     made = source_of(step, (), machine)
-    code = machine.target().emit_assembly(binding.parse_assembly(made.text))
+    code = machine.build_target().emit_assembly(binding.parse_assembly(made.text))
     loop = max(re.split(r"\n(?=\.LBB)", code), key=lambda block: block.count("zmm"))
     counted = re.findall(r"\n\tv(?:fn?m(?:add|sub)|mul|add|sub|min|max|cmp)\w*pd\t", loop)
     assert 0 < len(counted) <= CEILING
@@ -337,23 +341,23 @@ def test_compiled_code_calls_nothing_but_the_c_library() -> None:
     step = every_instruction()
     sizes = (2, 0, 0)
     shape = Shape(sizes, (), (), tuple(range(step.size1_out(1))))
-    functions = kernel.graphs(step, (), shape, {}, {})
-    made = kernel.source(functions, shape, here(), Arithmetic(), 8)
-    assert "sin" in compile_module(made.text).calls
-    fused = kernel.source(functions, shape, here(), Arithmetic(fused=True), 8)
-    assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compile_module(fused.text).calls)
+    functions = kernel.build_graphs(step, (), shape, {}, {})
+    made = kernel.print_kernel(functions, shape, host_machine(), Arithmetic(), 8)
+    assert "sin" in compile_text(made.text).calls
+    fused = kernel.print_kernel(functions, shape, host_machine(), Arithmetic(fused=True), 8)
+    assert not {"sin", "cos", "exp", "log", "erf", "tanh"} & set(compile_text(fused.text).calls)
 
 
 def test_the_environment_fixes_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
     step = every_instruction()
     monkeypatch.setenv("UNDEADZONE_FORM", "2,2,0,9")
-    assert lanes.build(step).form == Form(2, 2, False, 9)
-    assert lanes.build(step, width=1).form.lanes == 1
-    assert lanes.build(step, form=Form(4, 1, False, 0)).form == Form(4, 1, False, 0)
+    assert lanes.build_kernel(step).form == Form(2, 2, False, 9)
+    assert lanes.build_kernel(step, width=1).form.lanes == 1
+    assert lanes.build_kernel(step, form=Form(4, 1, False, 0)).form == Form(4, 1, False, 0)
     for wrong in ("8", "3,1,0,0", "8,2,x,0", "8,2,2,0", "8,2,0,0,1,1", "-8,2,0,0"):
         monkeypatch.setenv("UNDEADZONE_FORM", wrong)
         with pytest.raises(InputError, match="UNDEADZONE_FORM: expected lanes"):
-            lanes.build(step)
+            lanes.build_kernel(step)
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -362,10 +366,10 @@ def test_a_form_tells_itself_as_the_environment_does(
 ) -> None:
     machine, _, _ = MACHINES[name]
     for instructions in (100, 3_000, 100_000):
-        form = machine.form(instructions, 64)
-        for each in (form, *machine.others(form)):
-            monkeypatch.setenv(FIXED, each.text)
-            assert form_from_environment() == each
+        form = machine.choose_form(instructions, 64)
+        for each in (form, *machine.alternative_forms(form)):
+            monkeypatch.setenv(FIXED, each.setting_text)
+            assert environment_form() == each
 
 
 # --- The form is measured
@@ -378,7 +382,7 @@ def eager(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     monkeypatch.setattr(cache, "START", -1.0)
     monkeypatch.setattr(cache, "SHORT", -1.0)
     monkeypatch.setattr(cache, "CALLS", 3)
-    cache.compile_or_load.cache_clear()
+    cache.load_or_compile.cache_clear()
     return tmp_path / "own"
 
 
@@ -397,19 +401,19 @@ def test_a_run_in_changing_forms_has_the_bits_of_each(
     states = np.tile(state, (64, 1))
     states[:30, 0] += np.linspace(0.2, 1.0, 30)
     run = (states, exogenous, tree.pack(loop.params))
-    built = lanes.build(*loop.parts, fused=True)
+    built = lanes.build_kernel(*loop.parts, fused=True)
     trial = built.block.trial
     assert isinstance(trial, cache.Trial)
-    found = [lanes.run(built, *run)]
+    found = [lanes.run_lanes(built, *run)]
     compiled_beside()
     forms = [Form(*json.loads(name)) for name in trial.codes.values() if name]
     assert len({*forms} - {built.form}) == len(forms) >= 3
     begun = dict(trial.codes)
-    found += [lanes.run(built, *run), lanes.run(built, *run)]
+    found += [lanes.run_lanes(built, *run), lanes.run_lanes(built, *run)]
     assert all(trial.rates[block] for block in begun)
     assert len(trial.codes) == 1
     for form in forms:
-        expected = lanes.run(lanes.build(*loop.parts, fused=True, form=form), *run)
+        expected = lanes.run_lanes(lanes.build_kernel(*loop.parts, fused=True, form=form), *run)
         for each in found:
             assert all(map(identical, each, expected))
 
@@ -428,7 +432,7 @@ def test_another_code_has_to_win_clearly(
         def __init__(self, cost: float) -> None:
             self.cost = cost
 
-        def function(self, steps: int, lanes: int) -> None:
+        def c_function(self, steps: int, lanes: int) -> None:
             calls.append((self.cost, lanes))
             now[0] += self.cost * steps * lanes * next(noise)
 
@@ -456,23 +460,25 @@ def test_an_answer_is_kept_for_steps_of_the_same_size(
     eager: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = every_instruction()
-    assumed = lanes.build(step, fused=True)
+    assumed = lanes.build_kernel(step, fused=True)
     assumed.block.trial._keep(json.dumps(Form(4, 1, False, 0)))
-    again = lanes.build(step, fused=True)
+    again = lanes.build_kernel(step, fused=True)
     assert (again.form, again.block.trial) == (Form(4, 1, False, 0), None)
     monkeypatch.setenv("UNDEADZONE_FORM", "2,2,0,9")
-    told = lanes.build(step, fused=True)
+    told = lanes.build_kernel(step, fused=True)
     assert (told.form, told.block.trial) == (Form(2, 2, False, 9), None)
     monkeypatch.delenv("UNDEADZONE_FORM")
-    assert lanes.build(step, fused=True, width=16).form == here().form(1, 16)  # another size
+    assert lanes.build_kernel(step, fused=True, width=16).form == host_machine().choose_form(
+        1, 16
+    )  # another size
     (answer,) = [path for path in eager.glob("*.kernel") if path.stat().st_size < 200]
     for nonsense in (b"", b"[8, 2]", answer.read_bytes()[:-1] + b"x"):
         answer.write_bytes(nonsense)
-        cache.compile_or_load.cache_clear()
-        assert lanes.build(step, fused=True).form == assumed.form
+        cache.load_or_compile.cache_clear()
+        assert lanes.build_kernel(step, fused=True).form == assumed.form
     assumed.block.trial._keep("")  # what was assumed is the fastest
-    cache.compile_or_load.cache_clear()
-    found = lanes.build(step, fused=True)
+    cache.load_or_compile.cache_clear()
+    found = lanes.build_kernel(step, fused=True)
     assert (found.form, found.block.trial) == (assumed.form, None)
 
 
@@ -481,10 +487,10 @@ def test_a_cache_that_cannot_be_written_costs_no_run(
 ) -> None:
     eager.write_text("no folder")
     a = ca.SX.sym("a")
-    built = lanes.build(stateless([a], [a * 3.0]), width=16)
+    built = lanes.build_kernel(stateless([a], [a * 3.0]), width=16)
     nothing = np.empty((1, 0)), np.empty(0)
     for _ in range(40):
-        assert lanes.run(built, np.full((16, 1), 2.0), *nothing)[0].tolist() == [[[6.0]]] * 16
+        assert lanes.run_lanes(built, np.full((16, 1), 2.0), *nothing)[0].tolist() == [[[6.0]]] * 16
         compiled_beside()
     assert len(built.block.trial.codes) == 1
-    assert lanes.build(stateless([a], [a * 3.0]), width=16).block is built.block
+    assert lanes.build_kernel(stateless([a], [a * 3.0]), width=16).block is built.block

@@ -32,8 +32,8 @@ def test_a_step_in_parts_is_the_whole_step_to_the_last_bit() -> None:
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] += WIDTHS
     run = (states, exogenous, tree.pack(loop.params))
-    in_parts = lanes.run(lanes.build(*loop.parts, width=16), *run)
-    whole = lanes.run(lanes.build(loop.step, width=16), *run)
+    in_parts = lanes.run_lanes(lanes.build_kernel(*loop.parts, width=16), *run)
+    whole = lanes.run_lanes(lanes.build_kernel(loop.step, width=16), *run)
     assert all(map(identical, in_parts, whole))
     side = in_parts[0][:, :, tree.names(loop.outputs).index("side[0]")]
     crossing = (side != side[:, :1]).argmax(axis=1)
@@ -46,19 +46,21 @@ def test_every_so_many_th_output_is_one_of_all(
 ) -> None:
     monkeypatch.setattr(lanes, "BUFFER", buffer)
     step, state, exogenous, params, _ = parts(small("sampled"))
-    kernel = lanes.build(step, width=8)
-    outputs, finals = lanes.run(kernel, np.tile(state, (3, 1)), exogenous, params)
+    kernel = lanes.build_kernel(step, width=8)
+    outputs, finals = lanes.run_lanes(kernel, np.tile(state, (3, 1)), exogenous, params)
     for every in (7, 300, 1000):
-        chosen, same = lanes.run(kernel, np.tile(state, (3, 1)), exogenous, params, every=every)
+        chosen, same = lanes.run_lanes(
+            kernel, np.tile(state, (3, 1)), exogenous, params, every=every
+        )
         assert identical(chosen, outputs[:, ::every])
         assert identical(same, finals)
 
 
 def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     step, state, exogenous, params, _ = parts(small("sampled"))
-    kernel = lanes.build(step, exogenous=[5, 3], record=[0, 4], width=8)
+    kernel = lanes.build_kernel(step, exogenous=[5, 3], record=[0, 4], width=8)
     inputs = shocks(len(exogenous))
-    expected = lanes.run(kernel, state, exogenous, params, inputs)
+    expected = lanes.run_lanes(kernel, state, exogenous, params, inputs)
     asked: list[tuple[int, int, int]] = []
 
     def supply(chosen: Any) -> Callable[[int, int], Floats]:
@@ -70,7 +72,7 @@ def test_inputs_may_be_supplied_as_they_are_needed(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(lanes, "BUFFER", 8 * 2 * 40)
     states = np.tile(state, (WIDTHS.size, 1))
-    assert all(map(identical, lanes.run(kernel, states, exogenous, params, supply), expected))
+    assert all(map(identical, lanes.run_lanes(kernel, states, exogenous, params, supply), expected))
     in_order = [(k, min(40, 301 - k)) for k in range(0, 301, 40)]
     for lane in (0, 8, 16):
         assert [(first, count) for which, first, count in asked if which == lane] == in_order
@@ -88,11 +90,11 @@ def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
     assert inputs
     assert numbers
     kernels = [
-        lanes.build(loop.step, width=8),
-        lanes.build(loop.step, width=8, known_exogenous=inputs),
-        lanes.build(loop.step, width=8, known_exogenous=inputs, known_params=numbers),
+        lanes.build_kernel(loop.step, width=8),
+        lanes.build_kernel(loop.step, width=8, known_exogenous=inputs),
+        lanes.build_kernel(loop.step, width=8, known_exogenous=inputs, known_params=numbers),
     ]
-    plain, same, close = (lanes.run(kernel, state, exogenous, params) for kernel in kernels)
+    plain, same, close = (lanes.run_lanes(kernel, state, exogenous, params) for kernel in kernels)
     assert all(map(np.array_equal, same, plain))
     assert max(distance(a[0], b[0]) for a, b in zip(close, plain, strict=True)) < 1e-13
 
@@ -105,7 +107,7 @@ def test_entries_that_are_not_there_are_named() -> None:
         ("params", {"params": [-1]}),
     ):
         with pytest.raises(InputError, match=f"^{name}: expected entries from 0 to "):
-            lanes.build(step, **options)
+            lanes.build_kernel(step, **options)
 
 
 STARTED = """

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
 
 from undeadzone.compile.graph import required_nodes
-from undeadzone.compile.lower import portable
-from undeadzone.compile.numpy_reference import replica
-from undeadzone.compile.print_c import literal
+from undeadzone.compile.lower import build_portable_nodes
+from undeadzone.compile.numpy_reference import reference_evaluator
+from undeadzone.compile.print_c import c_literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.plants.build import system
@@ -55,7 +55,7 @@ def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> Step:
 def by_replica(step: Step, rows: Floats, single: bool) -> Floats:
     """The outputs by NumPy, a row for each row of inputs."""
     real = np.float32 if single else np.float64
-    evaluate = replica(code(step, single).results)
+    evaluate = reference_evaluator(code(step, single).results)
     values = []
     for row in rows.astype(real):
         entries = {f"w{k}": value for k, value in enumerate(row)}
@@ -160,7 +160,7 @@ def test_no_NaN_is_computed_with() -> None:
     there = ca.logic_and(y < 1e300, y > -1e300)
     seen = ca.if_else(there, y, np.nan)
     inside = ca.if_else(ca.logic_and(seen < 1e300, seen > -1e300), seen - z, 0.0)
-    results = portable(stateless([y, z], [inside]).function, "float64")
+    results = build_portable_nodes(stateless([y, z], [inside]).function, "float64")
     assert "nan" not in [node.text for node in required_nodes(itertools.chain(*results))]
     assert operations(results)["select"] <= 2
 
@@ -176,14 +176,14 @@ def test_a_split_step_computes_the_same() -> None:
         ["s", "w", "p"],
         ["next", "out"],
     )
-    results = portable(function, "float64")
+    results = build_portable_nodes(function, "float64")
     phases = split_results(results, {"w1"})
     entries = {"s0": 0.3, "s1": 2.0, "w0": 1.7, "w1": -0.4}
     entries = {key: np.float64(value) for key, value in entries.items()}
-    following, out = replica(results)(entries)
-    first, carry = replica(phases.estimate)(entries)
+    following, out = reference_evaluator(results)(entries)
+    first, carry = reference_evaluator(phases.estimate)(entries)
     entries |= {f"c{k}": value for k, value in enumerate(carry)}
-    (later,) = replica(phases.advance)(entries)
+    (later,) = reference_evaluator(phases.advance)(entries)
     assert phases.carried == 1
     assert (first, later) == (out, following)
 
@@ -213,7 +213,7 @@ def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> N
 @given(st.floats(allow_nan=False))
 def test_a_literal_means_its_number(value: float) -> None:
     for kind, real in (("float32", np.float32), ("float64", np.float64)):
-        text = literal(value, kind)
+        text = c_literal(value, kind)
         limits = {
             "FLT_MAX": np.finfo(np.float32).max,
             "FLT_MIN": np.finfo(np.float32).tiny,

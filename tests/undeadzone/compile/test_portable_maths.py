@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from undeadzone.compile.elementary import FUNCTIONS, formula, required_functions
-from undeadzone.compile.numpy_reference import elementary
-from undeadzone.compile.print_c import Style, functions
+from undeadzone.compile.elementary import FUNCTIONS, build_formula, required_functions
+from undeadzone.compile.numpy_reference import elementary_functions
+from undeadzone.compile.print_c import Style, elementary_texts
 
 POINTS = 100_000
 LONG: Any = np.longdouble
@@ -57,7 +57,7 @@ def test_errors_in_units_of_the_last_place(name: str, single: bool) -> None:
     (low, high), *bars = BARS[name]
     x = points(low, high, single)
     with np.errstate(all="ignore"):
-        values = elementary(real(single).__name__)[name](x)
+        values = elementary_functions(real(single).__name__)[name](x)
         expected = getattr(np, NUMPY.get(name, name))(x.astype(LONG))
         unit = np.spacing(np.abs(expected.astype(real(single))))
         error = np.abs(values.astype(LONG) - expected) / np.maximum(unit, np.finfo(x.dtype).tiny)
@@ -73,17 +73,20 @@ def test_erf_and_atan2_and_pow() -> None:
             kind = real(single)
             a, b = x.astype(kind), y.astype(kind)
             expected = np.array([math.erf(value) for value in a.astype(float)])
-            assert np.abs(elementary(kind.__name__)["erf"](a) - expected).max() < bar
+            assert np.abs(elementary_functions(kind.__name__)["erf"](a) - expected).max() < bar
             expected = np.arctan2(a.astype(float), b.astype(float))
-            assert np.abs(elementary(kind.__name__)["atan2"](a, b) - expected).max() < 2 * bar
+            assert (
+                np.abs(elementary_functions(kind.__name__)["atan2"](a, b) - expected).max()
+                < 2 * bar
+            )
             expected = np.abs(a.astype(float)) ** b.astype(float)
-            error = np.abs(elementary(kind.__name__)["pow"](np.abs(a), b) / expected - 1)
+            error = np.abs(elementary_functions(kind.__name__)["pow"](np.abs(a), b) / expected - 1)
             assert error.max() < 16 * np.finfo(kind).eps * 8
 
 
 @pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
 def test_edges(single: bool) -> None:
-    f, kind = elementary(real(single).__name__), real(single)
+    f, kind = elementary_functions(real(single).__name__), real(single)
     inf, nan = kind(np.inf), kind(np.nan)
     with np.errstate(all="ignore"):
         assert f["exp"](inf) == inf
@@ -112,10 +115,10 @@ def test_edges(single: bool) -> None:
 def test_a_function_brings_along_what_it_calls_and_nothing_else() -> None:
     assert required_functions({"log1p"}) == ["log", "log1p"]
     assert required_functions({"bits"}) == []
-    texts = functions(["exp"], {"exp"}, Style("float32", "o"))
+    texts = elementary_texts(["exp"], {"exp"}, Style("float32", "o"))
     assert [text.split("(")[0].split()[-1] for text in texts] == ["o_bits", "o_number", "o_exp"]
-    assert len(functions(["hypot"], {"hypot"}, Style("float32", "o"))) == 1
+    assert len(elementary_texts(["hypot"], {"hypot"}, Style("float32", "o"))) == 1
     order = list(FUNCTIONS)
     for name in FUNCTIONS:
-        calls = formula(name, "float64").calls
+        calls = build_formula(name, "float64").calls
         assert all(order.index(other) < order.index(name) for other in calls)

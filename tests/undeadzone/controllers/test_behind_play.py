@@ -147,8 +147,8 @@ def test_engines_agree_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
     step, states, exogenous, params, names = parts(motor())
     assert "controller.crossing.gain" in names
-    expected, _ = interpret.run(step, states, exogenous, params)
-    outputs, _ = lanes.run(lanes.build(step, width=1), states, exogenous, params)
+    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
+    outputs, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
     assert distance(outputs[0], expected) == 0
 
 

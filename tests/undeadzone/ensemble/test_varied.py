@@ -185,12 +185,14 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     state, params = binding.pack_run(binding.draw(0, 1, 1)[0])
     if "noise" in address:
         exogenous = other_exogenous  # drawn also where the nominal noise is 0
-    varied, _ = interpret.run(loop.step, state, exogenous, params)
+    varied, _ = interpret.run_interpreted(loop.step, state, exogenous, params)
     other_params = tree.pack(other_loop.params)
-    expected, _ = interpret.run(other_loop.step, other_state, other_exogenous, other_params)
+    expected, _ = interpret.run_interpreted(
+        other_loop.step, other_state, other_exogenous, other_params
+    )
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(varied, expected, rtol=1e-11, atol=1e-11)
-    nominal, _ = interpret.run(loop.step, binding.state, exogenous, binding.params)
+    nominal, _ = interpret.run_interpreted(loop.step, binding.state, exogenous, binding.params)
     assert not np.allclose(varied, nominal, rtol=1e-6, atol=1e-6)
 
 

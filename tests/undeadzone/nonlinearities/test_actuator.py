@@ -366,8 +366,8 @@ def test_engines_agree_to_the_last_bit(
         compensator={"method": "smooth_inverse", "coast": 0.1, "every": 0.5},
     )
     step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run(step, states, exogenous, params)
-    found, _ = lanes.run(lanes.build(step, width=1), states, exogenous, params)
+    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
+    found, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
     assert distance(found[0], expected) == 0
 
 
@@ -383,7 +383,7 @@ def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> 
     expected = selftest_vectors.record_inputs(problem, export_parts.build(problem))[:, 1]
     step = export_parts.build(problem, "observer+controller")
     rows = selftest_vectors.record_inputs(problem, step)
-    found, _ = interpret.run(step.function, step.start, rows, step.defaults)
+    found, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
     assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()
 
 

@@ -195,8 +195,8 @@ def test_engines_agree_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.Monke
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "noise_before": 0.01, "range": [-0.4, 0.6]}
     scenario = small(observer={"method": "luenberger", "L": [1.0]}, sensor=sensor)
     step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run(step, states, exogenous, params)
-    outputs, _ = lanes.run(lanes.build(step, width=1), states, exogenous, params)
+    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
+    outputs, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
     assert distance(outputs[0], expected) == 0
 
 

@@ -398,8 +398,8 @@ def test_engines_agree_to_the_last_bit(
     monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
     scenario = slow(READINGS[reading], CERTIFIED, simulation={"duration": 2.0})
     step, states, exogenous, params, _ = parts(scenario)
-    expected, _ = interpret.run(step, states, exogenous, params)
-    outputs, _ = lanes.run(lanes.build(step, width=1), states, exogenous, params)
+    expected, _ = interpret.run_interpreted(step, states, exogenous, params)
+    outputs, _ = lanes.run_lanes(lanes.build_kernel(step, width=1), states, exogenous, params)
     assert distance(outputs[0], expected) == 0
 
 

@@ -13,11 +13,11 @@ from undeadzone.errors import InputError
 from undeadzone.numerics.dense_output import (
     DenseStep,
     Levels,
-    _crossing,
-    _secant,
+    _find_crossing,
+    _find_slope_zero,
     _shift_inputs,
-    runge_kutta,
-    taylor,
+    build_rk4_arcs,
+    build_taylor_arcs,
 )
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import simulate
@@ -67,8 +67,8 @@ def falling(x: ca.SX, c: Any, mode: Any) -> ca.SX:
 @pytest.mark.parametrize(
     "arc",
     [
-        runge_kutta(falling, lambda x: 2 * x, 1, ca.SX(0.1)),
-        taylor(falling, lambda x: 2 * x, [ca.SX(0.0)] * 5, 1, ca.SX(0.1)),
+        build_rk4_arcs(falling, lambda x: 2 * x, 1, ca.SX(0.1)),
+        build_taylor_arcs(falling, lambda x: 2 * x, [ca.SX(0.0)] * 5, 1, ca.SX(0.1)),
     ],
     ids=["runge_kutta", "taylor"],
 )
@@ -116,13 +116,13 @@ def test_the_change_of_side_is_the_first_one_on_the_way(
 ) -> None:
     """Right above 1, left below -2, limits at 4 and -5: changed, side entered, level, rising."""
     levels = Levels((ca.SX(1.0), ca.SX(4.0)), (ca.SX(-2.0), ca.SX(-5.0)))
-    crossing = _crossing(ca.SX(z), levels, ca.SX(side))
+    crossing = _find_crossing(ca.SX(z), levels, ca.SX(side))
     for value, truth in zip(crossing, expected, strict=True):
         assert truth is None or numbers(value) == [truth]
 
 
 def test_where_a_slope_vanishes() -> None:
-    root = _secant(lambda c: ca.SX(1.0) - 4 * c**2, ca.SX(1.0), ca.SX(-3.0))
+    root = _find_slope_zero(lambda c: ca.SX(1.0) - 4 * c**2, ca.SX(1.0), ca.SX(-3.0))
     assert numbers(root) == pytest.approx([0.5], abs=0.01)
 
 

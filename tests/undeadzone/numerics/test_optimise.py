@@ -9,25 +9,25 @@ from undeadzone.numerics.optimise import (
     NEIGHBOURS,
     TILT,
     _best_offers,
-    _children,
-    _frame,
-    _grid,
-    _neighbours,
-    find_undominated,
-    scalar,
+    _breed_children,
+    _cost_range,
+    _nearest_weights,
+    _weight_grid,
+    is_undominated,
+    scalar_costs,
 )
 
 
 def test_a_grid_of_weights_adds_up_to_1() -> None:
-    grid = _grid(3, 10)
+    grid = _weight_grid(3, 10)
     assert len(grid) == 66  # (10 + 2)! / (10! 2!)
     assert grid.sum(axis=1) == pytest.approx(np.ones(66))
     assert len(np.unique(grid, axis=0)) == 66
 
 
 def test_neighbours_are_the_nearest_weights_oneself_first() -> None:
-    weights = _grid(2, 20)
-    near = _neighbours(weights)
+    weights = _weight_grid(2, 20)
+    near = _nearest_weights(weights)
     assert near.shape == (21, NEIGHBOURS)
     assert near[:, 0].tolist() == list(range(21))
     assert sorted(near[0].tolist()) == list(range(NEIGHBOURS))
@@ -43,14 +43,14 @@ def test_offers_come_from_neighbours_alone() -> None:
 
 def test_the_scalar_cost_is_the_largest_weighted_loss_and_a_little_of_all() -> None:
     values = np.array([[1.0, 4.0], [3.0, 2.0]])
-    cost = scalar(values, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([[0.5, 0.2]]))
+    cost = scalar_costs(values, np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([[0.5, 0.2]]))
     assert cost == pytest.approx(np.array([[0.2 + TILT * 0.2, 0.5 + TILT * 0.5]]))
 
 
 def test_the_front_is_what_nothing_beats_and_frames_what_is_admitted() -> None:
     values = np.array([[1.0, 4.0], [2.0, 2.0], [3.0, 3.0], [5.0, 1.0], [np.inf, 0.0]])
-    assert find_undominated(values[:4]).tolist() == [True, True, False, True]
-    least, greatest = _frame(values)
+    assert is_undominated(values[:4]).tolist() == [True, True, False, True]
+    least, greatest = _cost_range(values)
     assert least.tolist() == [1.0, 1.0]
     assert greatest.tolist() == [5.0, 4.0]
 
@@ -59,7 +59,7 @@ def test_children_stay_in_the_box() -> None:
     rng = np.random.default_rng(0)
     low, high = np.array([-1.0, 2.0]), np.array([1.0, 3.0])
     points = rng.uniform(low, high, (21, 2))
-    near = _neighbours(_grid(2, 20))
-    children = np.concatenate([_children(rng, points, near, low, high) for _ in range(50)])
+    near = _nearest_weights(_weight_grid(2, 20))
+    children = np.concatenate([_breed_children(rng, points, near, low, high) for _ in range(50)])
     assert ((children >= low) & (children <= high)).all()
     assert np.ptp(children, axis=0) == pytest.approx(high - low, rel=0.2)

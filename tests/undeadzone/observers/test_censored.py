@@ -511,7 +511,7 @@ def test_a_mean_inside_a_range_is_that_of_the_truncated_normal_distribution(
     mean: float, std: float
 ) -> None:
     P = np.array([[std**2, 0.3 * std], [0.3 * std, 1.0]])
-    found = gaussian.truncate_scalar(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
+    found = gaussian.truncate_to_range(ca.SX(mean), ca.SX(P[0, 0]), -0.5, 1.0)
     move, lost, chance = (np.asarray(ca.evalf(ca.SX(part)).full())[0, 0] for part in found)
     m = np.array([[mean], [0.0]]) + move * P[:, :1]
     cov = P - lost * P[:, :1] @ P[:1]
@@ -653,7 +653,7 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
     loop, state, exogenous = prepare(problem)
     noise_column = tree.names(loop.instant).index("after[0]")
     exogenous[8_000, noise_column] = 1e8
-    out, last = interpret.run(loop.step, state, exogenous, tree.pack(loop.params))
+    out, last = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
     assert np.isfinite(out).all()
     sizes = [np.size(leaf) for _, leaf in tree.leaves(loop.state)]
     leaves = np.split(last, np.cumsum(sizes)[:-1])

@@ -19,7 +19,7 @@ from scenes import PAPER_PLANT
 from undeadzone.interfaces import Estimate, InPython, Reading
 from undeadzone.linalg.hold import zoh
 from undeadzone.nonlinearities.sensor import resolve
-from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_belief, update_unless_glitch
+from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_at_bounds, update_with_outliers
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import arrival, sample_plant
@@ -132,16 +132,16 @@ def test_silence_leaves_alone_what_it_may_not_move(alpha: float, share: float, s
     excess = -alpha * np.sqrt(row @ P @ row + 0.01)
     belief = Gaussian(ca.SX(mean), ca.SX(P))
     for moved in ([1.0, 0.0, 1.0], [1.0, share, 1.0]):
-        one = truncate_belief(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
+        one = truncate_at_bounds(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX(moved))
         after, cov = numbers(*one.belief)
         assert np.linalg.eigvalsh(cov).min() > 0
         if moved[1] == 0.0:
             assert after[1, 0] == pytest.approx(mean[1], abs=1e-12)
             assert cov[1, 1] == pytest.approx(P[1, 1], rel=1e-9)
-    every = truncate_belief(
+    every = truncate_at_bounds(
         belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0, ca.SX([1.0, 1.0, 1.0])
     )
-    plain = truncate_belief(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
+    plain = truncate_at_bounds(belief, [Bound(h, excess, 1.0)], 0.01, 1.6, -7.0)
     for one, other in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
@@ -172,14 +172,14 @@ def test_a_reading_leaves_alone_what_it_may_not_move(e: float, share: float, see
     )
     belief, h, sure = Gaussian(ca.SX(mean), ca.SX(P)), ca.SX([row]), -500.0
     shares = np.array([1.0, 1.0, share])
-    one = update_unless_glitch(belief, h, e, R, 1.0, sure, 20.0, ca.SX(shares))
+    one = update_with_outliers(belief, h, e, R, 1.0, sure, 20.0, ca.SX(shares))
     after, cov = numbers(*one.belief)
     gain = shares * (P @ row) / (row @ P @ row + R)
     rest = np.eye(3) - np.outer(gain, row)
     assert after[:, 0] == pytest.approx(mean + e * gain, rel=1e-9, abs=1e-9)
     assert cov == pytest.approx(rest @ P @ rest.T + R * np.outer(gain, gain), rel=1e-9, abs=1e-9)
-    every = update_unless_glitch(belief, h, e, R, 1.0, -3.0, 20.0, ca.SX([1.0, 1.0, 1.0]))
-    plain = update_unless_glitch(belief, h, e, R, 1.0, -3.0, 20.0)
+    every = update_with_outliers(belief, h, e, R, 1.0, -3.0, 20.0, ca.SX([1.0, 1.0, 1.0]))
+    plain = update_with_outliers(belief, h, e, R, 1.0, -3.0, 20.0)
     for here, there in zip(numbers(*every.belief), numbers(*plain.belief), strict=True):
         assert here == pytest.approx(there, rel=1e-9, abs=1e-12)
 

@@ -16,8 +16,8 @@ import pytest
 import once
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.numerics.first_passage import arriving, at_edge, beyond
-from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_scalar
+from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
+from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     combine_joints,
@@ -138,14 +138,18 @@ def passages(samples: int, speed: float, spread: float) -> tuple[Any, Any, Any]:
     whole, kept = Gaussian(ca.SX(-1.0), ca.SX(spread**2)), Gaussian(ca.SX(-1.0), ca.SX(spread**2))
     waiting = place <= 0
     for _ in range(samples):
-        before = beyond(whole, h, whole.mean, slack)
+        before = chance_beyond(whole, h, whole.mean, slack)
         place, whole = place + speed, Gaussian(whole.mean + speed, whole.cov)
         true.append(np.mean(place[waiting] > 0))
         waiting &= place <= 0
-        told.append(float(ca.evalf(arriving([before], [beyond(whole, h, whole.mean, slack)])[0])))
+        told.append(
+            float(
+                ca.evalf(arrival_shares([before], [chance_beyond(whole, h, whole.mean, slack)])[0])
+            )
+        )
         kept = Gaussian(kept.mean + speed, kept.cov)
-        cut.append(float(ca.evalf(beyond(kept, h, kept.mean, slack))))
-        shift, lost, _ = truncate_scalar(kept.mean, kept.cov, -1e3, 0.0)
+        cut.append(float(ca.evalf(chance_beyond(kept, h, kept.mean, slack))))
+        shift, lost, _ = truncate_to_range(kept.mean, kept.cov, -1e3, 0.0)
         kept = Gaussian(kept.mean + kept.cov * shift, kept.cov - lost * kept.cov**2)
     return np.array(true), np.array(told), np.array(cut)
 
@@ -159,9 +163,9 @@ def test_shares_of_first_passage_are_those_of_monte_carlo_and_cuts_are_not() -> 
 
 
 def test_both_edges_share_what_has_not_arrived() -> None:
-    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.2, 0.4], [0.3, 0.4])]
+    shares = [float(ca.evalf(ca.SX(each))) for each in arrival_shares([0.2, 0.4], [0.3, 0.4])]
     assert shares == pytest.approx([0.25, 0.0])
-    shares = [float(ca.evalf(ca.SX(each))) for each in arriving([0.9, 0.1], [0.9, 0.1])]
+    shares = [float(ca.evalf(ca.SX(each))) for each in arrival_shares([0.9, 0.1], [0.9, 0.1])]
     assert sum(shares) == pytest.approx(1.0)  # nothing is left between them
 
 
@@ -169,7 +173,9 @@ def test_at_an_edge_a_position_tells_where_it_is() -> None:
     """Of x = [position; edge], both unknown, arrival makes them one."""
     belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(ca.diag([4.0, 1.0])))
     h = ca.DM([[1.0, -1.0]])
-    mean, cov = (np.asarray(ca.evalf(part)) for part in at_edge(belief, h, h @ belief.mean, 1e-12))
+    mean, cov = (
+        np.asarray(ca.evalf(part)) for part in condition_on_edge(belief, h, h @ belief.mean, 1e-12)
+    )
     assert mean.ravel() == pytest.approx([1.8, 1.8])
     assert cov == pytest.approx(np.full((2, 2), 0.8))
 

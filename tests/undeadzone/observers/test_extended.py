@@ -91,7 +91,7 @@ def watcher(options: Extended, arm: System, where: Zone) -> Callable[..., Watche
         numbers = np.concatenate(
             [np.ravel(widths), arm.params if params is None else params, seen.numbers]
         )
-        out, _ = interpret.run(seen.step, first, rows, numbers)
+        out, _ = interpret.run_interpreted(seen.step, first, rows, numbers)
         x, *parts = np.split(out, np.cumsum(seen.sizes), axis=1)
         return Watched(x, Estimate(*parts[:-1]), parts[-1][-1, 4 * N :])
 

@@ -72,7 +72,8 @@ def evaluate(f: Callable[..., Any], *values: Any) -> list[Floats]:
 def test_covariance_and_triangle_are_inverse(seed: int) -> None:
     square = np.random.default_rng(seed).normal(size=(4, 4))
     (whole,) = evaluate(
-        lambda P: [gaussian.symmetric(gaussian.triangle(P, UPPER), UPPER)], square + square.T
+        lambda P: [gaussian.from_upper_entries(gaussian.to_upper_entries(P, UPPER), UPPER)],
+        square + square.T,
     )
     assert (whole == square + square.T).all()
 
@@ -115,7 +116,7 @@ def test_prediction_is_exact_for_second_degree(seed: int) -> None:
 
 def test_hazard_agrees_with_scipy() -> None:
     alpha = np.linspace(-30, 30, 1201)
-    ratio = evaluate(gaussian.chance, alpha)[1]
+    ratio = evaluate(gaussian.normal_cdf_and_hazard, alpha)[1]
     expected = np.exp(norm.logpdf(alpha) - norm.logcdf(alpha))
     assert ratio[alpha > -5, 0] == pytest.approx(expected[alpha > -5], rel=1e-8)
     assert ratio[alpha <= -5, 0] == pytest.approx(expected[alpha <= -5], rel=2e-4)
@@ -129,7 +130,7 @@ def test_cut_matches_the_moments_of_the_truncated_belief(seed: int, R: float) ->
     P, mean = root @ root.T, rng.normal(size=3)
     moments = evaluate(
         lambda m, P: (
-            gaussian.truncate_belief(
+            gaussian.truncate_at_bounds(
                 Gaussian(m, P), [gaussian.Bound(ca.SX(h[None, :]), excess, 1.0)], R, 1e3
             ).belief
         ),
@@ -171,7 +172,7 @@ def test_update_stays_definite_where_readings_are_nearly_exact() -> None:
     rng = np.random.default_rng(1)
     P, mean, h = ca.SX.sym("P", 4, 4), ca.SX.sym("m", 4), ca.SX.sym("h", 1, 4)
     step = ca.Function(
-        "step", [mean, P, h], list(gaussian.update(Gaussian(mean, P), h, 0.0, 1e-12, 1.0)[0])
+        "step", [mean, P, h], list(gaussian.joseph_update(Gaussian(mean, P), h, 0.0, 1e-12, 1.0)[0])
     )
     belief, plain = np.eye(4) * 1e6, np.eye(4) * 1e6
     lowest = plain_lowest = 0.0

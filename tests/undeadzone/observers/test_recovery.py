@@ -205,7 +205,7 @@ def test_a_reading_or_a_glitch_is_the_mixture_by_bayes(e: float, R: float, share
     wrong = share / (reach + gaussian.TAIL * np.sqrt(S))
     beta, gain = regular / (regular + wrong), P / S
     odds = np.log(share / (1 - share))
-    known = gaussian.update_unless_glitch(
+    known = gaussian.update_with_outliers(
         Gaussian(ca.SX(1.0), ca.SX(P)), ca.SX(1.0), ca.SX(e), R, 1.0, odds, reach
     )
     mean, cov, trust, likely = numbers(*known.belief, known.trust, known.likely)
@@ -226,7 +226,9 @@ def test_what_a_covariance_loses_where_some_variables_are_held(held: list[int], 
     certain, between = (np.cov(rng.normal(size=(k, 9))).reshape(k, k) for _ in range(2))
     s = share * g
     expected = g @ certain @ g.T - (g - s) @ certain @ (g - s).T - s @ between @ s.T
-    lost = gaussian.lost_given(ca.SX(g), ca.SX(share) * ca.SX(g), ca.SX(certain), ca.SX(between))
+    lost = gaussian.covariance_loss(
+        ca.SX(g), ca.SX(share) * ca.SX(g), ca.SX(certain), ca.SX(between)
+    )
     assert np.triu(*numbers(lost)) == pytest.approx(np.triu(expected))
 
 
@@ -234,8 +236,8 @@ def test_what_a_covariance_loses_where_some_variables_are_held(held: list[int], 
 def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> None:
     """In single precision the product of six densities of 1e7 would."""
     belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
-    one = gaussian.Weighed(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size))
-    both = gaussian.together([one, one])
+    one = gaussian.RobustUpdate(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size))
+    both = gaussian.stack_updates([one, one])
     heard = Corrected(belief, ca.SX(0), both.trust, both.likely)
     setup: Any = SimpleNamespace(doubts=True)
     (log,) = numbers(log_likelihood(setup, both, heard))
@@ -246,14 +248,14 @@ def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> Non
 def test_a_huge_reading_leaves_the_belief_to_the_last_bit(e: float) -> None:
     belief = Gaussian(ca.SX([1.0, 2.0]), ca.SX(np.array([[2.0, 0.3], [0.3, 1.0]])))
     h = ca.SX([[1.0, -1.0]])
-    known = gaussian.update_unless_glitch(belief, h, ca.SX(e), 0.1, 1.0, -3.0, 20.0)
+    known = gaussian.update_with_outliers(belief, h, ca.SX(e), 0.1, 1.0, -3.0, 20.0)
     for before, after in zip(numbers(*belief), numbers(*known.belief), strict=True):
         assert after == pytest.approx(before, rel=1e-15)
 
 
 def test_a_chance_agrees_with_scipy() -> None:
     alpha = np.linspace(-30, 5, 701)
-    chance = numbers(*gaussian.chance(ca.SX(alpha)))[0]
+    chance = numbers(*gaussian.normal_cdf_and_hazard(ca.SX(alpha)))[0]
     assert np.log(chance[:, 0]) == pytest.approx(norm.logcdf(alpha), rel=1e-4)
 
 
@@ -262,7 +264,7 @@ def test_a_silence_that_nothing_explains_is_fake(alpha: float) -> None:
     """Beyond what a thousandth explains, the belief stays."""
     belief = Gaussian(ca.SX(-alpha), ca.SX(1.0))
     bound = gaussian.Bound(ca.SX(1.0), ca.SX(-alpha), 1.0)
-    known = gaussian.truncate_belief(belief, [bound], 0.0, 1.6, np.log(1e-3))
+    known = gaussian.truncate_at_bounds(belief, [bound], 0.0, 1.6, np.log(1e-3))
     mean, cov, trust = numbers(*known.belief, known.trust)
     chance = norm.cdf(alpha)
     beta = chance / (chance + 1e-3)

@@ -18,7 +18,7 @@ from test_estimate import LOGS_ALONE, scenario
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.interfaces import graph_of
-from undeadzone.numerics.adjoint import Later, back
+from undeadzone.numerics.adjoint import LaterInformation, smooth_backward
 from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import build_observer
 from undeadzone.util.arrays import Floats
@@ -80,7 +80,7 @@ def rauch(known: Any) -> tuple[Floats, Floats]:
 
 def test_adjoints_give_what_rauch_tung_and_striebel_give() -> None:
     known = moments(np.random.default_rng(0), 40, 4)
-    mean, cov, _ = back(known, Later.nothing(4))
+    mean, cov, _ = smooth_backward(known, LaterInformation.no_information(4))
     for found, expected in zip((mean, cov), rauch(known), strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
 

@@ -396,13 +396,13 @@ def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
         0.1, plant=plant, arm=arm, sensor={"quantum": 1e-3}, observer={"method": "full_state"}
     )
     step, state, exogenous, params, _ = parts(scenario)
-    expected = interpret.run(step, state, exogenous, params)
+    expected = interpret.run_interpreted(step, state, exogenous, params)
     assert max(map(distance, compiled(step, state, exogenous, params), expected)) < 1e-12
     assert (
         max(
             map(
                 distance,
-                interpret.run(generated(step, tmp_path), state, exogenous, params),
+                interpret.run_interpreted(generated(step, tmp_path), state, exogenous, params),
                 expected,
             )
         )

@@ -51,7 +51,7 @@ def many() -> Floats:
 def filled(first: int, count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
     """Steps x streams x runs, by lanes."""
     numbers = np.full((count, len(STREAMS), len(runs)), np.nan)
-    normal.fill(numbers, first, seed, [noise.word(*stream) for stream in STREAMS], runs)
+    normal.fill_normal(numbers, first, seed, [noise.word(*stream) for stream in STREAMS], runs)
     return numbers
 
 
@@ -301,8 +301,8 @@ def test_coloured_lanes_have_the_same_bits(cuts: list[int]) -> None:
     first, parts = 0, []
     for count in cuts:
         parts.append(np.empty((count, 2, len(RUNS))))
-        normal.fill(parts[-1], first, 3, words, RUNS)
-        normal.colour(parts[-1], state, first, *noise.colour(0.2, 0.01))
+        normal.fill_normal(parts[-1], first, 3, words, RUNS)
+        normal.colour_noise(parts[-1], state, first, *noise.colour(0.2, 0.01))
         first += count
     found = np.concatenate(parts)
     for j, run in enumerate(RUNS):
@@ -346,10 +346,10 @@ def test_misuse_is_named() -> None:
     words = [noise.word(noise.AFTER, 0)]
     for numbers in (np.empty((4, 2, 16)), np.empty((4, 1, 15))):
         with pytest.raises(ShapeError, match="numbers: expected steps x 1 channels x 16 lanes"):
-            normal.fill(numbers, 0, 0, words, RUNS)
+            normal.fill_normal(numbers, 0, 0, words, RUNS)
     for state in (np.empty((2, 16)), np.empty((1, 15))):
         with pytest.raises(ShapeError, match="state: expected 1 x 16"):
-            normal.colour(np.empty((4, 1, 16)), state, 0, 0.5, 0.5)
+            normal.colour_noise(np.empty((4, 1, 16)), state, 0, 0.5, 0.5)
 
 
 SINGLE_RUN = """

@@ -24,7 +24,7 @@ from undeadzone.errors import (
     UndeadzoneError,
 )
 from undeadzone.feedforward.targets import linear_targets
-from undeadzone.numerics.optimise import evolve, find_undominated, pareto
+from undeadzone.numerics.optimise import find_pareto_front, is_undominated, minimise_by_cmaes
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
@@ -69,10 +69,12 @@ def test_evolve_finds_the_bottom_of_a_curved_valley() -> None:
         )
 
     low, high = np.full(4, -3.0), np.full(4, 3.0)
-    x, cost = evolve(rosenbrock, low, high, seed=1, size=32, rounds=400)
+    x, cost = minimise_by_cmaes(rosenbrock, low, high, seed=1, size=32, rounds=400)
     assert cost < 1e-8
     assert x == pytest.approx(np.ones(4), abs=1e-3)
-    near, _ = evolve(lambda x: ((x - 5.0) ** 2).sum(axis=1), low, high, seed=1, size=16, rounds=200)
+    near, _ = minimise_by_cmaes(
+        lambda x: ((x - 5.0) ** 2).sum(axis=1), low, high, seed=1, size=16, rounds=200
+    )
     assert near == pytest.approx(high)
 
 
@@ -83,11 +85,11 @@ def test_pareto_finds_a_front_that_is_known() -> None:
         found = np.stack([((x - 1.0) ** 2).sum(axis=1), ((x + 1.0) ** 2).sum(axis=1)], axis=1)
         return np.where(x[:, :1] < 0.9, found, np.inf)
 
-    points, found = pareto(
+    points, found = find_pareto_front(
         costs, np.full(3, -3.0), np.full(3, 3.0), seed=0, starts=np.zeros((1, 3)), divisions=40
     )
     assert len(points) >= 30
-    assert find_undominated(found).all()
+    assert is_undominated(found).all()
     assert (points[:, 0] < 0.9).all()
     assert np.sqrt(found).sum(axis=1) == pytest.approx(2 * np.sqrt(3), rel=5e-3)
     assert [points[:, 1].min(), points[:, 1].max()] == pytest.approx([-1.0, 1.0], abs=0.1)
@@ -255,7 +257,7 @@ def test_gains_near_the_present_ones_that_beat_them_are_found(
 def test_every_point_of_the_front_is_certified_and_undominated(knee: Design) -> None:
     costs = np.array([[-point.rate, point.disturbance, point.noise] for point in knee.front])
     assert len(costs) > 20
-    assert find_undominated(costs).all()
+    assert is_undominated(costs).all()
     assert (np.diff(costs[:, 0]) >= 0).all()
     assert max(point.rate for point in knee.front) > 1.45
     for point in knee.front:

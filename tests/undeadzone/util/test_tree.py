@@ -53,7 +53,7 @@ def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> Non
     values = [ca.Function("leaf", [column], [leaf])(packed).full() for _, leaf in tree.leaves(view)]
     again = tree.rebuild(like, iter(values))
     assert isinstance(again, Outer)
-    assert again.inner.nothing is None
+    assert again.inner.no_information is None
     assert tree.pack(again).tolist() == packed.tolist()
 
 

@@ -16,7 +16,7 @@ from undeadzone.analysis.error_dynamics import Dynamics, balance, dynamics
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import storage_of
-from undeadzone.numerics.semidefinite import minimise, symmetric
+from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.util.arrays import Floats
 
 CUTS = 200  # rounds of cutting planes, at most
@@ -217,7 +217,7 @@ def _decays(errors: Dynamics, rate: float) -> bool:
     def blocks(x: Floats) -> list[Floats]:
         # x holds P, Y, the weights but the last (their sum is p), and how deep they lie inside.
         of_P, of_Y, of_W = np.split(x[:-1], ends)
-        P, Y = symmetric(of_P, n), of_Y.reshape(n, p)
+        P, Y = symmetric_matrix(of_P, n), of_Y.reshape(n, p)
         W = np.append(of_W, p - of_W.sum())
         M, N = _decay_inequalities(errors, rate, P, Y, W)
         return [
@@ -229,7 +229,7 @@ def _decays(errors: Dynamics, rate: float) -> bool:
 
     cost = np.zeros(entries + n * p + p)
     cost[-1] = -1.0
-    x = minimise(cost, blocks)
+    x = minimise_semidefinite(cost, blocks)
     return x is not None and bool(x[-1] > 0)
 
 

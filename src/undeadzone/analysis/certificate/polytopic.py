@@ -20,9 +20,9 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation
-from undeadzone.compile.interval import Interval, enclosure
+from undeadzone.compile.interval import Interval, build_enclosure
 from undeadzone.errors import InputError, StructureError
-from undeadzone.numerics.semidefinite import minimise, symmetric
+from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
 from undeadzone.plants.region import Box
 from undeadzone.plants.system import System
 from undeadzone.util import tree
@@ -102,12 +102,12 @@ def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
     q = 2 * max(float(np.linalg.norm(A, 2)) for A in vertices)
 
     def blocks(x: Floats) -> list[Floats]:
-        P = symmetric(x, n)
+        P = symmetric_matrix(x, n)
         return [P, *(-A.T @ P - P @ A - q * np.eye(n) for A in vertices)]
 
     trace = np.eye(n)[np.triu_indices(n)]
-    entries = minimise(trace, blocks)
-    return None if entries is None else symmetric(entries, n)
+    entries = minimise_semidefinite(trace, blocks)
+    return None if entries is None else symmetric_matrix(entries, n)
 
 
 def _certify_model(
@@ -403,7 +403,7 @@ def slopes_on(model: System, box: Box) -> Slopes:
         some = ca.vec(A)[varying.tolist()]
         whole = [Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])]
         try:
-            enclosure(everything)(whole)  # raises where the model is not smooth
+            build_enclosure(everything)(whole)  # raises where the model is not smooth
             bends = ca.densify(ca.jacobian(some, w))
             return _bound_entries(function(some), numbers), _bound_entries(function(bends), numbers)
         except InputError as error:
@@ -417,7 +417,7 @@ def _bound_entries(function: ca.Function, numbers: Floats) -> Bounds:
 
     numbers: values of p, as a column. A value (r x c) comes back as (c x r) for each box.
     """
-    bound = enclosure(function)
+    bound = build_enclosure(function)
     shape = (-1, *function.size_out(0)[::-1])
 
     def bounds(part: Box) -> Interval:

@@ -14,7 +14,7 @@ import numpy as np
 
 from undeadzone.analysis.dissipation import LEAST, Inequality, optimise
 from undeadzone.analysis.error_dynamics import Dynamics
-from undeadzone.numerics.semidefinite import minimise
+from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.util.arrays import Floats
 
 SEARCHES: Final = 20  # steps of Dinkelbach's iteration, at most
@@ -114,7 +114,7 @@ def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
         return [rows @ q - x[-1], q - LEAST]
 
     # Affine in x, as `minimise` wants it: the last weight follows from the others.
-    solution = minimise(-np.eye(groups)[-1], blocks)
+    solution = minimise_semidefinite(-np.eye(groups)[-1], blocks)
     if solution is None:
         return None
     return np.maximum(np.append(solution[:-1], groups - solution[:-1].sum()), LEAST)

@@ -109,7 +109,7 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
     A = ca.horzcat(A[:, :n], ca.jacobian(moved, u) @ bias, A[:, n:])
     C = ca.horzcat(C[:, :n], ca.SX(model.p, b), C[:, n:])
     both = ca.densify(ca.vec(ca.vertcat(A, C)))
-    return interpret.stateless([ca.vertcat(x, u), theta], ca.cse(both))
+    return interpret.build_stateless_step([ca.vertcat(x, u), theta], ca.cse(both))
 
 
 def _along(
@@ -119,7 +119,7 @@ def _along(
     `_derivatives`.
     """
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
-    values = interpret.evaluate_rows(function, np.hstack([x, u]), theta)
+    values = interpret.map_rows(function, np.hstack([x, u]), theta)
     both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
     return both[:, : model.n], both[:, model.n :]
 

@@ -19,19 +19,19 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import present
-from undeadzone.numerics.first_passage import arriving, at_edge, beyond
+from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import (
     Bound,
     Gaussian,
-    advance,
-    below,
-    from_upper,
+    from_upper_entries,
+    mirror_upper,
     mix_gaussians,
-    symmetric,
-    together,
-    triangle,
-    truncate_belief,
-    update_unless_glitch,
+    normal_cdf,
+    predict_first_order,
+    stack_updates,
+    to_upper_entries,
+    truncate_at_bounds,
+    update_with_outliers,
 )
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.filtering.multiple_models import mean_of_models
@@ -200,9 +200,9 @@ def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
         for joint, side in enumerate(mode):
             if side:
                 h = layout.edge(joint, side)
-                belief = at_edge(belief, h, h @ belief.mean, slack)
+                belief = condition_on_edge(belief, h, h @ belief.mean, slack)
         means.append(np.asarray(ca.evalf(belief.mean)).ravel())
-        covs.append(np.asarray(ca.evalf(triangle(belief.cov, entries))).ravel())
+        covs.append(np.asarray(ca.evalf(to_upper_entries(belief.cov, entries))).ravel())
     return Modes(np.full(len(means), 1 / len(means)), tuple(means), tuple(covs), np.zeros(1))
 
 
@@ -220,7 +220,7 @@ def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
     shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
-        beliefs.append(Gaussian(mean + shift, symmetric(cov, entries)))
+        beliefs.append(Gaussian(mean + shift, from_upper_entries(cov, entries)))
     return beliefs
 
 
@@ -275,14 +275,14 @@ def _correct_mode(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussia
         h = ca.DM(1, drive.layout.entries)
         h[0, entry] = 1
         e = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
-        told = update_unless_glitch(belief, h, e, q.R[row], seen, None, 0.0)
+        told = update_with_outliers(belief, h, e, q.R[row], seen, None, 0.0)
         belief = told.belief
         log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
         readings.append(told)
     for one, sign in ((belief, 1), (foretold, -1)):
         log += sign * _within(drive.layout, contact, one, q.slack)
     bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
-    columns = together(readings)
+    columns = stack_updates(readings)
     return Read(bounded, log, columns.e, columns.std)
 
 
@@ -303,13 +303,13 @@ def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[An
     """Return the chances that a link is beyond its right and its left flank, under the uncut
     belief.
     """
-    return [beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
+    return [chance_beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
 
 
 def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
     """Return one belief, or another one."""
     return Gaussian(
-        ca.if_else(use, one.mean, other.mean), from_upper(ca.if_else(use, one.cov, other.cov))
+        ca.if_else(use, one.mean, other.mean), mirror_upper(ca.if_else(use, one.cov, other.cov))
     )
 
 
@@ -394,7 +394,7 @@ def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> 
     x = one.belief.mean
     end = x + _change(drive, q, contact, u)(x)
     now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
-    return q.leaving * below(-ca.DM(contact) * (now + then) / 2 / q.torque)
+    return q.leaving * normal_cdf(-ca.DM(contact) * (now + then) / 2 / q.torque)
 
 
 def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
@@ -436,7 +436,7 @@ def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> lis
     """
     belief = gap.belief
     bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
-    inside = truncate_belief(belief, bounds, q.slack, SURE).belief
+    inside = truncate_at_bounds(belief, bounds, q.slack, SURE).belief
     late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
     share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
@@ -450,7 +450,9 @@ def _predict_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any
     Q[motors] += q.rest * friction**2 * _still(mean[motors])  # which takes whatever there is
     most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
     Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
-    return Mode(one.chance, advance(one.belief, _change(drive, q, contact, u), ca.diag(Q)))
+    return Mode(
+        one.chance, predict_first_order(one.belief, _change(drive, q, contact, u), ca.diag(Q))
+    )
 
 
 def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
@@ -465,7 +467,7 @@ def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: M
             across = layout.edge(joint, 1)
             most = WIDE * end.belief.mean[layout.of("half")][joint]
             lost = across @ end.belief.cov @ across.T > most**2 + slack
-            shares[joint, :] = ca.horzcat(*arriving(before, now, lost))
+            shares[joint, :] = ca.horzcat(*arrival_shares(before, now, lost))
     return shares
 
 
@@ -517,7 +519,7 @@ def condition_on_impact(
     moved = ca.SX.ones(layout.entries) if drive.apart else None
     if moved is not None:
         moved[layout.of("half").start + joint] = 1 - _still(x[motor] - x[link])
-    at = at_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
+    at = condition_on_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
@@ -525,7 +527,7 @@ def condition_on_impact(
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
     back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
-    return Gaussian(at.mean + back, from_upper(at.cov + (impulse * b) @ b.T))
+    return Gaussian(at.mean + back, mirror_upper(at.cov + (impulse * b) @ b.T))
 
 
 def _still(speed: Any) -> Any:
@@ -542,5 +544,5 @@ def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
 
     chances = ca.vertcat(*normalise_weights([one.chance for one in moved]))
     means = map(kept, [one.belief.mean for one in moved], s.means)
-    covs = map(kept, [triangle(one.belief.cov, entries) for one in moved], s.covs)
+    covs = map(kept, [to_upper_entries(one.belief.cov, entries) for one in moved], s.covs)
     return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)

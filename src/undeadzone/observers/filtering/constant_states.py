@@ -32,7 +32,7 @@ import numpy as np
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.nonlinearities.sensor import Zone, offset
-from undeadzone.numerics.gaussian import Gaussian, below, density
+from undeadzone.numerics.gaussian import Gaussian, normal_cdf, normal_density
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, deviations_of_sides
 from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System
@@ -231,7 +231,7 @@ def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[A
     std = ca.sqrt(ca.fmax(place[1], 0.0)) + 1e-12 * (1 + ca.fabs(place[0]))
     over = ca.fabs(u) - place[0]
     alpha = over / std
-    share, slim = below(alpha), density(alpha)
+    share, slim = normal_cdf(alpha), normal_density(alpha)
     mean = over * share + std * slim
     square = (over**2 + std**2) * share + over * std * slim
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)

@@ -11,7 +11,13 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Reading, estimate
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.gaussian import Gaussian, Products, from_upper, linearise, truncate_scalar
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    Products,
+    linearise,
+    mirror_upper,
+    truncate_to_range,
+)
 from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System, held_inputs
 from undeadzone.util.arrays import Floats
@@ -341,7 +347,7 @@ def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
     """
     narrow, gap = share**2, stronger.mean - weaker.mean
     cov = narrow * stronger.cov + (1 - narrow) * weaker.cov + share * (1 - share) * gap @ gap.T
-    return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, from_upper(cov))
+    return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, mirror_upper(cov))
 
 
 def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
@@ -437,9 +443,9 @@ def _clip_displacement(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> t
         (numbers by which the columns of the covariance move it (2), the chance).
     """
     (m, P), (i, j) = pair, order
-    shift, lost, chance = truncate_scalar(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
+    shift, lost, chance = truncate_to_range(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
     after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
-    second, _, likewise = truncate_scalar(after, variance, ranges[j, 0], ranges[j, 1])
+    second, _, likewise = truncate_to_range(after, variance, ranges[j, 0], ranges[j, 1])
     moves = {i: shift - lost * P[i, j] * second, j: second}
     return ca.vertcat(moves[0], moves[1]), chance * likewise
 

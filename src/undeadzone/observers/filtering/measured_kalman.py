@@ -16,7 +16,14 @@ import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading, Traits
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone, present
-from undeadzone.numerics.gaussian import Gaussian, Weighed, advance, linearise, predict, symmetric
+from undeadzone.numerics.gaussian import (
+    Gaussian,
+    RobustUpdate,
+    from_upper_entries,
+    linearise,
+    predict,
+    predict_first_order,
+)
 from undeadzone.observers.filtering.augmented_state import prior_in_units, show_in_plant_units
 from undeadzone.observers.filtering.consistency import (
     Member,
@@ -181,7 +188,7 @@ class Update(NamedTuple):
     y: Any
     side: Any
     before: Gaussian
-    corrected: Weighed
+    corrected: RobustUpdate
     heard: Corrected
 
 
@@ -190,7 +197,7 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y, 0.0)
     side = choose_branch(setup, q, s, reading, y, seen)
-    before = Gaussian(s.mean, symmetric(s.cov, setup.entries))
+    before = Gaussian(s.mean, from_upper_entries(s.cov, setup.entries))
     R = variances(q, reading)
     surprises = silence_log_ratio(setup, q, s.pace, y, side, R)
     corrected = correct(setup, q, before, y, side, R, surprises, reading.motion)
@@ -246,7 +253,7 @@ def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
 
-def log_likelihood(setup: Setup, corrected: Weighed, heard: Corrected) -> Any:
+def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> Any:
     """Return the log of the density with which the filter foretold a sample, up to a constant."""
     if setup.doubts:
         return ca.sum1(ca.log(heard.likely))
@@ -380,7 +387,7 @@ def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any)
     change, Q = motion(setup.model, q, augmentation, belief, drive, doubt)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
-        return advance(belief, change, Q, slope)
+        return predict_first_order(belief, change, Q, slope)
     bend = None if augmentation.bilinear is None else partial(bilinear_part, setup, q, drive)
     return predict(belief, change, Q, q.lasting, bend)
 

@@ -19,13 +19,13 @@ from undeadzone.nonlinearities.play import readings_of_motion
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone, offset, present
 from undeadzone.numerics.gaussian import (
     Bound,
-    Cut,
     Gaussian,
-    Weighed,
+    RobustUpdate,
+    TruncationUpdate,
     linearise,
-    together,
-    truncate_belief,
-    update_unless_glitch,
+    stack_updates,
+    truncate_at_bounds,
+    update_with_outliers,
 )
 from undeadzone.observers.filtering.constant_states import gap_offset, width_correlation
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
@@ -75,7 +75,7 @@ def correct(
     R: Any,
     surprise: Sequence[Any],
     contact: Any = None,
-) -> Weighed:
+) -> RobustUpdate:
     """Return the belief after the readings on the sides that are sure, one output at a time.
 
     Args:
@@ -101,10 +101,10 @@ def correct(
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
         moved = moved_shares(setup, q, belief, i, side[i]) if setup.apart else None
-        one = update_unless_glitch(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
+        one = update_with_outliers(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
         each.append(one)
-    return together(each)
+    return stack_updates(each)
 
 
 def rest_of(model: System, sensor: Zone, lasting: float) -> float:
@@ -280,12 +280,12 @@ def edge_bound(
 
 def edge_constraint(
     setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]
-) -> Cut:
+) -> TruncationUpdate:
     """What edges of output i say; bounds: what each one is."""
     if not setup.doubts:
-        return truncate_belief(belief, bounds, q.R[i], DOUBT)
+        return truncate_at_bounds(belief, bounds, q.R[i], DOUBT)
     moved = width_correlation(q, setup.model, belief.cov) if setup.careful else None
-    return truncate_belief(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
+    return truncate_at_bounds(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
 
 
 def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
@@ -403,7 +403,7 @@ def use_limits(
 
 def limit_update(
     setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, heard: Any
-) -> Cut:
+) -> TruncationUpdate:
     """What a limit says.
 
     Args:
@@ -419,7 +419,7 @@ def limit_update(
     expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
     bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
     fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
-    return truncate_belief(belief, [bound], q.R[i], DOUBT, fake)
+    return truncate_at_bounds(belief, [bound], q.R[i], DOUBT, fake)
 
 
 def downweight_outliers(trust: Any, reading: Reading) -> Any:

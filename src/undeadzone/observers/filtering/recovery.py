@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.numerics.gaussian import Gaussian, triangle
+from undeadzone.numerics.gaussian import Gaussian, to_upper_entries
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Flags
@@ -102,7 +102,7 @@ def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple
     Returns:
         (mean, covariance (its `triangle`), 1 where it is the prior).
     """
-    cov = triangle(belief.cov, entries)
+    cov = to_upper_entries(belief.cov, entries)
     every = ca.densify(ca.diag(belief.cov))
     # Covariances are not larger than variances; one that is no number shows in their sum.
     size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))

@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import discrete_noise_covariance, zoh_slopes
 from undeadzone.linalg.matrices import Matrices, similar
-from undeadzone.numerics.gaussian import Gaussian, Products, update
+from undeadzone.numerics.gaussian import Gaussian, Products, joseph_update
 from undeadzone.observers.filtering.constant_states import width_correlation
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held_inputs, in_units, state_units, time_scale
@@ -263,7 +263,7 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
         R = q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
         e = -belief.mean[first + i]
         h = ca.SX.eye(belief.mean.shape[0])[first + i, :]
-        belief, S = update(belief, h, e, R, moved)
+        belief, S = joseph_update(belief, h, e, R, moved)
         odds = odds * ca.sqrt(R / S) * ca.exp(-(e**2) / S / 2) / SMALL
     return belief, odds
 

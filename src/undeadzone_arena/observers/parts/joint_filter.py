@@ -10,7 +10,7 @@ import casadi as ca
 
 from undeadzone.interfaces import Observer, Reading, no_further
 from undeadzone.nonlinearities.sensor import Zone, present
-from undeadzone.numerics.gaussian import Gaussian, Weighed, symmetric, together
+from undeadzone.numerics.gaussian import Gaussian, RobustUpdate, from_upper_entries, stack_updates
 from undeadzone.observers.filtering.augmented_state import (
     even_units,
     prior_in_units,
@@ -60,7 +60,7 @@ class Sample(NamedTuple):
     odds: Any
 
 
-Correct = Callable[[Params, Gaussian, Sample], Weighed]
+Correct = Callable[[Params, Gaussian, Sample], RobustUpdate]
 """(q, belief, reading of an output) -> what is known."""
 
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
@@ -114,7 +114,7 @@ def joint_filter(
         seen = present(reading.y)
         y = ca.if_else(seen, reading.y, 0.0) / q.slope
         odds = q.doubt.glitch if share > 0 else None
-        belief, each = Gaussian(s.mean, symmetric(s.cov, entries)), []
+        belief, each = Gaussian(s.mean, from_upper_entries(s.cov, entries)), []
         for i in range(model.p):
             sight = partial(reading_of, model, sensor.kind, q, i)
             if sensor.limits is not None:
@@ -122,7 +122,7 @@ def joint_filter(
             sample = Sample(i, sight, y[i], reading.side[i], seen[i], odds)
             each.append(correct(q, belief, sample))
             belief = each[-1].belief
-        known = together(each)
+        known = stack_updates(each)
         shown, fits = clip_widths(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
         after = predict(belief, *motion(model, q, augmentation, belief, lambda X: u))
