@@ -22,9 +22,9 @@ from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sines, Tone
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.leaderboard import FRAME, NAIVE, regrets
+from undeadzone_arena.contest.leaderboard import FRAME, NAIVE, compute_regrets
 from undeadzone_arena.contest.methods import METHODS, Knob, Method
-from undeadzone_arena.contest.trials import score
+from undeadzone_arena.contest.trials import score_methods
 
 COUNT = int(os.environ.get("CLOSED_LOOPS", "24"))
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly
@@ -46,7 +46,7 @@ NOTE = (
 def table() -> str:
     """Median and worst regret of each method, and how often it is behind the plain claims."""
     grounds = {str(seed): loop(np.random.default_rng(seed)) for seed in range(COUNT)}
-    found = regrets(score(entrants(), grounds, (0,), numbers={"tuned": TUNED}))
+    found = compute_regrets(score_methods(entrants(), grounds, (0,), numbers={"tuned": TUNED}))
     plain = found["plain claims"]
     for name, easier in EASIER.items():
         found[name] = eased(grounds, easier)
@@ -75,12 +75,12 @@ def eased(grounds: dict[str, Scenario], easier: Callable[[Scenario], Scenario]) 
     """Regrets of the plain claims on easier loops, in half zones of the loops as they are."""
     loops = {seed: easier(scenario) for seed, scenario in grounds.items()}
     results = []
-    for result in score({"plain claims": Method(Censored)}, loops, (0,)):
+    for result in score_methods({"plain claims": Method(Censored)}, loops, (0,)):
         sensor = grounds[result.scenario].sensor
         zone = (sensor.right + sensor.left) / 2
         worth = msgspec.structs.replace(result.worth, zone=zone)
         results.append(msgspec.structs.replace(result, worth=worth))
-    return regrets(results)["plain claims"]
+    return compute_regrets(results)["plain claims"]
 
 
 def with_known_gust(scenario: Scenario) -> Scenario:

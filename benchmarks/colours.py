@@ -28,9 +28,9 @@ from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sines, Step, Tone
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.leaderboard import FRAME, regrets
+from undeadzone_arena.contest.leaderboard import FRAME, compute_regrets
 from undeadzone_arena.contest.methods import METHODS, Method
-from undeadzone_arena.contest.trials import score
+from undeadzone_arena.contest.trials import score_methods
 
 COUNT = int(os.environ.get("COLOURS", "48"))
 WASHOUTS = (4.0, 10.0)  # time constants, in correlation times of the disturbance
@@ -60,7 +60,7 @@ def table() -> str:
 def _rows(grounds: dict[str, Scenario], correlation: float, kinds: dict[str, slice]) -> list[str]:
     """The rows of a family of loops."""
     with both_colours():
-        found = regrets(score(entrants(correlation), grounds, (0,)))
+        found = compute_regrets(score_methods(entrants(correlation), grounds, (0,)))
     plain, lines = np.ravel(found["plain"]), []
     for other in ALTERNATIVES:
         for kind, which in kinds.items():

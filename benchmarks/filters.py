@@ -17,8 +17,8 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone_export import accuracy, exported_step
-from undeadzone_export.code import code, operations
-from undeadzone_export.exported_step import Step
+from undeadzone_export.code import build_code, count_operations
+from undeadzone_export.exported_step import ExportedStep
 from undeadzone_export.selftest_vectors import record_inputs
 
 RUNS, STEPS = 1000, 50
@@ -49,33 +49,33 @@ def cases() -> dict[str, Scenario]:
 def _row(name: str, scenario: Scenario, rounds: int) -> str:
     """One filter."""
     problem = resolve_scenario(scenario)
-    step = exported_step.build(problem)
+    step = exported_step.build_step(problem)
     rows = record_inputs(problem, step)
     readings = np.stack([rows[k % len(rows) :][:STEPS] for k in range(RUNS)])
     with tempfile.TemporaryDirectory() as folder:
         ways = {"gcc": by_gcc(step, readings, Path(folder)), "lanes": in_lanes(step, readings)}
         seconds = least(ways, rounds)
     each = {way: 1e6 * value / RUNS / STEPS for way, value in seconds.items()}
-    count = f"{sum(operations(code(step, False).results).values()):,}"
+    count = f"{sum(count_operations(build_code(step, False).results).values()):,}"
     shown = (f"{each['gcc']:.3g}", f"{each['lanes']:.3g}", f"{each['lanes'] / each['gcc']:.2f}")
     return row(name, count, *shown)
 
 
-def by_gcc(step: Step, readings: Floats, folder: Path) -> Callable[[], Floats]:
+def by_gcc(step: ExportedStep, readings: Floats, folder: Path) -> Callable[[], Floats]:
     """The filter in C, run after run."""
-    compiled = accuracy.Compiled(code(step, False), folder, OPTIONS)
+    compiled = accuracy.CompiledStep(build_code(step, False), folder, OPTIONS)
 
     def run() -> Floats:
         ends = []
         for each in readings:
-            compiled.begin()
+            compiled.reset_memory()
             ends.append(compiled(each)[-1])
         return np.stack(ends)
 
     return run
 
 
-def in_lanes(step: Step, readings: Floats) -> Callable[[], Floats]:
+def in_lanes(step: ExportedStep, readings: Floats) -> Callable[[], Floats]:
     """The filter as ensembles compute it, all runs side by side."""
     count, inputs = len(readings), readings.shape[2]
     kernel = lanes.build_kernel(

@@ -17,16 +17,16 @@ from benchmarks.markdown import head, row
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import accuracy, compiler, exported_step
-from undeadzone_export.code import Code, code
-from undeadzone_export.exported_step import Step
+from undeadzone_export.code import Code, build_code
+from undeadzone_export.exported_step import ExportedStep
 from undeadzone_export.selftest_vectors import (
-    choose_vectors,
+    choose_samples,
     continue_scenario,
     record_inputs,
-    reference,
-    selftest,
+    reference_vectors,
+    selftest_source,
 )
-from undeadzone_export.source import Labels, source
+from undeadzone_export.source import Labels, build_source
 
 ROOT = Path(__file__).parents[1]
 EMULATOR = ROOT / "tests" / "emulator"
@@ -93,7 +93,7 @@ def instructions() -> str:
 
 def _counted_row(name: str, scenario: Scenario, bar: int) -> str:
     """One case."""
-    counted = count(code(exported_step.build(resolve_scenario(scenario)), True))
+    counted = count(build_code(exported_step.build_step(resolve_scenario(scenario)), True))
     kilobytes = (f"{counted.alone / 1e3:.1f}", f"{counted.text / 1e3:.1f}")
     return row(name, f"{counted.mean:,}", f"{bar:,}", f"{counted.most:,}", f"{counted.stack:,}",
                *kilobytes, str(counted.warnings), str(counted.symbols))  # fmt: skip
@@ -129,10 +129,10 @@ def _sampled(scenario: Scenario, step: float) -> Scenario:
 
 def count(printed: Code) -> Counted:
     """Build a step for the microcontroller, run it in the emulator."""
-    text = source(printed, Labels("o", "benchmark", "observer"))
+    text = build_source(printed, Labels("o", "benchmark", "observer"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for path, content in text.files().items():
+        for path, content in text.texts_by_name().items():
             (folder / path).write_text(content)
         build = ["arm-none-eabi-gcc", *CORE, *FLAGS, *WARNINGS, "-c", "-o", "o.o", "o.c"]
         built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=True)
@@ -177,16 +177,18 @@ def tested(name: str, single: bool) -> list[str]:
     scenario = case(name)
     simulation = msgspec.structs.replace(scenario.simulation, duration=1.0)
     problem = resolve_scenario(msgspec.structs.replace(scenario, simulation=simulation))
-    step = exported_step.build(problem)
-    rows = choose_vectors(record_inputs(problem, step), step.readings)
-    printed = code(step, single)
-    text = source(printed, Labels("o", "benchmark", "observer"))
-    files = text.files() | {"o_test.c": selftest(printed, "o", reference(printed, rows))}
+    step = exported_step.build_step(problem)
+    rows = choose_samples(record_inputs(problem, step), step.readings)
+    printed = build_code(step, single)
+    text = build_source(printed, Labels("o", "benchmark", "observer"))
+    files = text.texts_by_name() | {
+        "o_test.c": selftest_source(printed, "o", reference_vectors(printed, rows))
+    }
     with tempfile.TemporaryDirectory() as folder:
         for path, content in files.items():
             Path(folder, path).write_text(content)
         board = _emulated(["o.c", "o_test.c"], Path(folder))
-    return [_verdict(part) for part in (compiler.self_tested(files)[1], board)]
+    return [_verdict(part) for part in (compiler.run_selftest(files)[1], board)]
 
 
 def _verdict(said: str) -> str:
@@ -205,11 +207,11 @@ def _output(command: list[str], folder: Path) -> str:
 class _Beside:
     """A step compiled in both precisions, and what they differ by."""
 
-    def __init__(self, step: Step, folder: Path) -> None:
+    def __init__(self, step: ExportedStep, folder: Path) -> None:
         self.step = step
-        self.exact = accuracy.Compiled(code(step, False), folder)
-        self.rounded = accuracy.Compiled(code(step, True), folder)
-        self.places = exported_step.places_of(step.outputs)
+        self.exact = accuracy.CompiledStep(build_code(step, False), folder)
+        self.rounded = accuracy.CompiledStep(build_code(step, True), folder)
+        self.places = exported_step.field_slices(step.outputs)
         self.errors = np.zeros(self.exact.outputs)
         self.smallest = [np.inf, np.inf]  # eigenvalue of a correlation matrix, double and float
 
@@ -237,7 +239,7 @@ def precision() -> str:
     for step in (1e-3, 1e-4):
         scenario = _sampled(uz.read(ROOT / "examples" / "paper_5sin.toml"), step)
         with tempfile.TemporaryDirectory() as name:
-            both = _Beside(exported_step.build(resolve_scenario(scenario)), Path(name))
+            both = _Beside(exported_step.build_step(resolve_scenario(scenario)), Path(name))
             rows = record_inputs(continue_scenario(scenario, LONG // 10), both.step)
             for _ in range(-(-LONG // len(rows))):
                 both.run(rows)
@@ -253,7 +255,7 @@ def covariances() -> str:
     for rate in RATES:
         scenario = filtered(1.0 / rate)
         with tempfile.TemporaryDirectory() as name:
-            both = _Beside(exported_step.build(resolve_scenario(scenario)), Path(name))
+            both = _Beside(exported_step.build_step(resolve_scenario(scenario)), Path(name))
             both.run(record_inputs(continue_scenario(scenario, ALONG), both.step)[:ALONG])
             std = both.exact(np.full((1, 2), np.nan))[0, both.places["right_std"]]
         worst = both.error("right") / float(std.min())

@@ -15,7 +15,7 @@ from benchmarks.timing import least
 from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone_export import accuracy, exported_step
-from undeadzone_export.code import code
+from undeadzone_export.code import build_code
 
 BLOCK = 10  # calls' worth of samples in a block
 FILTER = uz.Censored(right=[0.5, 1.5], left=[0.5, 1.5])
@@ -65,7 +65,7 @@ def _ways(
         controller=uz.StateFeedback(alpha=10.0),
         simulation=uz.Simulation(time="sampled", step=1e-3, duration=1.0),
     )
-    step = exported_step.build(resolve_scenario(scenario))
+    step = exported_step.build_step(resolve_scenario(scenario))
     block = partial(fast.update_many, rows[:, :1], rows[:, 1:])
     ways: dict[str, tuple[int, Callable[[], None]]] = {
         "Online.update": (count, partial(_each, plain.update, count)),
@@ -76,7 +76,7 @@ def _ways(
     for precision in ("double", "single"):
         made = folder / f"{precision}-{count}"
         made.mkdir()
-        exported = accuracy.Compiled(code(step, precision == "single"), made)
+        exported = accuracy.CompiledStep(build_code(step, precision == "single"), made)
         ways[f"exported C, {precision}"] = (many, partial(exported, rows))
     return ways
 

@@ -15,9 +15,9 @@ from undeadzone.errors import InputError
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exported_step, selftest_vectors
-from undeadzone_export.accuracy import Compiled
-from undeadzone_export.code import code
-from undeadzone_export.exported_step import places_of
+from undeadzone_export.accuracy import CompiledStep
+from undeadzone_export.code import build_code
+from undeadzone_export.exported_step import field_slices
 
 SAMPLES = 10_000
 FLAGS = ("side", "consistent", "refused", "restarts")
@@ -86,14 +86,16 @@ def spoilt(rows: Floats, seed: int = 0) -> Floats:
 def day(one: Scenario, samples: int = SAMPLES) -> Day:
     """What the exports of a scenario's observer do on a worst day."""
     problem = selftest_vectors.continue_scenario(one, samples)
-    step = exported_step.build(problem)
+    step = exported_step.build_step(problem)
     rows = spoilt(selftest_vectors.record_inputs(problem, step))
     with tempfile.TemporaryDirectory() as folder:
-        double, single = (Compiled(code(step, kind), Path(folder))(rows) for kind in (False, True))
+        double, single = (
+            CompiledStep(build_code(step, kind), Path(folder))(rows) for kind in (False, True)
+        )
     online = uz.Online(one.observer, one.plant, one.sensor, one.simulation.step)
     estimate, side = online.update_many(rows[:, :1], rows[:, 1:])
     live = estimate._asdict() | {"side": side}
-    places = places_of(step.outputs)
+    places = field_slices(step.outputs)
     flags = [name for name in FLAGS if name in places]
     numbers = [name for name in NUMBERS if name in places]
     return Day(

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from undeadzone_paper import Paper, audit
-from undeadzone_paper.claims import HOW, Claim, count_verdicts
+from undeadzone_paper.claims import HOW, Claim, verdict_counts_text
 
 ROOT: Final = Path(__file__).parents[1]
 PAGE: Final = ROOT / "docs" / "paper.md"
@@ -53,7 +53,7 @@ def escape_brackets(quotation: str) -> str:
 def page(paper: Paper) -> str:
     """docs/paper.md."""
     ranked = sorted(paper.claims, key=lambda claim: ORDER.index(claim.verdict))
-    parts = [HEAD, wrapped(f"{count_verdicts(paper.claims)} {HOW}")]
+    parts = [HEAD, wrapped(f"{verdict_counts_text(paper.claims)} {HOW}")]
     for verdict, claims in groupby(ranked, key=lambda claim: claim.verdict):
         parts.append(f"## {capital(verdict)}\n")
         parts += [section(claim) for claim in claims]
@@ -68,7 +68,7 @@ def section(claim: Claim) -> str:
             f"### {text.id}\n",
             wrapped(f"{text.claim}. The paper, {text.where}: “{escape_brackets(text.words)}”."),
             wrapped(f"*{capital(claim.verdict)}.* {text.why}"),
-            wrapped(f"Measured: {claim.measured_in_words}."),
+            wrapped(f"Measured: {claim.numbers_text}."),
         ]
     )
 
@@ -92,7 +92,7 @@ def filled(path: Path, paper: Paper) -> str:
     def told(mark: re.Match[str]) -> str:
         key = mark[2]
         if key == "all":
-            return mark[1] + wrapped(count_verdicts(paper.claims))
+            return mark[1] + wrapped(verdict_counts_text(paper.claims))
         return mark[1] + line(claims[key], path)
 
     return MARKED.sub(told, path.read_text(encoding="utf-8"))

@@ -114,7 +114,7 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
     """
     place = pytestconfig.rootpath / COMPILED
     place.mkdir(parents=True, exist_ok=True)
-    compile_, of_no_effort = compiler._call_compiler, str(code_of_no_effort)
+    compile_, of_no_effort = compiler._run_compiler, str(code_of_no_effort)
 
     @functools.cache
     def bits(command: str) -> bytes:
@@ -147,7 +147,7 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
         return cast(subprocess.CompletedProcess[str], done)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiler, "_call_compiler", called)
+        patch.setattr(compiler, "_run_compiler", called)
         yield
 
 

@@ -38,7 +38,7 @@ def program(words: list[str], folder: Path) -> Path:
         folder: where they are.
     """
     name, *more = words
-    done = compiler._call_compiler(["gcc", *more, "-o", name, "-lm"], folder)
+    done = compiler._run_compiler(["gcc", *more, "-o", name, "-lm"], folder)
     assert done.returncode == 0, done.stderr
     return folder / name
 

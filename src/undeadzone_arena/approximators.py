@@ -44,8 +44,8 @@ class Grid(NamedTuple):
     overlap: Any
 
 
-def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: bool) -> Basis:
-    """Return products of Gaussians on a grid over the box |v_i| <= reach_i.
+def build_gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: bool) -> Basis:
+    """Build products of Gaussians on a grid over the box |v_i| <= reach_i.
 
     Radial basis functions (Broomhead and Lowe 1988), which fade beyond the box. Normalised, they
     sum to 1: fuzzy rules with Gaussian membership, singleton fuzzifier, product inference and
@@ -66,9 +66,10 @@ def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: b
     spacing = 2 / (count - 1)
 
     def phi(p: Grid, v: Any) -> Any:
+        """Return the Gaussians at v (k)."""
         scaled = v / p.reach
         if normalised:
-            scaled = _in_box(scaled)
+            scaled = _clip_to_box(scaled)
         width = spacing * p.overlap
         axes = [ca.exp(-(((x - p.centres) / width) ** 2) / 2) for x in ca.vertsplit(scaled)]
         if normalised:
@@ -76,11 +77,11 @@ def gaussians(key: str, reach: Floats, count: int, overlap: float, normalised: b
         return reduce(ca.kron, axes)
 
     grid = Grid(reach, np.linspace(-1, 1, count), np.float64(overlap))
-    return _require_size(key, Basis(grid, phi, count**reach.size))
+    return _require_small_basis(key, Basis(grid, phi, count**reach.size))
 
 
-def monomials(key: str, reach: Floats, degree: int) -> Basis:
-    """Return every product of powers of v_i / reach_i up to a total degree (Taylor network).
+def build_monomials(key: str, reach: Floats, degree: int) -> Basis:
+    """Build all products of powers of v_i / reach_i up to a total degree (Taylor network).
 
     v is brought into the box |v_i| <= reach_i first.
 
@@ -98,14 +99,15 @@ def monomials(key: str, reach: Floats, degree: int) -> Basis:
     powers = [power for power in tuples if sum(power) <= degree]
 
     def phi(reach: Any, v: Any) -> Any:
-        scaled = ca.vertsplit(_in_box(v / reach))
-        return ca.vertcat(*(_monomial(scaled, power) for power in powers))
+        """Return the monomials at v (k)."""
+        scaled = ca.vertsplit(_clip_to_box(v / reach))
+        return ca.vertcat(*(_monomial_value(scaled, power) for power in powers))
 
-    return _require_size(key, Basis(reach, phi, len(powers)))
+    return _require_small_basis(key, Basis(reach, phi, len(powers)))
 
 
-def jumps(key: str, count: int) -> Basis:
-    """Return selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
+def build_jump_functions(key: str, count: int) -> Basis:
+    """Build Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
 
     They act on the right side and, negative, on the left.
 
@@ -120,19 +122,20 @@ def jumps(key: str, count: int) -> Basis:
         raise InputError(f"{key}: expected at least 1 function, found {count}")
 
     def phi(params: Any, v: Any) -> Any:
+        """Return the jump functions at v (2 count)."""
         rise = 1 - ca.exp(-ca.fabs(v[0]))
         one_side = ca.vertcat(*(rise**k for k in range(count)))
         return ca.vertcat((v[1] > 0) * one_side, -(v[1] < 0) * one_side)
 
-    return _require_size(key, Basis(None, phi, 2 * count))
+    return _require_small_basis(key, Basis(None, phi, 2 * count))
 
 
-def _in_box(v: Any) -> Any:
-    """Return v brought into the box |v_i| <= 1."""
+def _clip_to_box(v: Any) -> Any:
+    """Clip v to the box |v_i| <= 1."""
     return ca.fmax(ca.fmin(v, 1.0), -1.0)
 
 
-def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
+def _monomial_value(v: list[Any], powers: tuple[int, ...]) -> Any:
     """Return v_1^powers_1 v_2^powers_2 ..."""
     value = ca.SX(1.0)
     for x, power in zip(v, powers, strict=True):
@@ -140,8 +143,8 @@ def _monomial(v: list[Any], powers: tuple[int, ...]) -> Any:
     return value
 
 
-def _require_size(key: str, basis: Basis) -> Basis:
-    """Return the basis, if it is not too large to compute at every step."""
+def _require_small_basis(key: str, basis: Basis) -> Basis:
+    """Return the basis if small enough to compute at every step, or raise InputError."""
     if basis.size > LARGEST:
         raise InputError(
             f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; "

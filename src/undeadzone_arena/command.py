@@ -1,4 +1,4 @@
-"""undeadzone arena [SCENARIO.toml ...]"""
+"""Command `undeadzone arena [SCENARIO.toml ...]`."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def arena(
     force: bool,
     confine: Path | None,
 ) -> int:
-    """Compare methods: each in the place of the scenario's observer, told only what is declared.
+    """Compare methods: each replaces the scenario's observer, with the same prior information.
 
     Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
     knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
@@ -129,31 +129,35 @@ def arena(
     crash --resume goes on. See docs/arena.md.
     """
     from undeadzone.util.own_files import require_own
-    from undeadzone_arena.contest.scenario_sets import SETS, from_files
-    from undeadzone_arena.contest.scenario_sets import scenarios as built_in
+    from undeadzone_arena.contest.scenario_sets import SETS, scenarios_from_files
+    from undeadzone_arena.contest.scenario_sets import arena_scenarios as built_in
 
     if chosen and scenarios:
         raise click.UsageError("--set names scenarios of the arena; leave your own out, or --set")
-    _require_used(tuning)
+    _require_used_options(tuning)
     tuned_on, held_out = SETS[chosen or "dead_zones"]
-    names = None if methods is None else _names(methods)
-    own = from_files(scenarios, confine)
+    names = None if methods is None else _parse_method_names(methods)
+    own = scenarios_from_files(scenarios, confine)
     folder = out or FOLDER
     writes = tuning or html or out is not None
     if tuning:
         require_own(writable(folder) / "tuned.toml", force)
         if resume:
             tell_anew(folder / "tuned.toml.partial")
-        return _tune(names, own or built_in(tuned_on), budget, processes, folder, as_json, resume)
-    keep = folder / "results.json.partial" if _keeps(folder, writes) else None
+        return _run_tuning(
+            names, own or built_in(tuned_on), budget, processes, folder, as_json, resume
+        )
+    keep = folder / "results.json.partial" if _can_store_results(folder, writes) else None
     if resume and keep is not None:
         tell_anew(keep)
     grounds = own or built_in(held_out)
     try:
-        contest = _hold_contest(names, grounds, tuple(range(seeds)), tuned, processes, keep, resume)
+        contest = _announce_and_run(
+            names, grounds, tuple(range(seeds)), tuned, processes, keep, resume
+        )
         if writes:
             prepare_figures()
-        written = _write_contest(contest, folder, bool(own)) if writes else []
+        written = _write_results(contest, folder, bool(own)) if writes else []
         if keep is not None:
             keep.unlink(missing_ok=True)
     finally:
@@ -162,11 +166,11 @@ def arena(
     if as_json:
         print_json(contest.summary(), written)
     else:
-        _print(contest, written)
+        _print_leaderboard(contest, written)
     return 0
 
 
-def _require_used(tuning: bool) -> None:
+def _require_used_options(tuning: bool) -> None:
     """Raise UsageError for an option that would have no effect."""
     context = click.get_current_context()
     unused = ("seeds", "tuned", "html") if tuning else ("budget",)
@@ -177,8 +181,8 @@ def _require_used(tuning: bool) -> None:
             )
 
 
-def _keeps(folder: Path, writes: bool) -> bool:
-    """Return whether what is done can be kept in a folder.
+def _can_store_results(folder: Path, writes: bool) -> bool:
+    """Return whether results can be stored in a folder meanwhile.
 
     Raises:
         FileError: it cannot, though something is to be written there anyway.
@@ -195,8 +199,8 @@ def _keeps(folder: Path, writes: bool) -> bool:
     return True
 
 
-def _names(methods: str) -> list[str]:
-    """Return the names in a list with commas between them.
+def _parse_method_names(methods: str) -> list[str]:
+    """Parse a list of names separated by commas. Raises BadParameter for an empty list.
 
     Raises BadParameter where there is none.
     """
@@ -209,7 +213,7 @@ def _names(methods: str) -> list[str]:
     return named
 
 
-def _hold_contest(
+def _announce_and_run(
     names: list[str] | None,
     grounds: dict[str, Scenario],
     seeds: tuple[int, ...],
@@ -218,22 +222,28 @@ def _hold_contest(
     keep: Path | None,
     resume: bool,
 ) -> Contest:
-    """Return the contest, held; its size is told before."""
+    """Run the contest after printing its size."""
     from undeadzone_arena.contest.contest import run_contest
-    from undeadzone_arena.contest.effort import in_words
-    from undeadzone_arena.contest.entry import numbers
+    from undeadzone_arena.contest.effort import effort_text
+    from undeadzone_arena.contest.entry import read_knob_numbers
     from undeadzone_arena.contest.leaderboard import FRAME
-    from undeadzone_arena.contest.methods import fitting, require
+    from undeadzone_arena.contest.methods import methods_for_scenarios, require_method
 
-    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
+    chosen = (
+        methods_for_scenarios(grounds.values())
+        if names is None
+        else [require_method(name) for name in names]
+    )
     every = list(dict.fromkeys([*FRAME, *chosen]))
-    say(f"arena: {in_words(every, grounds, len(seeds), 'seed', processes)}", err=True)
+    say(f"arena: {effort_text(every, grounds, len(seeds), 'seed', processes)}", err=True)
     runs = len(grounds) * len(seeds) * len(every)
     with progress("arena", runs, "runs") as advance:
-        return run_contest(names, grounds, seeds, numbers(tuned), processes, advance, keep, resume)
+        return run_contest(
+            names, grounds, seeds, read_knob_numbers(tuned), processes, advance, keep, resume
+        )
 
 
-def _tune(
+def _run_tuning(
     names: list[str] | None,
     grounds: dict[str, Scenario],
     budget: int,
@@ -243,16 +253,24 @@ def _tune(
     resume: bool,
 ) -> int:
     """Tune methods, write and print their numbers."""
-    from undeadzone_arena.contest.effort import in_words
-    from undeadzone_arena.contest.methods import catalogue, fitting, require
-    from undeadzone_arena.contest.tune import tune
-    from undeadzone_arena.contest.tuned_file import save
+    from undeadzone_arena.contest.effort import effort_text
+    from undeadzone_arena.contest.methods import (
+        method_registry,
+        methods_for_scenarios,
+        require_method,
+    )
+    from undeadzone_arena.contest.tune import tune_methods
+    from undeadzone_arena.contest.tuned_file import save_tuned
 
-    chosen = fitting(grounds.values()) if names is None else [require(name) for name in names]
-    adjustable = [name for name in chosen if catalogue()[name].knobs]
-    say(f"arena: {in_words(adjustable, grounds, budget, 'candidate', processes)}", err=True)
+    chosen = (
+        methods_for_scenarios(grounds.values())
+        if names is None
+        else [require_method(name) for name in names]
+    )
+    adjustable = [name for name in chosen if method_registry()[name].knobs]
+    say(f"arena: {effort_text(adjustable, grounds, budget, 'candidate', processes)}", err=True)
     with progress("tuning", len(chosen), "methods") as advance:
-        tuned = tune(
+        tuned = tune_methods(
             chosen,
             grounds,
             budget,
@@ -261,7 +279,7 @@ def _tune(
             keep=folder / "tuned.toml.partial",
             resume=resume,
         )
-    path = save(tuned, folder / "tuned.toml")
+    path = save_tuned(tuned, folder / "tuned.toml")
     (folder / "tuned.toml.partial").unlink(missing_ok=True)
     if as_json:
         import msgspec
@@ -272,18 +290,19 @@ def _tune(
     return 0
 
 
-def _write_contest(contest: Contest, folder: Path, own: bool) -> list[Path]:
-    """Return results, figures and page; of scenarios of one's own also each with the best method in
-    it.
+def _write_results(contest: Contest, folder: Path, own: bool) -> list[Path]:
+    """Write results, figures and page.
+
+    For a user's own scenarios, also write each with its best method.
     """
     from undeadzone.errors import InputError
     from undeadzone.util import toml
     from undeadzone.util.files import write_text
     from undeadzone_arena.contest.page import write_arena
-    from undeadzone_arena.contest.traces import traced
+    from undeadzone_arena.contest.traces import trace_runs
 
     written = contest.save(folder / "results.json")
-    written += write_arena(contest, traced(contest), folder, origin(None))
+    written += write_arena(contest, trace_runs(contest), folder, origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:
@@ -295,7 +314,7 @@ def _write_contest(contest: Contest, folder: Path, own: bool) -> list[Path]:
     return written
 
 
-def _print(contest: Contest, written: list[Path]) -> None:
+def _print_leaderboard(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
     print_blocks(contest.blocks(), line_of_files(written))
 

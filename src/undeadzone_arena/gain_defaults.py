@@ -1,4 +1,4 @@
-"""Gains and rates of rivals by a speed, in poles of the plant."""
+"""Default gains and rates of the compared methods, in poles of the plant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from undeadzone.plants.system import System, fastest_pole, moving_poles
 from undeadzone.util.arrays import Array, Floats, scalar
 
 
-def injection(
+def injection_gain(
     model: System, L: Array | None, poles: Array | None, speed: float | None, default: float
 ) -> Floats:
     """Return L (n x p), per step when the model is sampled, from one of L, poles and speed.
@@ -39,11 +39,13 @@ def injection(
         return gains(L, model) * model.per_step
     if poles is not None:
         return observer_gain(model.linear, poles, model.Ts)
-    return fast_gain(model.linear, in_poles(model, "observer.speed", speed, default), model.Ts)
+    return fast_gain(
+        model.linear, rate_or_default(model, "observer.speed", speed, default), model.Ts
+    )
 
 
 def width_hiding_speed(model: System, factor: float) -> float:
-    """Return a speed, in fastest poles, that hides the widths from the innovation.
+    """Return the speed that hides the widths from the innovation (in fastest poles) [1].
 
     It hides as much of them as `factor` mean poles do for second order: the innovation sees them
     through det(sI - A) / det(sI - A + L C), for each output about factor^-2 at low frequency.
@@ -53,8 +55,8 @@ def width_hiding_speed(model: System, factor: float) -> float:
     return float(factor ** (2 / order) * np.exp(np.log(poles).mean()) / poles.max())
 
 
-def in_poles(model: System, key: str, rate: float | None, default: float) -> float:
-    """Return a rate as the user gives it, or a multiple of the plant's fastest pole.
+def rate_or_default(model: System, key: str, rate: float | None, default: float) -> float:
+    """Return the rate that the user gives, or a multiple of the plant's fastest pole [1/s].
 
     Args:
         model: the plant.

@@ -1,4 +1,4 @@
-"""The unscented transform on CasADi expressions: 2 N + 1 points carry a Gaussian belief.
+"""Unscented transform on CasADi expressions: 2 N + 1 points represent a Gaussian.
 
 docs/methods/ukf.md derives it.
 """
@@ -16,7 +16,7 @@ from undeadzone.numerics.gaussian import Gaussian
 ROUNDING = 1e-14  # of a variance: what is left of it after elimination is taken for 0
 
 
-class Weights(NamedTuple):
+class SigmaWeights(NamedTuple):
     """Scaled weights of van der Merwe (2004).
 
     Attributes:
@@ -31,18 +31,18 @@ class Weights(NamedTuple):
     spread: float
 
 
-def weights(size: int, alpha: float, beta: float, kappa: float) -> Weights:
+def sigma_weights(size: int, alpha: float, beta: float, kappa: float) -> SigmaWeights:
     """Return the weights for `size` variables.
 
     The points lie alpha sqrt(size + kappa) standard deviations from the mean.
     """
     spread = alpha**2 * (size + kappa)
     centre = 1 - size / spread
-    return Weights(centre, centre + 1 - alpha**2 + beta, 0.5 / spread, spread)
+    return SigmaWeights(centre, centre + 1 - alpha**2 + beta, 0.5 / spread, spread)
 
 
-def factor(cov: Any) -> Any:
-    """Return Cholesky's L with L L' = cov.
+def cholesky_factor(cov: Any) -> Any:
+    """Return the Cholesky factor L with L L' = cov (N x N).
 
     The column of a direction without variance is 0, so that rounding cannot stop it.
     """
@@ -55,29 +55,31 @@ def factor(cov: Any) -> Any:
     return L
 
 
-def points(belief: Gaussian, w: Weights) -> list[Any]:
+def sigma_points(belief: Gaussian, w: SigmaWeights) -> list[Any]:
     """Return the mean, then a point on either side of it along every column of the factor."""
-    steps = ca.horzsplit(math.sqrt(w.spread) * factor(belief.cov))
+    steps = ca.horzsplit(math.sqrt(w.spread) * cholesky_factor(belief.cov))
     ahead = [belief.mean + step for step in steps]
     behind = [belief.mean - step for step in steps]
     return [belief.mean, *ahead, *behind]
 
 
-def mean(values: list[Any], w: Weights) -> Any:
-    """Return the weighted mean of what the points became."""
+def points_mean(values: list[Any], w: SigmaWeights) -> Any:
+    """Return the weighted mean of the mapped points."""
     return w.mean * values[0] + w.other * sum(values[1:], ca.SX(*values[0].shape))
 
 
-def covariance(first: list[Any], second: list[Any], w: Weights) -> Any:
-    """Return the weighted covariance of the deviations of the points from two means."""
+def points_covariance(first: list[Any], second: list[Any], w: SigmaWeights) -> Any:
+    """Return the weighted covariance of the points' deviations from two means."""
     others = ca.SX(first[0].shape[0], second[0].shape[0])
     for a, b in zip(first[1:], second[1:], strict=True):
         others = others + a @ b.T
     return w.cov * first[0] @ second[0].T + w.other * others
 
 
-def predict(belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: Weights) -> Gaussian:
-    """Return the belief after x+ = x + f(x) + v; exact where f is linear.
+def predict_by_points(
+    belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: SigmaWeights
+) -> Gaussian:
+    """Predict the state estimate after x+ = x + f(x) + v. The result is exact if f is linear.
 
     Args:
         belief: of x (N).
@@ -85,14 +87,16 @@ def predict(belief: Gaussian, change: Callable[[Any], Any], Q: Any, w: Weights) 
         Q: covariance of v (N x N).
         w: the weights.
     """
-    moved = [point + change(point) for point in points(belief, w)]
-    centre = mean(moved, w)
+    moved = [point + change(point) for point in sigma_points(belief, w)]
+    centre = points_mean(moved, w)
     off = [value - centre for value in moved]
-    return Gaussian(centre, _symmetric(covariance(off, off, w) + Q))
+    return Gaussian(centre, _symmetrise(points_covariance(off, off, w) + Q))
 
 
-def gain(belief: Gaussian, h: Callable[[Any], Any], R: Any, w: Weights) -> tuple[Any, Any, Any]:
-    """How one reading y = h(x) + v changes the belief.
+def gain_by_points(
+    belief: Gaussian, h: Callable[[Any], Any], R: Any, w: SigmaWeights
+) -> tuple[Any, Any, Any]:
+    """Return the measurement update of one reading y = h(x) + v.
 
     Args:
         belief: of x (N).
@@ -103,15 +107,15 @@ def gain(belief: Gaussian, h: Callable[[Any], Any], R: Any, w: Weights) -> tuple
     Returns:
         What is expected of y, its variance, and the gain K (N).
     """
-    spread = points(belief, w)
+    spread = sigma_points(belief, w)
     read = [h(point) for point in spread]
-    expected = mean(read, w)
+    expected = points_mean(read, w)
     off = [value - expected for value in read]
-    S = covariance(off, off, w) + R
-    K = covariance([point - belief.mean for point in spread], off, w) / S
+    S = points_covariance(off, off, w) + R
+    K = points_covariance([point - belief.mean for point in spread], off, w) / S
     return expected, S, K
 
 
-def _symmetric(cov: Any) -> Any:
-    """Return the symmetric matrix with this upper triangle, all of its entries stored."""
+def _symmetrise(cov: Any) -> Any:
+    """Return the symmetric matrix of an upper triangle, with all entries stored."""
     return ca.triu2symm(ca.triu(ca.densify(cov)))

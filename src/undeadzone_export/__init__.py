@@ -1,4 +1,4 @@
-"""What runs elsewhere: a scenario's observer, and its controller (docs/export.md).
+"""Export of a scenario's observer and controller, to run without undeadzone (docs/export.md).
 
 As C for a microcontroller, as text for a PLC, as an FMU, a Python module, a page with sliders. The
 public names stand in `__init__.pyi`; `undeadzone` has them, too.

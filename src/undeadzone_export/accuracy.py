@@ -1,4 +1,4 @@
-"""What single precision costs: the code in float beside the same in double, along a run."""
+"""Cost of single precision: errors of the code in float against double, along a run."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from undeadzone.compile import interpret
 from undeadzone.util.arrays import Floats, finite
 from undeadzone_export.code import Code
-from undeadzone_export.compiler import shared_library, stack_bytes, write_sources
-from undeadzone_export.exported_step import Field, places_of, total
-from undeadzone_export.source import Labels, Source, source
+from undeadzone_export.compiler import compile_library, stack_bytes, write_sources
+from undeadzone_export.exported_step import Field, field_slices, total_size
+from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_export.template import call_words, fill_template
 
 CHUNK = 500  # steps between two looks at the memory
@@ -29,7 +29,7 @@ Options = tuple[str, ...]  # for the compiler
 
 
 class Accuracy(NamedTuple):
-    """How near the code comes to the graph, and float to double.
+    """Errors of the code against the graph, and of float against double.
 
     Attributes:
         machine: largest error of the code in double against CasADi's virtual machine, relative to
@@ -55,8 +55,8 @@ class Accuracy(NamedTuple):
     stack: int | None
 
 
-class Compiled:
-    """The exported code compiled for this computer, with its own memory.
+class CompiledStep:
+    """Exported code compiled for this computer, with its own memory.
 
     Args:
         code: what is printed.
@@ -68,37 +68,39 @@ class Compiled:
     def __init__(
         self, code: Code, folder: Path, options: Options = ("-O1",), text: Source | None = None
     ) -> None:
-        text = text or source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
-        prefix, files, given = text.prefix, text.files(), bool(code.step.params)
+        text = text or build_source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
+        prefix, files, given = text.prefix, text.texts_by_name(), bool(code.step.params)
         files[f"{prefix}_run.c"] = fill_template("templates/runner.c", call_words(prefix, given))
-        library = shared_library(write_sources(files, folder), folder / f"{prefix}.so", options)
+        library = compile_library(write_sources(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
         self.real = code.kind
-        self.state = np.zeros(total(code.structs["state"]), self.real)
-        self.outputs = total(code.step.outputs)
-        self.begin()
+        self.state = np.zeros(total_size(code.structs["state"]), self.real)
+        self.outputs = total_size(code.step.outputs)
+        self.reset_memory()
 
-    def begin(self) -> None:
-        """Set the memory to that of t = 0."""
-        self._functions.start(_address(self.state))
+    def reset_memory(self) -> None:
+        """Reset the memory to its value at t = 0."""
+        self._functions.start(_array_pointer(self.state))
 
     def __call__(self, rows: Floats) -> Floats:
-        """Return the outputs along inputs (N x inputs), as float64 (N x outputs)."""
+        """Return the outputs along inputs (N x inputs) as float64 (N x outputs)."""
         given = np.ascontiguousarray(rows, self.real)
         out = np.empty((len(rows), self.outputs), self.real)
         count = ctypes.c_long(len(rows))
-        self._functions.run(count, _address(given), _address(out), _address(self.state))
+        self._functions.run(
+            count, _array_pointer(given), _array_pointer(out), _array_pointer(self.state)
+        )
         return out.astype(float)
 
 
-def _address(values: Any) -> Any:
-    """Where an array begins."""
+def _array_pointer(values: Any) -> Any:
+    """Return the address of an array."""
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
-def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy:
-    """Compare the code in double with the virtual machine, and in float with that in double.
+def measure_accuracy(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy:
+    """Compare the code in double with the virtual machine, and the code in float with double.
 
     Args:
         double: the code in double.
@@ -111,8 +113,8 @@ def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        replica = Compiled(double, folder, text=None if printed.single else text)
-        error = _against_machine(double, replica, rows[:MACHINE_STEPS])
+        replica = CompiledStep(double, folder, text=None if printed.single else text)
+        error = _machine_error(double, replica, rows[:MACHINE_STEPS])
         bar = CLOSE if text.functions else EXACT
         refusals = []
         if not error <= bar:
@@ -123,13 +125,13 @@ def measure(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy
         if not printed.single:
             return plain
         (folder / "single").mkdir()
-        rounded = Compiled(printed, folder / "single", text=text)
+        rounded = CompiledStep(printed, folder / "single", text=text)
         plain = plain._replace(stack=rounded.stack)
-        replica.begin()
-        return _beside(plain, replica, rounded, printed, rows)
+        replica.reset_memory()
+        return _compare_precisions(plain, replica, rounded, printed, rows)
 
 
-def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
+def _machine_error(code: Code, replica: CompiledStep, rows: Floats) -> float:
     """Return the largest error of the compiled code against CasADi, relative to each field."""
     step = code.step
     expected, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
@@ -137,15 +139,15 @@ def _against_machine(code: Code, replica: Compiled, rows: Floats) -> float:
     if not np.array_equal(np.isnan(values), np.isnan(expected)):
         return float("inf")
     gap = np.nan_to_num(np.abs(values - expected), posinf=np.inf)
-    size = _size(expected)
-    places = places_of(step.outputs).values()
+    size = _signal_size(expected)
+    places = field_slices(step.outputs).values()
     return float(max(gap[:, at].max() / (size[:, at].max() + 1e-300) for at in places))
 
 
-def _beside(
-    plain: Accuracy, double: Compiled, single: Compiled, code: Code, rows: Floats
+def _compare_precisions(
+    plain: Accuracy, double: CompiledStep, single: CompiledStep, code: Code, rows: Floats
 ) -> Accuracy:
-    """Return float beside double, on inputs that float holds exactly."""
+    """Compare float with double on inputs that float represents exactly."""
     rows = rows.astype(np.float32).astype(float)
     runs, pairs = [], []
     for start in range(0, len(rows), CHUNK):
@@ -153,13 +155,17 @@ def _beside(
         runs.append([double(piece), single(piece)])
         pairs.append([smallest_eigenvalue(code.step.state, one.state) for one in (double, single)])
     exact, rounded = np.concatenate(runs, axis=1)
-    places, gap, size = places_of(code.step.outputs), _gap(exact, rounded), _size(exact)
+    places, gap, size = (
+        field_slices(code.step.outputs),
+        _precision_gap(exact, rounded),
+        _signal_size(exact),
+    )
     table = {}
     for field, place in places.items():
         error, most = float(gap[:, place].max()), float(size[:, place].max())
         table[field] = {"error": error, "size": most}
     least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
-    refusals = plain.refusals + _describe_refused_widths(places, gap, size)
+    refusals = plain.refusals + _width_refusals(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:
             refusals.append(
@@ -177,20 +183,20 @@ def _beside(
     )
 
 
-def _gap(exact: Floats, rounded: Floats) -> Floats:
-    """Return |float - double|; 0 where both are NaN, infinite where one is."""
+def _precision_gap(exact: Floats, rounded: Floats) -> Floats:
+    """Return |float - double|: 0 if both are NaN, infinite if one is."""
     same = np.isnan(exact) & np.isnan(rounded)
     gap = np.where(same, 0.0, np.abs(exact - rounded))
     return np.where(np.isnan(gap), np.inf, gap)
 
 
-def _size(values: Floats) -> Floats:
-    """How large values are; 0 where there is none."""
+def _signal_size(values: Floats) -> Floats:
+    """Return the absolute values, with 0 for NaN."""
     return np.nan_to_num(np.abs(values))
 
 
-def _describe_refused_widths(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
-    """Return the widths whose errors are too large, in words.
+def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list[str]:
+    """Return a sentence for each width whose error is too large.
 
     Args:
         places: where each field stands among the outputs.
@@ -216,27 +222,25 @@ def _describe_refused_widths(places: dict[str, slice], gap: Floats, size: Floats
 
 
 def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
-    """Return the smallest eigenvalue of the correlation matrices in a memory; None: there are none.
+    """Return the smallest eigenvalue of the correlation matrices in a memory [1], or None.
 
     Args:
         fields: the fields of the memory.
         state: its numbers.
     """
-    places, values = places_of(fields), []
+    places, values = field_slices(fields), []
     for name, place in places.items():
         if name.endswith("cov"):
             mean = places[name.removesuffix("cov") + "mean"]
-            matrix = _symmetric(np.asarray(state[place], float), mean.stop - mean.start)
+            matrix = _from_triangle(np.asarray(state[place], float), mean.stop - mean.start)
             std = np.sqrt(np.abs(np.diagonal(matrix)))
             std[std == 0] = 1.0
             values.append(float(np.linalg.eigvalsh(matrix / np.outer(std, std))[0]))
     return min(values) if values else None
 
 
-def _symmetric(column: Floats, size: int) -> Floats:
-    """Return the symmetric matrix of an upper triangle, whole or of uncoupled groups of equal
-    size.
-    """
+def _from_triangle(column: Floats, size: int) -> Floats:
+    """Return the symmetric matrix of an upper triangle, whole or of uncoupled equal groups."""
     blocks = 2 * column.size // size - 1
     entries = ca.triu(ca.kron(ca.DM.ones(blocks, blocks), ca.DM.eye(size // blocks))).sparsity()
     rows, columns = entries.get_triplet()

@@ -1,4 +1,4 @@
-"""Does an export fit? Flash, memory and time on usual boards, estimated from its operations.
+"""Flash, memory and time of an export on usual boards, estimated from its operations.
 
 The shares an operation were measured with gcc 12 -Os on exports of 50 to 6,000 operations, linked
 alone (docs/export.md): Thumb code takes 8.5 to 11.7 bytes. They tell what fits from what does not,
@@ -17,7 +17,7 @@ WIDER: Final = 2.0  # bytes in double for one in single
 
 
 class Board(NamedTuple):
-    """A board, or a chip.
+    """Microcontroller board or chip.
 
     Attributes:
         name: as its users call it.
@@ -46,8 +46,8 @@ BOARDS: Final = (
 )
 
 
-class Fit(NamedTuple):
-    """An export on a board, estimated.
+class BoardFit(NamedTuple):
+    """Estimated cost of an export on a board.
 
     Attributes:
         board: its name.
@@ -65,17 +65,17 @@ class Fit(NamedTuple):
     why: str
 
 
-def fits(report: Mapping[str, Any]) -> list[Fit]:
-    """How an export fits usual boards.
+def fit_boards(report: Mapping[str, Any]) -> list[BoardFit]:
+    """Estimate the cost of an export on usual boards.
 
     Args:
         report: of the export: sizes, operations, precision, step.
     """
-    return [_on(board, report) for board in BOARDS]
+    return [_fit_board(board, report) for board in BOARDS]
 
 
-def _on(board: Board, report: Mapping[str, Any]) -> Fit:
-    """How an export fits one board."""
+def _fit_board(board: Board, report: Mapping[str, Any]) -> BoardFit:
+    """Estimate the cost of an export on one board."""
     is_double = report["precision"] == "double"
     wider = WIDER if is_double and board.has_double else 1.0
     count = sum(report["operations"].values())
@@ -91,18 +91,18 @@ def _on(board: Board, report: Mapping[str, Any]) -> Fit:
         why.append("memory")
     if time > report["step"] / 2:
         why.append("time")
-    return Fit(board.name, flash, ram, time, not why, ", ".join(why))
+    return BoardFit(board.name, flash, ram, time, not why, ", ".join(why))
 
 
-def table(found: list[Fit]) -> list[tuple[str, ...]]:
+def board_table(found: list[BoardFit]) -> list[tuple[str, ...]]:
     """Return the boards as rows of text."""
     rows: list[tuple[str, ...]] = [("board, estimated", "flash", "memory", "step", "fits")]
     for fit in found:
-        sizes = (f"{fit.flash / 1e3:.3g} kB", f"{fit.ram / 1e3:.2g} kB", _time(fit.time))
+        sizes = (f"{fit.flash / 1e3:.3g} kB", f"{fit.ram / 1e3:.2g} kB", _time_text(fit.time))
         rows.append((fit.board, *sizes, "yes" if fit.fits else f"NO: {fit.why}"))
     return rows
 
 
-def _time(seconds: float) -> str:
-    """Return a time in ms, or in microseconds."""
+def _time_text(seconds: float) -> str:
+    """Return a time as text in ms or microseconds."""
     return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} us"

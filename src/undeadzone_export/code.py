@@ -1,4 +1,4 @@
-"""A step as nodes ready to print: in one, and split at what depends on the input."""
+"""Step as nodes ready to print: whole, and split at the dependence on the input."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, required_nodes, to_condition
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import TYPES
-from undeadzone_export.exported_step import Field, Step
+from undeadzone_export.exported_step import ExportedStep, Field
 
 _COUNTED: Final = {
     **{"add": "add", "sub": "add", "neg": "negate", "mul": "multiply", "div": "divide"},
@@ -21,7 +21,7 @@ _COUNTED: Final = {
 
 
 class Phases(NamedTuple):
-    """A step in two calls.
+    """Step in two calls.
 
     Attributes:
         estimate: results (out, carry); nothing in it depends on the input.
@@ -35,7 +35,7 @@ class Phases(NamedTuple):
 
 
 class Code(NamedTuple):
-    """What is printed.
+    """Nodes to print.
 
     Attributes:
         step: the step it came from.
@@ -44,7 +44,7 @@ class Code(NamedTuple):
         phases: the same in two calls; None where no input acts from outside.
     """
 
-    step: Step
+    step: ExportedStep
     single: bool
     results: Results
     phases: Phases | None
@@ -60,21 +60,21 @@ class Code(NamedTuple):
         return TYPES[self.kind]
 
     @property
-    def number_carried(self) -> int:
-        """How many numbers pass from one phase to the other."""
+    def carry_size(self) -> int:
+        """Return the number of values that pass from the first phase to the second."""
         return 0 if self.phases is None else self.phases.carried
 
     @property
     def structs(self) -> dict[str, list[Field]]:
         """Return the fields of each struct, by the end of its name."""
         step, meaning = self.step, "from estimate to advance; not part of the memory"
-        carry = [Field("carry", self.number_carried, meaning)] if self.number_carried else []
+        carry = [Field("carry", self.carry_size, meaning)] if self.carry_size else []
         fields = {"state": [*step.state, *carry], "in": step.inputs, "out": step.outputs}
         return fields | ({"params": step.params} if step.params else {})
 
     @property
     def hash(self) -> str:
-        """Of the nodes, their numbers and the precision, 16 hexadecimal digits."""
+        """Return the hash of nodes, numbers and precision, 16 hexadecimal digits."""
         order = required_nodes(itertools.chain(*self.results))
         nodes = [(n.op, [arg.number for arg in n.args], n.text, n.kind, n.number) for n in order]
         fields = (self.step.state, self.step.inputs, self.step.outputs, self.step.params)
@@ -84,8 +84,8 @@ class Code(NamedTuple):
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def code(step: Step, single: bool) -> Code:
-    """Return a step's nodes in a precision.
+def build_code(step: ExportedStep, single: bool) -> Code:
+    """Build a step's nodes in a precision.
 
     Args:
         step: the step.
@@ -95,12 +95,12 @@ def code(step: Step, single: bool) -> Code:
         InputError: an instruction that the export cannot print.
     """
     results = build_portable_nodes(step.function, "float32" if single else "float64")
-    phases = split_results(results, {f"w{k}" for k in step.acting}) if step.acting else None
+    phases = split_phases(results, {f"w{k}" for k in step.acting}) if step.acting else None
     return Code(step, single, results, phases)
 
 
-def split_results(results: Results, acting: Iterable[str]) -> Phases:
-    """Return results (next, out) in two: before the inputs are known, and after.
+def split_phases(results: Results, acting: Iterable[str]) -> Phases:
+    """Split the results (next, out) in two: before the inputs are known, and after.
 
     Args:
         results: the nodes.
@@ -130,14 +130,14 @@ def split_results(results: Results, acting: Iterable[str]) -> Phases:
 
 
 def _is_computed(node: Node) -> bool:
-    """Return whether a node must be carried: constants, states and parameters are there anyway."""
+    """Return whether a node must be carried. Constants, states and parameters need not be."""
     if node.op == "const":
         return False
     return node.op != "input" or node.text.startswith("w")
 
 
-def operations(results: Results) -> dict[str, int]:
-    """How many operations of each kind one evaluation takes, by their names."""
+def count_operations(results: Results) -> dict[str, int]:
+    """Count the operations of each kind in one evaluation, by their names."""
     counts: Counter[str] = Counter()
     for node in required_nodes(itertools.chain(*results)):
         if node.args and to_condition(node) is None:  # a truth as a number is the truth itself

@@ -1,4 +1,4 @@
-"""undeadzone export SCENARIO.toml"""
+"""Command `undeadzone export SCENARIO.toml`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def export(
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
     """
     from undeadzone.scenario.reader import read
-    from undeadzone_export.boards import Fit, table
+    from undeadzone_export.boards import BoardFit, board_table
     from undeadzone_export.exporting import export as run
 
     problem = read(scenario, confine)
@@ -96,18 +96,18 @@ def export(
     if as_json:
         print_json(result.report | {"written": files})
     else:
-        words = _page_in_words if to == "page" else _in_words
+        words = _page_lines if to == "page" else _report_lines
         blocks: list[Block] = [words(result.report, files)]
         if "boards" in result.report:
-            blocks.append(table([Fit(**row) for row in result.report["boards"]]))
+            blocks.append(board_table([BoardFit(**row) for row in result.report["boards"]]))
         if check and result.report["accuracy"] is not None:
-            blocks.append(_table(result.report["accuracy"]))
+            blocks.append(_accuracy_table(result.report["accuracy"]))
         print_blocks(blocks)
     return 0 if result.has_passed else 1
 
 
-def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
-    """What is printed of a report."""
+def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """Return the printed form of a report, by title."""
     sizes = report["sizes"]
     counts = [f"{count} {word}" for word, count in report["operations"].items()]
     pairs: dict[str, Any] = {
@@ -126,8 +126,8 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     if report["refusals"]:
         pairs["REFUSED"] = report["refusals"]
     if report.get("leaner"):
-        pairs["leaner"] = [_leaner(*each) for each in report["leaner"].items()]
-        pairs["along the run"] = [_along(*each) for each in report["runs"].items()]
+        pairs["leaner"] = [_leaner_text(*each) for each in report["leaner"].items()]
+        pairs["along the run"] = [_sentence_on_run(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         build = cmd("make", "-C", Path(files[0]).parent)
@@ -135,23 +135,23 @@ def _in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     return pairs
 
 
-def _leaner(name: str, boards: list[str]) -> str:
-    """Return an observer that takes less, and where it fits."""
-    from undeadzone_export.exporting import setting
+def _leaner_text(name: str, boards: list[str]) -> str:
+    """Return a sentence on an observer of lower cost and the boards that it fits."""
+    from undeadzone_export.exporting import leaner_setting
 
-    return f"{setting(name)} fits {', '.join(boards) or 'none of these boards'}"
+    return f"{leaner_setting(name)} fits {', '.join(boards) or 'none of these boards'}"
 
 
-def _along(method: str, run: dict[str, float | None]) -> str:
-    """What an observer did along the scenario's own run, over its last 2 s."""
+def _sentence_on_run(method: str, run: dict[str, float | None]) -> str:
+    """Return a sentence on the errors of an observer in the last 2 s of the scenario's run."""
     rms, coverage = run["rms"], run["coverage"]
     error = "diverges" if rms is None else f"rms z - z^ {rms:.3g}"
     inside = "none" if coverage is None else f"{100 * coverage:.0f} % hold the width"
     return f"{method}: {error}, intervals: {inside}"
 
 
-def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
-    """What is printed of the report on a page."""
+def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
+    """Return the printed form of a page's report, by title."""
     sizes = report["sizes"]
     counts = [f"{count} {word}" for word, count in report["operations"].items()]
     return {
@@ -164,7 +164,7 @@ def _page_in_words(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
     }
 
 
-def _table(accuracy: dict[str, Any]) -> list[list[str]]:
+def _accuracy_table(accuracy: dict[str, Any]) -> list[list[str]]:
     """Return the accuracy as rows of text."""
     rows = [["float against double", "largest error", "largest value"]]
     for name, numbers in accuracy["float_against_double"].items():

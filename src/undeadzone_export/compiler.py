@@ -1,4 +1,4 @@
-"""The host's C compiler, where there is one."""
+"""C compiler of the host."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 NAMES = ("cc", "gcc", "clang")
 
 
-def compiler() -> str | None:
-    """Return the command of a C compiler: $CC, else cc, gcc or clang; None where there is none."""
+def find_compiler() -> str | None:
+    """Return the command of a C compiler: $CC, else cc, gcc or clang.
+
+    Return None if none is found.
+    """
     for name in (os.environ.get("CC", ""), *NAMES):
         if name and shutil.which(name):
             return name
@@ -24,15 +27,15 @@ def compiler() -> str | None:
 
 
 def require_compiler() -> str:
-    """Return the command of a C compiler. Raises InputError where there is none."""
-    command = compiler()
+    """Return the command of a C compiler. Raises InputError if none is found."""
+    command = find_compiler()
     if command is None:
         raise InputError("no C compiler: expected cc, gcc or clang in PATH, or the variable CC")
     return command
 
 
 def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
-    """Return the paths of the C files among some that are written into a folder.
+    """Write files into a folder and return the paths of the C files.
 
     Args:
         files: texts by name.
@@ -43,7 +46,7 @@ def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
     return [folder / name for name in files if name.endswith(".c")]
 
 
-def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
+def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("-O1",)) -> Path:
     """Compile C into a shared library.
 
     Args:
@@ -60,7 +63,7 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
     every = [*FLAGS, *options, "-fPIC", "-shared", "-o", str(out.absolute())]
     for extra in (["-fstack-usage"], []):  # a compiler that does not know the first gets none
         line = [command, *extra, *every, *files, "-lm"]
-        finish = _call_compiler(line, folder)
+        finish = _run_compiler(line, folder)
         if finish.returncode == 0:
             break
     if finish.returncode:
@@ -68,8 +71,8 @@ def shared_library(sources: list[Path], out: Path, options: tuple[str, ...] = ("
     return out
 
 
-def _call_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Return a compiler, run in a folder. Raises InputError where it cannot be run at all."""
+def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a compiler in a folder. Raises InputError if it cannot be run."""
     try:
         return subprocess.run(line, capture_output=True, text=True, cwd=folder)
     except OSError as error:
@@ -77,7 +80,7 @@ def _call_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:
-    """Return the stack of a step by the compiler's account [bytes]; None: it gave none.
+    """Return the stack of a step as the compiler reports it [bytes], or None.
 
     It is the largest frame of a step or its halves and those of all functions that they may call.
 
@@ -98,20 +101,19 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
     return max(steps) + sum(frames.values()) if max(steps) else None
 
 
-def self_tested(files: dict[str, str]) -> tuple[bool, str]:
-    """Return (whether it passed, what it printed) of the self-test of an export, built and run
-    apart.
+def run_selftest(files: dict[str, str]) -> tuple[bool, str]:
+    """Build and run the self-test of an export; return whether it passed and its output.
 
     Args:
         files: the C of the export and of its self-test, by name.
     """
-    command = compiler()
+    command = find_compiler()
     if command is None:
         return False, "no C compiler: expected cc, gcc or clang in PATH, or the variable CC"
     with tempfile.TemporaryDirectory() as name:
         sources = [path.name for path in write_sources(files, Path(name))]
         make = [command, *FLAGS, "-O2", "-o", "tested", *sources, "-lm"]
-        built = _call_compiler(make, Path(name))
+        built = _run_compiler(make, Path(name))
         if built.returncode:
             return False, built.stderr.strip()[:500]
         done = subprocess.run([str(Path(name, "tested"))], capture_output=True, text=True)

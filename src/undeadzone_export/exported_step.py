@@ -1,4 +1,4 @@
-"""The step that is exported, as one function: the observer alone, or with its controller."""
+"""Step that is exported, as one function: the observer alone, or with its controller."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _TAKEN = frozenset({*_KEYWORDS, *_HEADERS.split(), *keyword.kwlist, *sys.stdlib_
 
 
 class Field(NamedTuple):
-    """An array in a struct.
+    """Array in a struct.
 
     Attributes:
         name: its name in C.
@@ -61,8 +61,8 @@ class Field(NamedTuple):
     meaning: str
 
 
-def identifier(text: str) -> str:
-    """Return a name for files and symbols of any language, made of any text.
+def to_identifier(text: str) -> str:
+    """Convert a text to a name that files and symbols of any language accept.
 
     It has letters, digits and single underscores in lower case; an n comes before what is a word of
     C or Python, a header of C or a module of Python, as math is.
@@ -85,18 +85,18 @@ def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
     shorts = [name.removeprefix(drop).strip(".") for name in sizes]
     known, unknown = state_meanings(units), "memory of the method"
     meanings = [known.get(short.rsplit(".", 1)[-1], unknown) for short in shorts]
-    names = distinct([_member(short or "memory") for short in shorts])
+    names = make_distinct([_to_member_name(short or "memory") for short in shorts])
     return list(map(Field, names, sizes.values(), meanings))
 
 
-def _member(name: str) -> str:
-    """Return the name of a field in C; capitals are kept, as W and w may differ."""
+def _to_member_name(name: str) -> str:
+    """Convert a name to the name of a field in C. Capitals are kept, since W and w may differ."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
     return f"n{plain}" if plain[0].isdigit() or plain in _KEYWORDS else plain
 
 
 def state_meanings(units: Units) -> dict[str, str]:
-    """What is known of a part of the state by the end of its name, with its unit."""
+    """Return the meaning of a part of the state, with its unit, by the end of its name."""
     states = units.state if isinstance(units.state, str) else ", ".join(units.state)
     return {
         "held": f"the last finite input [{units.input}]",
@@ -111,7 +111,7 @@ def state_meanings(units: Units) -> dict[str, str]:
 
 
 def estimate_meanings(units: Units) -> dict[str, str]:
-    """What each field of an estimate means, with its unit."""
+    """Return the meaning of each field of an estimate, with its unit."""
     states = units.state if isinstance(units.state, str) else ", ".join(units.state)
     names = {"output": units.output, "input": units.input}
     names |= {"state": states, "rate": f"({states})/s"}
@@ -122,36 +122,36 @@ def estimate_meanings(units: Units) -> dict[str, str]:
     return meanings
 
 
-def _filled_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
-    """Return the fields of a named tuple of arrays that are not empty."""
+def _nonempty_fields(parts: Any, meanings: dict[str, str]) -> list[Field]:
+    """Return the fields of a named tuple of arrays, without the empty arrays."""
     named = zip(parts._fields, map(np.size, parts), strict=True)
     return [Field(name, int(size), meanings[name]) for name, size in named if size]
 
 
-def total(fields: list[Field]) -> int:
-    """How many numbers fields hold together."""
+def total_size(fields: list[Field]) -> int:
+    """Return the number of entries of all fields together."""
     return sum(field.size for field in fields)
 
 
-def places_of(fields: list[Field]) -> dict[str, slice]:
-    """Where each field stands among the numbers of a struct."""
+def field_slices(fields: list[Field]) -> dict[str, slice]:
+    """Return the slice of each field among the numbers of a struct."""
     ends = accumulate(field.size for field in fields)
     pairs = zip(fields, ends, strict=True)
     return {field.name: slice(end - field.size, end) for field, end in pairs}
 
 
-def numbers_of(fields: list[Field]) -> Iterator[tuple[Field, int]]:
-    """Return (field, entry) of every number, in order."""
+def field_entries(fields: list[Field]) -> Iterator[tuple[Field, int]]:
+    """Iterate over (field, entry) of every number, in order."""
     return chain.from_iterable(product([field], range(field.size)) for field in fields)
 
 
-def members(fields: list[Field]) -> list[tuple[str, int]]:
+def member_entries(fields: list[Field]) -> list[tuple[str, int]]:
     """Return (name of the field, entry) of every number, in order."""
-    return [(field.name, k) for field, k in numbers_of(fields)]
+    return [(field.name, k) for field, k in field_entries(fields)]
 
 
-def entries(**inputs: Iterable[Any]) -> dict[str, Any]:
-    """What stands for each entry of the inputs of a step, by its name in the graph: s0, s1, w0.
+def name_entries(**inputs: Iterable[Any]) -> dict[str, Any]:
+    """Return the values of the inputs of a step by their names in the graph: s0, s1, w0.
 
     Args:
         **inputs: what stands for the entries of s, of w, and so on.
@@ -162,8 +162,8 @@ def entries(**inputs: Iterable[Any]) -> dict[str, Any]:
     return named
 
 
-def distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str]:
-    """Names of which no two are the same: later ones get a number.
+def make_distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str]:
+    """Return the names with a number appended to each that occurred before.
 
     Args:
         wanted: the names.
@@ -183,8 +183,8 @@ def distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> list[str
 PARTS = ("observer", "observer+controller")
 
 
-class Step(NamedTuple):
-    """One sample of what is exported.
+class ExportedStep(NamedTuple):
+    """One sample of the exported part.
 
     Attributes:
         function: step(s, w, p) -> (next, out), the numbers that are not tunable folded in.
@@ -208,8 +208,8 @@ class Step(NamedTuple):
     Ts: float
 
 
-class _Numbers(NamedTuple):
-    """Every number of the step that could be tuned; the field names stand in `--tunable`."""
+class _StepNumbers(NamedTuple):
+    """All numbers of the step that can be tuned. The field names are used in `--tunable`."""
 
     observer: Any
     sensor: Any
@@ -217,22 +217,24 @@ class _Numbers(NamedTuple):
     compensator: Any
 
 
-class _Sensor(NamedTuple):
-    """Numbers of the sensor that the step uses: the silence threshold (p) and the range."""
+class _SensorNumbers(NamedTuple):
+    """Numbers of the sensor that the step uses: the threshold of the zone (p) and the range."""
 
     threshold: Any
     limits: Limits | None
 
 
 class _ObserverMemory(NamedTuple):
-    """The observer's state and the input that was last finite (m)."""
+    """State of the observer, and the last finite input (m)."""
 
     observer: Any
     held: Any
 
 
-def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()) -> Step:
-    """Return the step of a problem.
+def build_step(
+    problem: Problem, part: str = "observer", tunable: tuple[str, ...] = ()
+) -> ExportedStep:
+    """Build the exported step of a problem.
 
     Args:
         problem: the checked parts of a sampled scenario.
@@ -254,22 +256,22 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
         raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")
     observer = graph_of(problem.observer)
     closed = part != "observer"
-    numbers = _Numbers(
+    numbers = _StepNumbers(
         observer.params,
-        _Sensor(problem.sensor.threshold, problem.sensor.limits),
+        _SensorNumbers(problem.sensor.threshold, problem.sensor.limits),
         problem.controller.params if closed else None,
         problem.compensator.params if closed and problem.compensator else None,
     )
-    column, params, defaults = fold_constants(numbers, tunable)
-    traced = _loop if closed else _observer
+    column, params, defaults = fold_numbers(numbers, tunable)
+    traced = _trace_loop if closed else _trace_observer
     step = traced(problem, observer, tree.unpack(numbers, column))
     following, out = tree.stack(step.following), tree.stack(step.out)
     columns = [step.state, ca.vertcat(*step.inputs), params.symbols]
     names = ["s", "w", "p"], ["next", "out"]
     function = ca.Function("step", columns, [following, out], *names, {"cse": True})
-    require_used(ca.vertcat(following, out), params, tunable)
+    require_effect(ca.vertcat(following, out), params, tunable)
     p, m = problem.model.p, problem.model.m
-    return Step(
+    return ExportedStep(
         function=function,
         start=tree.pack(step.memory),
         state=state_fields(step.memory, problem.scenario.units, "" if closed else "observer"),
@@ -283,8 +285,8 @@ def build(problem: Problem, part: str = "observer", tunable: tuple[str, ...] = (
     )
 
 
-class _Traced(NamedTuple):
-    """A step as expressions, and the fields that stand for them.
+class _TracedStep(NamedTuple):
+    """Step as expressions, with the fields of its inputs and outputs.
 
     Attributes:
         memory: the state at t = 0, a tree.
@@ -304,8 +306,11 @@ class _Traced(NamedTuple):
     output_fields: list[Field]
 
 
-def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced:
-    """Return the observer alone; an input that is not finite is the last one."""
+def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) -> _TracedStep:
+    """Trace the observer alone.
+
+    An input that is not finite is replaced by the last finite one.
+    """
     model = problem.model
     memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
     column, s = tree.symbols(memory, "s")
@@ -315,11 +320,14 @@ def _observer(problem: Problem, observer: Observer, params: _Numbers) -> _Traced
     after, estimate = observer.step(params.observer, s.observer, used, reading)
     following, out = _ObserverMemory(after, used), (estimate, side_of_sample(reading, estimate))
     shown = _estimate_fields(problem, estimate)
-    return _Traced(memory, column, [y, u], following, out, [_u_field(problem)], shown)
+    return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
 
-def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
-    """Return observer, controller and compensator; u is limited as the plant's drives are."""
+def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedStep:
+    """Trace observer, controller and compensator.
+
+    The input u is limited as the plant's drives are.
+    """
     model, controller, compensator = problem.model, problem.controller, problem.compensator
     memory = Driven(
         observer.init(observer.params),
@@ -338,28 +346,30 @@ def _loop(problem: Problem, observer: Observer, params: Any) -> _Traced:
     out = u, estimate, side_of_sample(reading, estimate)
     shown = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
-    return _Traced(memory, column, [y, t_column], following, out, fields, shown)
+    return _TracedStep(memory, column, [y, t_column], following, out, fields, shown)
 
 
 def _u_field(problem: Problem) -> Field:
+    """Return the field of the input u."""
     unit = problem.scenario.units.input
     return Field("u", problem.model.m, f"input until the next sample [{unit}]")
 
 
 def _y_field(size: int, units: Units) -> Field:
+    """Return the field of the readings y."""
     meaning = f"readings of the sensor; one that is not finite is missing [{units.output}]"
     return Field("y", size, meaning)
 
 
 def _target_fields(like: Target, units: Units) -> list[Field]:
-    """Return the fields of what the controller should follow."""
+    """Return the fields of the controller's target."""
     meanings = {
         "r": f"reference of the tracked outputs [{units.output}]",
         "x_ref": "state that belongs to it",
         "u_ff": f"input that belongs to it [{units.input}]",
         "plan": "numbers that the controller computed ahead",
     }
-    return _filled_fields(like, meanings)
+    return _nonempty_fields(like, meanings)
 
 
 def _estimate_fields(problem: Problem, estimate: Estimate) -> list[Field]:
@@ -367,23 +377,21 @@ def _estimate_fields(problem: Problem, estimate: Estimate) -> list[Field]:
     sizes = Estimate(*(np.zeros(ca.SX(part).numel()) for part in estimate))
     limits = "" if problem.sensor.limits is None else "; +2, -2 at a limit of the range"
     side = Field("side", problem.model.p, f"measured side: +1, -1, 0{limits}")
-    return [*_filled_fields(sizes, estimate_meanings(problem.scenario.units)), side]
+    return [*_nonempty_fields(sizes, estimate_meanings(problem.scenario.units)), side]
 
 
 # --- The numbers of a step that stay parameters; all others are folded in
 
 
-class Params(NamedTuple):
-    """The tunable numbers as symbols and as fields."""
+class TunableNumbers(NamedTuple):
+    """Tunable numbers as symbols and as fields."""
 
     symbols: ca.SX
     fields: list[Field]
 
 
-def fold_constants(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Params, Floats]:
-    """Return (all numbers as one column of constants and symbols, the tunable ones, their
-    values).
-    """
+def fold_numbers(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, TunableNumbers, Floats]:
+    """Return all numbers as a column of constants and symbols, the tunable ones, their values."""
     places = dict(tree.leaves(tree.slices(numbers)))
     values = tree.pack(numbers)
     column = ca.SX(ca.DM(values))
@@ -391,7 +399,7 @@ def fold_constants(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Param
     fields: list[Field] = []
     defaults: list[Floats] = [np.empty(0)]
     for name in tunable:
-        place = _place(name, places)
+        place = _find_tunable(name, places)
         size = place.stop - place.start
         symbol = ca.SX.sym(name.replace(".", "_"), size)
         column[place] = symbol
@@ -401,11 +409,11 @@ def fold_constants(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, Param
         defaults.append(values[place])
         meaning = f"{name}, as one sample uses it (gains per sample, not per second)"
         fields.append(Field(name.replace(".", "_"), size, meaning))
-    return column, Params(ca.vertcat(*symbols), fields), np.concatenate(defaults)
+    return column, TunableNumbers(ca.vertcat(*symbols), fields), np.concatenate(defaults)
 
 
-def _place(name: str, places: dict[str, slice]) -> slice:
-    """Where a tunable number stands. Raises InputError with the nearest names."""
+def _find_tunable(name: str, places: dict[str, slice]) -> slice:
+    """Return the slice of a tunable number. Raises InputError with the nearest names."""
     known = sorted(key for key, place in places.items() if place.stop > place.start)
     if name in known:
         return places[name]
@@ -413,8 +421,8 @@ def _place(name: str, places: dict[str, slice]) -> slice:
     raise InputError(f"tunable: no number {name!r}; did you mean {', '.join(nearest)}?")
 
 
-def require_used(every: ca.SX, params: Params, tunable: tuple[str, ...]) -> None:
-    """Raise InputError for a tunable number on which nothing depends."""
-    for name, place in zip(tunable, places_of(params.fields).values(), strict=True):
+def require_effect(every: ca.SX, params: TunableNumbers, tunable: tuple[str, ...]) -> None:
+    """Raise InputError if no result depends on a tunable number."""
+    for name, place in zip(tunable, field_slices(params.fields).values(), strict=True):
         if not ca.depends_on(every, params.symbols[place]):
             raise InputError(f"tunable: {name} changes nothing in a step of this observer")

@@ -1,4 +1,4 @@
-"""From a scenario to a folder of C, with the report of what it costs and how exact it is."""
+"""Export of a scenario to a folder of C, with a report on cost and accuracy."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats, finite
 from undeadzone.util.text import HALF_95
 from undeadzone_export import accuracy, compiler, exported_step, targets
-from undeadzone_export.boards import fits
-from undeadzone_export.code import Code, code, operations
-from undeadzone_export.exported_step import Field, identifier, total
+from undeadzone_export.boards import fit_boards
+from undeadzone_export.code import Code, build_code, count_operations
+from undeadzone_export.exported_step import Field, to_identifier, total_size
 from undeadzone_export.fmu.package import require_buildable
-from undeadzone_export.page.build import write_page
+from undeadzone_export.page.build import write_live_page
 from undeadzone_export.selftest_vectors import (
-    choose_vectors,
+    choose_samples,
     continue_scenario,
     record_inputs,
-    reference,
+    reference_vectors,
 )
-from undeadzone_export.source import Labels, Source, source
+from undeadzone_export.source import Labels, Source, build_source
 from undeadzone_export.targets import Material
 
 PRECISIONS = ("single", "double")
@@ -47,7 +47,7 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 
 class Exported(NamedTuple):
-    """What an export wrote, and what it found.
+    """Files and report of an export.
 
     Attributes:
         files: the files written.
@@ -63,7 +63,7 @@ class Exported(NamedTuple):
 
     @property
     def has_passed(self) -> bool:
-        """Return whether nothing was refused."""
+        """Return whether the export has no refusals."""
         return not self.report["refusals"]
 
 
@@ -106,63 +106,66 @@ def export(
         InputError: a scenario that cannot be exported, or an unknown option.
         FileError: the folder is something else, or cannot be written.
     """
-    _require("to", to, tuple(targets.PRECISION))
+    _require_known_word("to", to, tuple(targets.PRECISION))
     precision = targets.PRECISION[to] if precision is None else precision
-    _require("precision", precision, PRECISIONS)
+    _require_known_word("precision", precision, PRECISIONS)
     tunable = tuple(dict.fromkeys(tunable))
     if to == "page":
-        _require_plain(precision, part, tunable, name, check)
-        return Exported([Path(out)], write_page(scenario, Path(out), force))
-    prefix = _prefix(name, scenario.title)
+        _require_page_options(precision, part, tunable, name, check)
+        return Exported([Path(out)], write_live_page(scenario, Path(out), force))
+    prefix = _symbol_prefix(name, scenario.title)
     targets.require_replaceable(Path(out), force)
     if to in targets.VERSIONS:
         require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
-    step = exported_step.build(problem, part, tunable)
-    double = code(step, single=False)
-    printed = code(step, single=True) if precision == "single" else double
+    step = exported_step.build_step(problem, part, tunable)
+    double = build_code(step, single=False)
+    printed = build_code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
-    count = sum(operations(printed.results).values())
+    count = sum(count_operations(printed.results).values())
     if told is not None and count > MANY:
-        told(_minutes(count, scenario.observer))
-    text = source(printed, labels)
+        told(_slow_compile_warning(count, scenario.observer))
+    text = build_source(printed, labels)
     rows = record_inputs(continue_scenario(scenario, STEPS), step)
-    report = _report(printed, text, labels, tunable)
-    report["replaced_constants"] = replacements_for_float(double) if printed.single else []
-    report |= _measure_accuracy(double, printed, text, rows)
+    report = _initial_report(printed, text, labels, tunable)
+    report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
+    report |= _accuracy_report(double, printed, text, rows)
     if to in FIRMWARE:
-        found = fits(report)
+        found = fit_boards(report)
         report["boards"] = [fit._asdict() for fit in found]
         if not all(fit.fits for fit in found):
-            report["leaner"], leaner = _leaner(scenario, part, printed.single)
+            report["leaner"], leaner = _fit_leaner(scenario, part, printed.single)
             everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
-            report["runs"] = {tag: _along(other) for tag, other in everyone.items()}
-    vectors = reference(printed, choose_vectors(rows[: problem.steps + 1], step.readings))
+            report["runs"] = {tag: _quality_along_run(other) for tag, other in everyone.items()}
+    vectors = reference_vectors(printed, choose_samples(rows[: problem.steps + 1], step.readings))
     material = Material(printed, labels, text, vectors, scenario.units, report)
-    files = targets.files(to, material)
+    files = targets.export_files(to, material)
     written = targets.write_folder(files, Path(out), force)
     if check and to not in ELSEWHERE:
-        passed, said = compiler.self_tested(material.c_files)
+        passed, said = compiler.run_selftest(material.c_files)
         report["self_test"] = said
         if not passed:
             report["refusals"] = [*report["refusals"], f"the self-test fails: {said}"]
     return Exported(written, report, printed)
 
 
-def _minutes(count: int, observer: Any) -> str:
-    """What many operations take, and what would take less."""
+def _slow_compile_warning(count: int, observer: Any) -> str:
+    """Return a warning about a long compilation, with cheaper choices."""
     said = f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler"
-    less = " or ".join(map(setting, _choices(observer)))
+    less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
     return f"{said} takes minutes" + f"; {less} takes less" * bool(less)
 
 
-def setting(name: str) -> str:
-    """What sets an observer of `report["leaner"]`: an option, or else the method."""
+def leaner_setting(name: str) -> str:
+    """Return the setting of an observer in `report["leaner"]`: an option, or else the method."""
     return f"observer.{name}" if "=" in name else f'observer.method = "{name}"'
 
 
-def _choices(observer: Any) -> dict[str, Callable[[], Any]]:
-    """What makes an observer of fewer operations, by name; not every scenario can have each."""
+def _leaner_choices(observer: Any) -> dict[str, Callable[[], Any]]:
+    """Return builders of observers with fewer operations, by name.
+
+    Some scenarios refuse some of the observers.
+    """
     if hasattr(observer, "starts"):
         fewer = partial(msgspec.structs.replace, observer, starts=1)
         return {} if observer.starts == 1 else {"starts = 1": fewer}
@@ -177,16 +180,16 @@ def _choices(observer: Any) -> dict[str, Callable[[], Any]]:
     return leaner
 
 
-def _require(key: str, value: str, known: tuple[str, ...]) -> None:
-    """Raise InputError for a word that is not known."""
+def _require_known_word(key: str, value: str, known: tuple[str, ...]) -> None:
+    """Raise InputError for an unknown word."""
     if value not in known:
         raise InputError(f"{key}: expected one of {', '.join(known)}, found {value!r}")
 
 
-def _require_plain(
+def _require_page_options(
     precision: str, part: str, tunable: tuple[str, ...], name: str | None, check: bool
 ) -> None:
-    """Raise InputError for an option that means nothing to a page."""
+    """Raise InputError for an option that has no meaning for a page."""
     options = {
         "precision": precision != "double",
         "part": part != "observer",
@@ -201,10 +204,10 @@ def _require_plain(
             )
 
 
-def _prefix(name: str | None, title: str) -> str:
-    """What every symbol begins with. Raises InputError for a name that C cannot use."""
-    prefix = identifier(identifier(title)[:24]) if name is None else name
-    if not NAME.fullmatch(prefix) or identifier(prefix) != prefix:
+def _symbol_prefix(name: str | None, title: str) -> str:
+    """Return the prefix of all symbols. Raises InputError for a name that C cannot use."""
+    prefix = to_identifier(to_identifier(title)[:24]) if name is None else name
+    if not NAME.fullmatch(prefix) or to_identifier(prefix) != prefix:
         raise InputError(
             f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}; "
             "words of C and Python, headers and modules (math) are taken"
@@ -212,10 +215,10 @@ def _prefix(name: str | None, title: str) -> str:
     return prefix
 
 
-def _report(
+def _initial_report(
     printed: Code, text: Source, labels: Labels, tunable: tuple[str, ...]
 ) -> dict[str, Any]:
-    """What is known of an export before anything runs."""
+    """Return the report on an export before any code runs."""
     step = printed.step
     return {
         "name": labels.prefix,
@@ -227,36 +230,36 @@ def _report(
         "step": step.Ts,
         "tunable": list(tunable),
         "two_phase": printed.phases is not None,
-        "sizes": _sizes(printed),
-        "operations": operations(printed.results),
+        "sizes": _struct_bytes(printed),
+        "operations": count_operations(printed.results),
         "functions": text.functions,
     }
 
 
-def _leaner(
+def _fit_leaner(
     scenario: Scenario, part: str, is_single: bool
 ) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
-    """Return (boards that observers of fewer operations fit, the scenario with each), by their
-    tags.
-    """
+    """Return the boards that cheaper observers fit, and the scenarios with each, by tag."""
     found, scenarios = {}, {}
-    for name, made in _choices(scenario.observer).items():
+    for name, made in _leaner_choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
             other = msgspec.structs.replace(scenario, observer=made())
-            printed = code(exported_step.build(resolve_scenario(other), part, ()), single=is_single)
+            printed = build_code(
+                exported_step.build_step(resolve_scenario(other), part, ()), single=is_single
+            )
             costs = {
                 "precision": "single" if is_single else "double",
                 "step": scenario.simulation.step,
-                "sizes": _sizes(printed),
-                "operations": operations(printed.results),
+                "sizes": _struct_bytes(printed),
+                "operations": count_operations(printed.results),
             }
-            found[name] = [fit.board for fit in fits(costs) if fit.fits]
+            found[name] = [fit.board for fit in fit_boards(costs) if fit.fits]
             scenarios[name] = other
     return found, scenarios
 
 
-def _along(scenario: Scenario) -> dict[str, float | None]:
-    """What an observer does along the run: rms of z - z^, and how often widths were covered."""
+def _quality_along_run(scenario: Scenario) -> dict[str, float | None]:
+    """Return the rms of z - z^ and the coverage of the widths along an observer's run."""
     run = simulate(scenario, check_step=False)
     covered = None
     if run.d_std is not None:
@@ -265,15 +268,15 @@ def _along(scenario: Scenario) -> dict[str, float | None]:
     return {"rms": finite(run.rms_estimation), "coverage": covered}
 
 
-def _sizes(printed: Code) -> dict[str, int]:
-    """Return the bytes of the structs of C."""
+def _struct_bytes(printed: Code) -> dict[str, int]:
+    """Return the sizes of the C structs [bytes]."""
     structs: dict[str, list[Field]] = {"params": []} | printed.structs
     each = 4 if printed.single else 8
-    return {name: each * total(structs[name]) for name in ("state", "in", "out", "params")}
+    return {name: each * total_size(structs[name]) for name in ("state", "in", "out", "params")}
 
 
-def replacements_for_float(double: Code) -> list[str]:
-    """Return the numbers of the code in double that float cannot hold, and what stands for them."""
+def constants_beyond_float(double: Code) -> list[str]:
+    """Return the numbers of the code in double that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
     for node in required_nodes(itertools.chain(*double.results)):
         size = abs(node.value or 0.0)
@@ -282,11 +285,11 @@ def replacements_for_float(double: Code) -> list[str]:
     return sorted(texts)
 
 
-def _measure_accuracy(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
-    """Return the accuracy, and what it refuses."""
-    if compiler.compiler() is None:
+def _accuracy_report(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
+    """Return the accuracy and its refusals."""
+    if compiler.find_compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
         refusals = [message] if printed.single else []
         return {"accuracy": None, "stack": None, "refusals": refusals}
-    found = accuracy.measure(double, printed, text, rows)._asdict()
+    found = accuracy.measure_accuracy(double, printed, text, rows)._asdict()
     return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

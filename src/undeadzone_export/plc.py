@@ -1,4 +1,4 @@
-"""An export as Structured Text of IEC 61131-3: functions, function blocks and the self-test."""
+"""Export as Structured Text of IEC 61131-3: functions, function blocks and the self-test."""
 
 from __future__ import annotations
 
@@ -29,16 +29,22 @@ from undeadzone.compile.print_st import (
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
-from undeadzone_export.exported_step import Field, distinct, entries, members, numbers_of
+from undeadzone_export.exported_step import (
+    Field,
+    field_entries,
+    make_distinct,
+    member_entries,
+    name_entries,
+)
 from undeadzone_export.selftest_vectors import Vectors
-from undeadzone_export.source import Labels, meanings
+from undeadzone_export.source import Labels, local_meanings
 
 STATEMENTS: Final = 1000  # of one function block; what has more is divided
 INPUTS, OUTPUTS, LOCALS = "VAR_INPUT", "VAR_OUTPUT", "VAR"
 
 
-class Variable(NamedTuple):
-    """A variable.
+class PlcVariable(NamedTuple):
+    """Variable of a program organisation unit.
 
     Attributes:
         name: what it is called.
@@ -54,12 +60,12 @@ class Variable(NamedTuple):
 
     @property
     def is_array(self) -> bool:
-        """Return whether it holds several values."""
+        """Return whether the variable is an array."""
         return len(self.start) > 1
 
 
-class Unit(NamedTuple):
-    """A program organisation unit.
+class PlcUnit(NamedTuple):
+    """Program organisation unit.
 
     Attributes:
         keyword: FUNCTION, FUNCTION_BLOCK or PROGRAM.
@@ -73,30 +79,30 @@ class Unit(NamedTuple):
     keyword: str
     name: str
     meaning: str
-    variables: dict[str, list[Variable]]
+    variables: dict[str, list[PlcVariable]]
     lines: list[str]
     returns: str = ""
 
 
-class Exported(NamedTuple):
-    """The units of an export.
+class PlcExport(NamedTuple):
+    """Program organisation units of an export.
 
     Attributes:
         units: functions and blocks, each after those that it uses; the last is the observer.
         test: the program that compares with the reference.
     """
 
-    units: list[Unit]
-    test: Unit
+    units: list[PlcUnit]
+    test: PlcUnit
 
     @property
-    def blocks(self) -> int:
-        """How many function blocks it has."""
+    def block_count(self) -> int:
+        """Return the number of function blocks."""
         return [unit.keyword for unit in self.units].count("FUNCTION_BLOCK")
 
 
-def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
-    """Return an export as units.
+def export_plc(code: Code, labels: Labels, vectors: Vectors) -> PlcExport:
+    """Build the program organisation units of an export.
 
     Args:
         code: what is printed.
@@ -107,15 +113,15 @@ def export_plc(code: Code, labels: Labels, vectors: Vectors) -> Exported:
         InputError: an operation that the language has not.
     """
     style = Style(code.kind, labels.prefix, ST)
-    block = _Block(code, labels, style)
-    names = elementary.required_functions(block.called_blocks, code.kind, portable_maths.OWN)
+    block = _BlockBuilder(code, labels, style)
+    names = elementary.required_functions(block.function_names, code.kind, portable_maths.OWN)
     functions = [function_unit(name, style) for name in names]
-    blocks = block.units()
-    return Exported([*functions, *blocks], _test(code, labels, vectors, blocks[-1]))
+    blocks = block.build_units()
+    return PlcExport([*functions, *blocks], _selftest_unit(code, labels, vectors, blocks[-1]))
 
 
-def function_unit(name: str, style: Style) -> Unit:
-    """Return an elementary function.
+def function_unit(name: str, style: Style) -> PlcUnit:
+    """Build the unit of an elementary function.
 
     Args:
         name: one of `bitless.OWN`.
@@ -126,16 +132,16 @@ def function_unit(name: str, style: Style) -> Unit:
     found = find_locals([[shape.result]], expressions, {})
     called = f"{style.prefix}_{name}"
     result = wrap_statement(f"{called} := {expressions.write_node(shape.result).text};")
-    given = [Variable(text, style.real_type) for text in shape.inputs]
-    variables = {INPUTS: given, LOCALS: list(map(_declare_variable, found))}
+    given = [PlcVariable(text, style.real_type) for text in shape.inputs]
+    variables = {INPUTS: given, LOCALS: list(map(_declare_local, found))}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
-    return Unit(
+    return PlcUnit(
         "FUNCTION", called, meaning, variables, [*local_statements(found), *result], style.real_type
     )
 
 
-class _Block:
-    """The observer's function block, whole or in parts.
+class _BlockBuilder:
+    """Builder of the observer's function block, whole or in parts.
 
     Args:
         code: what is printed.
@@ -147,19 +153,19 @@ class _Block:
         self.code, self.labels, self.style = code, labels, style
         step, real = code.step, style.real_type
         fields = (step.inputs, step.outputs, step.params)
-        names = [[f"{name}_{k}" for name, k in members(field)] for field in fields]
-        names += [[f"{name}_was_{k}" for name, k in members(step.state)]]
+        names = [[f"{name}_{k}" for name, k in member_entries(field)] for field in fields]
+        names += [[f"{name}_was_{k}" for name, k in member_entries(step.state)]]
         names += [[f"missing_{k}" for k in range(step.readings)]]
         names += [[f"read_{k}" for k in range(step.readings)]]
-        names += [[f"next_{name}_{k}" for name, k in members(step.state)]]
+        names += [[f"next_{name}_{k}" for name, k in member_entries(step.state)]]
         # The language takes names that differ by capitals alone for one.
-        flat = iter(distinct(list(itertools.chain(*names)), str.lower))
+        flat = iter(make_distinct(list(itertools.chain(*names)), str.lower))
         named = [list(itertools.islice(flat, len(each))) for each in names]
         self.inputs, self.outputs, self.params, self.states = named[:4]
         self.missing, self.read, self.following = named[4:]
         given = [*self.read, *self.inputs[step.readings :]]
-        self.entries = entries(s=self.states, w=given, p=self.params)
-        labelled = meanings(code.results, step, 1)
+        self.entries = name_entries(s=self.states, w=given, p=self.params)
+        labelled = local_meanings(code.results, step, 1)
         for nodes, wanted in zip(code.results, (self.following, self.outputs), strict=True):
             for node, name in zip(nodes, wanted, strict=True):
                 if node.args:
@@ -170,15 +176,15 @@ class _Block:
         self.real = real
 
     @property
-    def called_blocks(self) -> set[str]:
-        """Return the functions that it calls."""
+    def function_names(self) -> set[str]:
+        """Return the functions that the block calls."""
         return self._expressions.functions
 
-    def units(self) -> list[Unit]:
-        """Return the parts, if there are any, and the block."""
+    def build_units(self) -> list[PlcUnit]:
+        """Build the parts, if any, and the block."""
         name = f"fb_{self.labels.prefix}"
         if len(self.locals) <= STATEMENTS:
-            return [self._whole(name, self.locals, [], local_statements(self.locals))]
+            return [self._main_block(name, self.locals, [], local_statements(self.locals))]
         shared = set(itertools.chain(*self.code.results))
         parts = []
         for start in range(0, len(self.locals), STATEMENTS):
@@ -191,17 +197,17 @@ class _Block:
         units = []
         for place, (part, given) in enumerate(parts):
             meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
-            variables = self._of_part(part, list(given), shared)
+            variables = self._part_variables(part, list(given), shared)
             unit = (f"{name}_part_{place + 1}", meaning, variables, local_statements(part))
-            units.append(Unit("FUNCTION_BLOCK", *unit))
+            units.append(PlcUnit("FUNCTION_BLOCK", *unit))
         own = [local for local in self.locals if local.node in shared]
-        calls = list(itertools.chain(*map(_call, units)))
-        return [*units, self._whole(name, own, units, calls)]
+        calls = list(itertools.chain(*map(_call_part, units)))
+        return [*units, self._main_block(name, own, units, calls)]
 
-    def _of_part(
+    def _part_variables(
         self, part: list[Local], given: list[Node], shared: set[Node]
-    ) -> dict[str, list[Variable]]:
-        """Return the variables of a part.
+    ) -> dict[str, list[PlcVariable]]:
+        """Return the variables of a part, by section.
 
         Args:
             part: what it computes.
@@ -209,73 +215,84 @@ class _Block:
             shared: what is read outside of the part that computes it.
         """
         names = [self.held.get(node) or self.entries[node.text] for node in given]
-        variables: dict[str, list[Variable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
+        variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
         for node, name in zip(given, names, strict=True):
-            variables[INPUTS].append(Variable(name, TYPES[node.kind]))
+            variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
         for local in part:
             section = OUTPUTS if local.node in shared else LOCALS
-            variables[section].append(_declare_variable(local))
+            variables[section].append(_declare_local(local))
         return variables
 
-    def _whole(self, name: str, own: list[Local], parts: list[Unit], lines: list[str]) -> Unit:
-        """Return the block that is called."""
+    def _main_block(
+        self, name: str, own: list[Local], parts: list[PlcUnit], lines: list[str]
+    ) -> PlcUnit:
+        """Build the block that users call."""
         shown, step = set(self.outputs), self.code.step
-        held = [_declare_variable(local) for local in own if local.name not in shown]
-        held += [Variable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
-        read = [Variable(text, self.real) for text in self.read]
-        copied, stored = self._store_states()
-        held += [Variable(text, self.real) for text in copied]
+        held = [_declare_local(local) for local in own if local.name not in shown]
+        held += [PlcVariable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
+        read = [PlcVariable(text, self.real) for text in self.read]
+        copied, stored = self._memory_assignments()
+        held += [PlcVariable(text, self.real) for text in copied]
         variables = {
-            INPUTS: self._inputs(),
-            OUTPUTS: self._fields(self.outputs, step.outputs),
-            LOCALS: [*self._initial_variables(self.states, step.state, step.start), *read, *held],
+            INPUTS: self._input_variables(),
+            OUTPUTS: self._field_variables(self.outputs, step.outputs),
+            LOCALS: [
+                *self._variables_with_start(self.states, step.state, step.start),
+                *read,
+                *held,
+            ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
         start = itertools.chain(*[assign_number(*each, self.code.kind) for each in states])
-        text = [*_if("reset", start), *self._readings(), *lines, *self._assign_outputs()]
+        text = [
+            *_if_statement("reset", start),
+            *self._reading_statements(),
+            *lines,
+            *self._output_assignments(),
+        ]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
-        text += _if("NOT hold", stored)
+        text += _if_statement("NOT hold", stored)
         meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
-        return Unit("FUNCTION_BLOCK", name, meaning, variables, text)
+        return PlcUnit("FUNCTION_BLOCK", name, meaning, variables, text)
 
-    def _inputs(self) -> list[Variable]:
-        """Return the inputs of the block."""
+    def _input_variables(self) -> list[PlcVariable]:
+        """Return the input variables of the block."""
         step = self.code.step
         missing = [
-            Variable(text, "BOOL", f"TRUE: there is no reading {k}")
+            PlcVariable(text, "BOOL", f"TRUE: there is no reading {k}")
             for k, text in enumerate(self.missing)
         ]
         return [
-            Variable("reset", "BOOL", "TRUE: start anew with this sample"),
-            Variable("hold", "BOOL", "TRUE: show the estimate, remember nothing; call again"),
-            *self._fields(self.inputs, step.inputs),
+            PlcVariable("reset", "BOOL", "TRUE: start anew with this sample"),
+            PlcVariable("hold", "BOOL", "TRUE: show the estimate, remember nothing; call again"),
+            *self._field_variables(self.inputs, step.inputs),
             *missing,
-            *self._initial_variables(self.params, step.params, step.defaults),
+            *self._variables_with_start(self.params, step.params, step.defaults),
         ]
 
-    def _fields(self, names: list[str], fields: list[Field]) -> list[Variable]:
-        """Return variables of the numbers of fields."""
-        each = zip(names, numbers_of(fields), strict=True)
-        return [Variable(name, self.real, field.meaning) for name, (field, _) in each]
+    def _field_variables(self, names: list[str], fields: list[Field]) -> list[PlcVariable]:
+        """Return variables for the numbers of fields."""
+        each = zip(names, field_entries(fields), strict=True)
+        return [PlcVariable(name, self.real, field.meaning) for name, (field, _) in each]
 
-    def _initial_variables(
+    def _variables_with_start(
         self, names: list[str], fields: list[Field], values: Floats
-    ) -> list[Variable]:
-        """Return variables of the numbers of fields, with their values at first."""
+    ) -> list[PlcVariable]:
+        """Return variables for the numbers of fields, with their start values."""
         starts = [(initial_literal(value, self.code.kind),) for value in values.tolist()]
-        known = zip(self._fields(names, fields), starts, strict=True)
+        known = zip(self._field_variables(names, fields), starts, strict=True)
         return [each._replace(start=start) for each, start in known]
 
-    def _readings(self) -> list[str]:
-        """Return statements that make one that is missing too large to be there."""
+    def _reading_statements(self) -> list[str]:
+        """Return statements that replace a missing reading by a number out of range."""
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
-            lines += _if(missing, assign_number(read, np.inf, self.code.kind))
+            lines += _if_statement(missing, assign_number(read, np.inf, self.code.kind))
         return lines
 
-    def _assign_outputs(self) -> list[str]:
-        """Return assignments to outputs that no local of their name fills."""
+    def _output_assignments(self) -> list[str]:
+        """Return assignments to the outputs that no local of the same name fills."""
         lines = []
         for node, name in zip(self.code.results[1], self.outputs, strict=True):
             text = self._expressions.write_node(node).text
@@ -283,8 +300,8 @@ class _Block:
                 lines += wrap_statement(f"{name} := {text};")
         return lines
 
-    def _store_states(self) -> tuple[dict[str, str], list[str]]:
-        """Return (copies of states that others take over, assignments to the memory)."""
+    def _memory_assignments(self) -> tuple[dict[str, str], list[str]]:
+        """Return copies of states that move to another, and the assignments to the memory."""
         copied, stored = {}, []
         for node, state, name in zip(
             self.code.results[0], self.states, self.following, strict=True
@@ -297,13 +314,13 @@ class _Block:
         return copied, stored
 
 
-def _declare_variable(local: Local) -> Variable:
+def _declare_local(local: Local) -> PlcVariable:
     """Return the variable of a local."""
-    return Variable(local.name, TYPES[local.node.kind])
+    return PlcVariable(local.name, TYPES[local.node.kind])
 
 
-def _call(part: Unit) -> list[str]:
-    """Return a call of a part, and what it gives."""
+def _call_part(part: PlcUnit) -> list[str]:
+    """Return the statements that call a part and copy its outputs."""
     instance = part.name[part.name.rindex("part_") :]
     given = ", ".join(f"{each.name} := {each.name}" for each in part.variables[INPUTS])
     lines = wrap_statement(f"{instance}({given});")
@@ -311,47 +328,49 @@ def _call(part: Unit) -> list[str]:
     return lines
 
 
-def _if(truth: str, statements: Iterable[str]) -> list[str]:
-    """Return statements under a truth."""
+def _if_statement(truth: str, statements: Iterable[str]) -> list[str]:
+    """Return statements under a condition."""
     inner = [wrap_statement(statement, 2 * INDENT) for statement in statements]
     return [f"{INDENT}IF {truth} THEN", *itertools.chain(*inner), f"{INDENT}END_IF;"]
 
 
-def _test(code: Code, labels: Labels, vectors: Vectors, block: Unit) -> Unit:
-    """Return the self-test: one sample a cycle, each output compared with its reference."""
+def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit) -> PlcUnit:
+    """Build the self-test: one sample a cycle, each output compared with its reference."""
     samples, kind = len(vectors.states), code.kind
     given, expected = vectors.inputs.view(kind), vectors.outputs.view(kind)
     names = [each.name for each in block.variables[INPUTS] if each.kind != "BOOL"]
     arguments, checks, tables = [], [], []
     for k, name in enumerate(names[: given.shape[1]]):
         values, absent = np.nan_to_num(given[:, k]), np.isnan(given[:, k])
-        tables.append(_table(f"given_{name}", values, kind))
+        tables.append(_number_array(f"given_{name}", values, kind))
         arguments.append(f"{name} := given_{name}[sample]")
         if absent.any():
             truths = tuple(str(each).upper() for each in absent.tolist())
-            tables.append(Variable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths))
+            tables.append(
+                PlcVariable(f"no_{name}", f"ARRAY [0..{samples - 1}] OF BOOL", "", truths)
+            )
             arguments.append(f"missing_{k} := no_{name}[sample]")
     for k, each in enumerate(block.variables[OUTPUTS]):
-        tables.append(_table(f"expected_{each.name}", expected[:, k], kind))
+        tables.append(_number_array(f"expected_{each.name}", expected[:, k], kind))
         wrong = f"block.{each.name} <> expected_{each.name}[sample]"
         checks.append(f"IF {wrong} THEN failures := failures + 1; END_IF;")
     calls = [f"block(hold := {truth}, {', '.join(arguments)});" for truth in ("TRUE", "FALSE")]
     told = [
-        Variable("done", "BOOL", f"TRUE after {samples} cycles"),
-        Variable("passed", "BOOL", "TRUE then: every output agrees with its reference"),
-        Variable("failures", "INT", "outputs that differ"),
+        PlcVariable("done", "BOOL", f"TRUE after {samples} cycles"),
+        PlcVariable("passed", "BOOL", "TRUE then: every output agrees with its reference"),
+        PlcVariable("failures", "INT", "outputs that differ"),
     ]
-    own = [Variable("sample", "INT", "the next one"), Variable("block", block.name), *tables]
+    own = [PlcVariable("sample", "INT", "the next one"), PlcVariable("block", block.name), *tables]
     lines = [
-        *_if(f"sample < {samples}", [*calls, *checks, "sample := sample + 1;"]),
+        *_if_statement(f"sample < {samples}", [*calls, *checks, "sample := sample + 1;"]),
         f"{INDENT}done := sample = {samples};",
         f"{INDENT}passed := done AND (failures = 0);",
     ]
     meaning = f"Self-test of {block.name}, one sample a cycle: done, then passed."
-    return Unit("PROGRAM", f"{labels.prefix}_test", meaning, {OUTPUTS: told, LOCALS: own}, lines)
+    return PlcUnit("PROGRAM", f"{labels.prefix}_test", meaning, {OUTPUTS: told, LOCALS: own}, lines)
 
 
-def _table(name: str, values: Any, kind: str) -> Variable:
-    """Return an array of numbers."""
+def _number_array(name: str, values: Any, kind: str) -> PlcVariable:
+    """Return an array variable of numbers."""
     texts = tuple(initial_literal(value, kind) for value in values.tolist())
-    return Variable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)
+    return PlcVariable(name, f"ARRAY [0..{len(texts) - 1}] OF {TYPES[kind]}", "", texts)

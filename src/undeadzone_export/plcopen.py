@@ -1,4 +1,4 @@
-"""Units of Structured Text as files: as text, and as XML of PLCopen (TC6, version 2.01)."""
+"""Files of Structured Text: as text, and as XML of PLCopen (TC6, version 2.01)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from undeadzone.compile.print_c import wrap_statement
 from undeadzone.compile.print_st import TYPES
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
-from undeadzone_export.plc import Unit, Variable
+from undeadzone_export.plc import PlcUnit, PlcVariable
 from undeadzone_export.source import Labels
 from undeadzone_export.template import fill_template
 
@@ -21,8 +21,8 @@ _SECTIONS: Final = {"VAR_INPUT": "inputVars", "VAR_OUTPUT": "outputVars", "VAR":
 _KINDS: Final = {"FUNCTION": "function", "FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
 
 
-def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
-    """Return the text of a file.
+def st_text(units: list[PlcUnit], labels: Labels, code: Code) -> str:
+    """Return the text of a file of Structured Text.
 
     Args:
         units: what it holds.
@@ -34,48 +34,46 @@ def text_of(units: list[Unit], labels: Labels, code: Code) -> str:
         f"Written by undeadzone {undeadzone.__version__}; do not edit.",
         "SPDX-License-Identifier: BSD-3-Clause",
     ]
-    lines = [_remark("\n   ".join(head))]
+    lines = [_comment_text("\n   ".join(head))]
     for unit in units:
-        lines += ["", _remark(_plain(unit.meaning)), *_unit(unit)]
+        lines += ["", _comment_text(_to_ascii_remark(unit.meaning)), *_unit_lines(unit)]
     return "\n".join([*lines, ""])
 
 
-def _unit(unit: Unit) -> list[str]:
+def _unit_lines(unit: PlcUnit) -> list[str]:
     """Return the lines of a unit."""
     returned = f" : {unit.returns}" if unit.returns else ""
     lines = [f"{unit.keyword} {unit.name}{returned}"]
     for section, variables in unit.variables.items():
         if variables:
-            alike = itertools.groupby(variables, _declare_entry)
-            declared = [_declaration(list(group), text) for text, group in alike]
+            alike = itertools.groupby(variables, _declaration_parts)
+            declared = [_declaration_lines(list(group), text) for text, group in alike]
             lines += [section, *itertools.chain(*declared), "END_VAR"]
     return [*lines, *unit.lines, f"END_{unit.keyword}"]
 
 
-def _declare_entry(variable: Variable) -> tuple[str, str]:
-    """Return type and value at first of a variable, and its meaning as a comment."""
+def _declaration_parts(variable: PlcVariable) -> tuple[str, str]:
+    """Return type and start value of a variable, and its meaning as a comment."""
     start = ", ".join(variable.start)
     given = f" := [{start}]" if variable.is_array else f" := {start}"
-    remark = f" {_remark(_plain(variable.meaning))}" if variable.meaning else ""
+    remark = f" {_comment_text(_to_ascii_remark(variable.meaning))}" if variable.meaning else ""
     return f"{variable.kind}{given if variable.start else ''};", remark
 
 
-def _declaration(variables: list[Variable], declared: tuple[str, str]) -> list[str]:
-    """Return the lines of a declaration of variables that differ by their names."""
+def _declaration_lines(variables: list[PlcVariable], declared: tuple[str, str]) -> list[str]:
+    """Return the lines that declare variables with different names."""
     kind, remark = declared
     *lines, last = wrap_statement(f"{', '.join(each.name for each in variables)} : {kind}")
     return [*lines, last + remark]
 
 
-def _plain(text: str) -> str:
-    """Return a text that may stand in a comment, which nothing in it ends; ASCII, as editors are
-    old.
-    """
+def _to_ascii_remark(text: str) -> str:
+    """Return a text on one line that cannot end a comment, in ASCII for old editors."""
     line = one_line(text).encode("ascii", "replace").decode()
     return line.replace("*)", "* )").replace("(*", "( *")
 
 
-def _remark(text: str) -> str:
+def _comment_text(text: str) -> str:
     """Return a comment."""
     return f"(* {text} *)"
 
@@ -83,7 +81,7 @@ def _remark(text: str) -> str:
 # --- As XML
 
 
-def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
+def plcopen_xml(units: list[PlcUnit], labels: Labels, code: Code) -> str:
     """Return the text of a file that development systems import.
 
     Args:
@@ -93,7 +91,7 @@ def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
     """
     pous = Element("pous")
     for unit in units:
-        _pou(pous, unit)
+        _add_pou(pous, unit)
     ElementTree.indent(pous, " ")
     words = {
         "name": labels.prefix,
@@ -104,8 +102,8 @@ def xml_of(units: list[Unit], labels: Labels, code: Code) -> str:
     return fill_template("templates/plcopen.xml", words)
 
 
-def _pou(pous: Element, unit: Unit) -> None:
-    """Add a unit."""
+def _add_pou(pous: Element, unit: PlcUnit) -> None:
+    """Add a program organisation unit to the XML."""
     pou = SubElement(pous, "pou", name=unit.name, pouType=_KINDS[unit.keyword])
     interface = SubElement(pou, "interface")
     if unit.returns:
@@ -114,14 +112,14 @@ def _pou(pous: Element, unit: Unit) -> None:
         if variables:
             group = SubElement(interface, _SECTIONS[section])
             for variable in variables:
-                _variable(group, variable)
-    _words(interface, "documentation", _plain(unit.meaning))
+                _add_plc_variable(group, variable)
+    _add_xhtml(interface, "documentation", _to_ascii_remark(unit.meaning))
     body = SubElement(pou, "body")
-    _words(body, "ST", "\n".join(unit.lines))
+    _add_xhtml(body, "ST", "\n".join(unit.lines))
 
 
-def _variable(group: Element, variable: Variable) -> None:
-    """Add a variable."""
+def _add_plc_variable(group: Element, variable: PlcVariable) -> None:
+    """Add a variable to the XML."""
     declared = SubElement(group, "variable", name=variable.name)
     kind = SubElement(declared, "type")
     if variable.is_array:
@@ -141,9 +139,9 @@ def _variable(group: Element, variable: Variable) -> None:
             entry = SubElement(value, "value") if variable.is_array else value
             SubElement(entry, "simpleValue", value=text)
     if variable.meaning:
-        _words(declared, "documentation", _plain(variable.meaning))
+        _add_xhtml(declared, "documentation", _to_ascii_remark(variable.meaning))
 
 
-def _words(parent: Element, tag: str, text: str) -> None:
-    """Add a text."""
+def _add_xhtml(parent: Element, tag: str, text: str) -> None:
+    """Add a text to the XML."""
     SubElement(SubElement(parent, tag), "xhtml", xmlns=_XHTML).text = text

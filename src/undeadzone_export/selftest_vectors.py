@@ -1,4 +1,4 @@
-"""The self-test: inputs of the scenario's own run, the bits that must come, and C to compare."""
+"""Self-test: inputs of the scenario's own run, the expected bits, and the C that compares."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from undeadzone.simulation.simulate import name_outputs, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_export.code import Code
-from undeadzone_export.exported_step import Step, entries, members
+from undeadzone_export.exported_step import ExportedStep, member_entries, name_entries
 from undeadzone_export.template import call_words, fill_template
 
 DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
@@ -41,7 +41,7 @@ class Vectors(NamedTuple):
 
 
 def continue_scenario(scenario: Scenario, steps: int) -> Problem:
-    """Return the checked parts of a scenario whose run lasts for a number of steps at least.
+    """Return the checked parts of a scenario whose run has at least a number of steps.
 
     Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
     """
@@ -54,8 +54,8 @@ def continue_scenario(scenario: Scenario, steps: int) -> Problem:
         return resolve_scenario(scenario)
 
 
-def record_inputs(problem: Problem, step: Step) -> Floats:
-    """Return the inputs of a step along a run, up to where it diverges.
+def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
+    """Record the inputs of a step along a run, up to its divergence.
 
     Args:
         problem: the checked parts of a sampled scenario.
@@ -67,7 +67,7 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
     Raises:
         InputError: it diverges at once.
     """
-    rows = _record_step(problem, step)
+    rows = _inputs_along_run(problem, step)
     missing = np.isnan(rows[:, step.readings :]).any(axis=1)
     diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
     if diverged[0]:
@@ -78,8 +78,8 @@ def record_inputs(problem: Problem, step: Step) -> Floats:
     return rows[: int(diverged.argmax())] if diverged.any() else rows
 
 
-def _record_step(problem: Problem, step: Step) -> Floats:
-    """Return the inputs of a step along a run."""
+def _inputs_along_run(problem: Problem, step: ExportedStep) -> Floats:
+    """Run the loop and return the inputs of a step."""
     loop, state, exogenous = prepare(problem)
     outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
     signals = name_outputs(loop, outputs)
@@ -89,8 +89,8 @@ def _record_step(problem: Problem, step: Step) -> Floats:
     return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
 
 
-def choose_vectors(rows: Floats, readings: int) -> Floats:
-    """Samples for the self-test: some of a run, missing values, and readings far outside.
+def choose_samples(rows: Floats, readings: int) -> Floats:
+    """Choose samples for the self-test: some of a run, missing values, and extreme readings.
 
     Args:
         rows: the inputs along a run.
@@ -106,8 +106,8 @@ def choose_vectors(rows: Floats, readings: int) -> Floats:
     return np.vstack([picked, extremes, picked[:8]])
 
 
-def reference(code: Code, rows: Floats) -> Vectors:
-    """Return the bits of outputs and memory along inputs, computed without a compiler.
+def reference_vectors(code: Code, rows: Floats) -> Vectors:
+    """Compute the bits of outputs and memory along inputs, without a compiler.
 
     Args:
         code: what is printed.
@@ -120,34 +120,34 @@ def reference(code: Code, rows: Floats) -> Vectors:
     outputs, states = [], []
     with np.errstate(all="ignore"):
         for row in rows:
-            following, out = evaluate(entries(s=state, w=row, p=params))
+            following, out = evaluate(name_entries(s=state, w=row, p=params))
             state = np.array(following, kind)
             outputs.append(np.array(out, kind))
-            states.append(checksum(state, kind))
-    table = np.array(outputs).reshape(len(rows), len(members(code.step.outputs)))
-    return Vectors(words(rows, kind), words(table, kind), states)
+            states.append(bit_checksum(state, kind))
+    table = np.array(outputs).reshape(len(rows), len(member_entries(code.step.outputs)))
+    return Vectors(bit_words(rows, kind), bit_words(table, kind), states)
 
 
-def words(values: Any, kind: str) -> Any:
-    """Return the bits of numbers; every NaN has the same."""
+def bit_words(values: Any, kind: str) -> Any:
+    """Return the bits of numbers. All NaN have the same bits."""
     table = np.ascontiguousarray(values, kind)
     bits = table.view(f"uint{8 * table.itemsize}").copy()
     bits[np.isnan(table)] = NAN[kind]
     return bits
 
 
-def checksum(values: Any, kind: str) -> int:
-    """Return the checksum of numbers by their bits, 32 of them at a time, lower ones first."""
+def bit_checksum(values: Any, kind: str) -> int:
+    """Return the checksum of the bits of numbers, 32 bits at a time, lower bits first."""
     total = OFFSET
-    for word in words(values, kind).tolist():
+    for word in bit_words(values, kind).tolist():
         parts = (word,) if kind == "float32" else (word & 0xFFFFFFFF, word >> 32)
         for part in parts:
             total = ((total ^ part) * PRIME) & 0xFFFFFFFF
     return total
 
 
-def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
-    """Return the text of the self-test.
+def selftest_source(code: Code, prefix: str, vectors: Vectors) -> str:
+    """Return the C source of the self-test.
 
     Args:
         code: what is printed.
@@ -170,19 +170,19 @@ def selftest(code: Code, prefix: str, vectors: Vectors) -> str:
         "offset": OFFSET,
         "prime": PRIME,
         "phased": code.phases is not None,
-        "input_words": _rows(vectors.inputs.tolist(), digits, ending),
-        "output_words": _rows(vectors.outputs.tolist(), digits, ending),
-        "state_words": _list_words(vectors.states, 8, "u"),
+        "input_words": _rows_in_braces(vectors.inputs.tolist(), digits, ending),
+        "output_words": _rows_in_braces(vectors.outputs.tolist(), digits, ending),
+        "state_words": _hex_lines(vectors.states, 8, "u"),
     }
     return fill_template("templates/selftest.c", words)
 
 
-def _rows(rows: list[list[int]], digits: int, ending: str) -> str:
+def _rows_in_braces(rows: list[list[int]], digits: int, ending: str) -> str:
     """Return rows of words in braces."""
-    return ",\n".join("{\n" + _list_words(row, digits, ending) + "\n}" for row in rows)
+    return ",\n".join("{\n" + _hex_lines(row, digits, ending) + "\n}" for row in rows)
 
 
-def _list_words(numbers: list[int], digits: int, ending: str) -> str:
+def _hex_lines(numbers: list[int], digits: int, ending: str) -> str:
     """Return words in lines of up to eight."""
     texts = [f"0x{number:0{digits}x}{ending}" for number in numbers]
     count = 64 // digits

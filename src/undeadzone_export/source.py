@@ -1,4 +1,4 @@
-"""The C of an export: its header, its code, and the elementary functions that it uses."""
+"""C sources of an export: header, code, and the elementary functions in use."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import CLAIMS
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
-from undeadzone_export.exported_step import Field, Step, entries, members
+from undeadzone_export.exported_step import ExportedStep, Field, member_entries, name_entries
 from undeadzone_export.template import fill_template
 
 
 class Labels(NamedTuple):
-    """The words of an export that its files share.
+    """Texts that the files of an export share.
 
     Attributes:
         prefix: what every symbol begins with.
@@ -32,7 +32,7 @@ class Labels(NamedTuple):
 
 
 class Source(NamedTuple):
-    """The text of the C files.
+    """Texts of the C files.
 
     Attributes:
         prefix: what every symbol begins with.
@@ -48,23 +48,23 @@ class Source(NamedTuple):
     math: str
     functions: list[str]
 
-    def files(self) -> dict[str, str]:
-        """Return the files by name."""
+    def texts_by_name(self) -> dict[str, str]:
+        """Return the texts by file name."""
         named = {f"{self.prefix}.h": self.header, f"{self.prefix}.c": self.code}
         return named | ({f"{self.prefix}_math.h": self.math} if self.math else {})
 
 
-def source(code: Code, labels: Labels) -> Source:
-    """Return the C of an export."""
+def build_source(code: Code, labels: Labels) -> Source:
+    """Print the C of an export."""
     style = Style(code.kind, labels.prefix)
-    bodies = _bodies(code, style)
+    bodies = _function_bodies(code, style)
     used = set().union(*[part.functions for part in bodies.values()])
     functions = elementary.required_functions(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
         "name": name,
         "upper": name.upper(),
-        "title": _plain(labels.title),
+        "title": _to_comment_line(labels.title),
         "version": undeadzone.__version__,
         "real": code.real,
         "step": c_literal(step.Ts, code.kind),
@@ -73,51 +73,51 @@ def source(code: Code, labels: Labels) -> Source:
     }
     return Source(
         name,
-        fill_template("templates/header.h", words | _declarations(code, name, style)),
-        fill_template("templates/code.c", words | _definitions(code, name, style, bodies)),
-        fill_template("templates/math.h", words | _elementary(functions, used, style))
+        fill_template("templates/header.h", words | _header_words(code, name, style)),
+        fill_template("templates/code.c", words | _code_words(code, name, style, bodies)),
+        fill_template("templates/math.h", words | _elementary_words(functions, used, style))
         if used
         else "",
         functions,
     )
 
 
-def _bodies(code: Code, style: Style) -> dict[str, Body]:
-    """Return the statements of each function of a step."""
+def _function_bodies(code: Code, style: Style) -> dict[str, Body]:
+    """Print the statements of each function of a step."""
     step = code.step
-    stored = [f"state->{name}[{k}]" for name, k in members(step.state)]
-    following = [f"next_{name}_{k}" for name, k in members(step.state)]
-    out = [f"out->{name}[{k}]" for name, k in members(step.outputs)]
-    shown = [f"{name}_{k}" for name, k in members(step.outputs)]
-    inputs = _inputs(code)
-    kept = dict(zip(stored, entries(s=stored), strict=True))
-    known = meanings(code.results, step, 1)
+    stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
+    following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
+    out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
+    shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
+    inputs = _input_expressions(code)
+    kept = dict(zip(stored, name_entries(s=stored), strict=True))
+    known = local_meanings(code.results, step, 1)
     names = Names(inputs, [stored, out], [following, shown], known, kept)
     bodies = {"step": build_body(code.results, style, names)}
     if code.phases is not None:
-        carry = [f"state->carry[{k}]" for k in range(code.number_carried)]
-        local = [f"carry_{k}" for k in range(code.number_carried)]
+        carry = [f"state->carry[{k}]" for k in range(code.carry_size)]
+        local = [f"carry_{k}" for k in range(code.carry_size)]
         first, second = code.phases.estimate, code.phases.advance
-        names = Names(inputs, [out, carry], [shown, local], meanings(first, step, 0), kept)
+        names = Names(inputs, [out, carry], [shown, local], local_meanings(first, step, 0), kept)
         bodies["estimate"] = build_body(first, style, names)
-        names = Names(inputs, [stored], [following], meanings(second, step, None), kept)
+        names = Names(inputs, [stored], [following], local_meanings(second, step, None), kept)
         bodies["advance"] = build_body(second, style, names)
     return bodies
 
 
-def _inputs(code: Code) -> dict[str, str]:
-    """Return the C expression of each entry of the inputs; states are read into locals."""
+def _input_expressions(code: Code) -> dict[str, str]:
+    """Return the C expression of each entry of the inputs. States are read into locals."""
     step = code.step
-    return entries(
-        s=[f"{name}_was_{k}" for name, k in members(step.state)],
-        w=[f"in->{name}[{k}]" for name, k in members(step.inputs)],
-        p=[f"params->{name}[{k}]" for name, k in members(step.params)],
-        c=[f"state->carry[{k}]" for k in range(code.number_carried)],
+    return name_entries(
+        s=[f"{name}_was_{k}" for name, k in member_entries(step.state)],
+        w=[f"in->{name}[{k}]" for name, k in member_entries(step.inputs)],
+        p=[f"params->{name}[{k}]" for name, k in member_entries(step.params)],
+        c=[f"state->carry[{k}]" for k in range(code.carry_size)],
     )
 
 
-def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any]:
-    """Return the words of the header with the elementary functions.
+def _elementary_words(names: list[str], used: set[str], style: Style) -> dict[str, Any]:
+    """Return the template words of the header with the elementary functions.
 
     Args:
         names: of the functions, each after those that it calls.
@@ -128,23 +128,23 @@ def _elementary(names: list[str], used: set[str], style: Style) -> dict[str, Any
     return {"functions": texts, "with_bits": "memcpy" in texts}
 
 
-def _declarations(code: Code, name: str, style: Style) -> dict[str, Any]:
-    """Return the words of the header: structs and prototypes, each with its meaning."""
+def _header_words(code: Code, name: str, style: Style) -> dict[str, Any]:
+    """Return the template words of the header: structs and prototypes with their meanings."""
     structs = []
     for struct, fields in code.structs.items():
-        structs.append(_struct(f"{name}_{struct}", _STRUCTS[struct], fields, style))
+        structs.append(_struct_definition(f"{name}_{struct}", _STRUCTS[struct], fields, style))
     prototypes = []
-    for function, text in signatures(code, name).items():
+    for function, text in function_signatures(code, name).items():
         prototypes.append(f"/** {_MEANINGS[function]} */\n{text};\n")
     return {
         "structs": "\n".join(structs),
         "prototypes": "\n".join(prototypes),
-        "claims": "\n".join(_claims(code, name.upper())),
+        "claims": "\n".join(_claim_macros(code, name.upper())),
     }
 
 
-def _claims(code: Code, upper: str) -> list[str]:
-    """Return macros of the bits of `claims`, if that is shown."""
+def _claim_macros(code: Code, upper: str) -> list[str]:
+    """Return macros for the bits of `claims`, or none if `claims` is not an output."""
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
     lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
@@ -161,23 +161,23 @@ _STRUCTS = {
 }
 
 
-def _plain(text: str) -> str:
-    """Return a text that may stand in a comment, which nothing in it ends."""
+def _to_comment_line(text: str) -> str:
+    """Return a text on one line that cannot end a comment."""
     line = one_line(text).replace("\\", "/")  # first: it makes new slashes
     return line.replace("*/", "* /").replace("/*", "/ *")
 
 
-def _struct(name: str, meaning: str, fields: list[Field], style: Style) -> str:
+def _struct_definition(name: str, meaning: str, fields: list[Field], style: Style) -> str:
     """Return the definition of a struct, with a blank line after it."""
     lines = [f"/** {meaning} */", "typedef struct", "{"]
     for field in fields:
-        lines.append(
-            f"{INDENT}{style.real_type} {field.name}[{field.size}]; /**< {_plain(field.meaning)} */"
-        )
+        comment = _to_comment_line(field.meaning)
+        array = f"{style.real_type} {field.name}[{field.size}]"
+        lines.append(f"{INDENT}{array}; /**< {comment} */")
     return "\n".join([*lines, f"}} {name};", ""])
 
 
-def signatures(code: Code, prefix: str) -> dict[str, str]:
+def function_signatures(code: Code, prefix: str) -> dict[str, str]:
     """Return the declarations of the functions of an export, without semicolons."""
     params = f", const {prefix}_params *params" if code.step.params else ""
     state = f"{prefix}_state *state"
@@ -204,16 +204,16 @@ _MEANINGS = {
 }
 
 
-def _definitions(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
-    """Return the words of the code: what it includes, and its functions."""
-    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.number_carried]
-    start = _assignments("state", code.structs["state"], values, style)
-    defaults = _assignments("params", step.params, step.defaults.tolist(), style)
+def _code_words(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+    """Return the template words of the code: its headers and functions."""
+    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carry_size]
+    start = _store_statements("state", code.structs["state"], values, style)
+    defaults = _store_statements("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}
     for part, made in bodies.items():
-        parts[part] = [*_unused_arguments(made, bool(step.params)), *made.lines]
+        parts[part] = [*_void_casts(made, bool(step.params)), *made.lines]
     functions = []
-    for part, signature in signatures(code, name).items():
+    for part, signature in function_signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))
     text = "\n".join([*start, *itertools.chain(*[part.lines for part in bodies.values()])])
     return {
@@ -224,18 +224,20 @@ def _definitions(code: Code, name: str, style: Style, bodies: dict[str, Body]) -
     }
 
 
-def _unused_arguments(part: Body, params: bool) -> list[str]:
-    """Return statements for arguments that a body happens not to read."""
+def _void_casts(part: Body, params: bool) -> list[str]:
+    """Return statements for arguments that a body does not read."""
     text = "\n".join(part.lines)
     arguments = ["in->", "params->"] if params else ["in->"]
     missing = [word.removesuffix("->") for word in arguments if word not in text]
     return [f"{INDENT}(void){word};" for word in missing]
 
 
-def _assignments(target: str, fields: list[Field], values: list[float], style: Style) -> list[str]:
+def _store_statements(
+    target: str, fields: list[Field], values: list[float], style: Style
+) -> list[str]:
     """Return statements that store numbers."""
     lines = []
-    for (name, k), value in zip(members(fields), values, strict=True):
+    for (name, k), value in zip(member_entries(fields), values, strict=True):
         lines.append(f"{INDENT}{target}->{name}[{k}] = {c_literal(value, style.kind)};")
     return lines
 
@@ -245,8 +247,8 @@ def _assignments(target: str, fields: list[Field], values: list[float], style: S
 HUGE = 1e299  # what `sensor.present` compares with is larger
 
 
-def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
-    """Names of locals.
+def local_meanings(results: Results, step: ExportedStep, out: int | None) -> dict[Node, str]:
+    """Return names for locals.
 
     Args:
         results: the nodes.
@@ -254,40 +256,40 @@ def meanings(results: Results, step: Step, out: int | None) -> dict[Node, str]:
         out: which of the results is the output; None: none of them.
     """
     order = required_nodes(itertools.chain(*results))
-    names = _present(order, step)
+    names = _presence_names(order, step)
     if out is not None:
-        for (name, k), node in zip(members(step.outputs), results[out], strict=True):
+        for (name, k), node in zip(member_entries(step.outputs), results[out], strict=True):
             sides = [truth for truth in map(to_condition, node.args) if truth is not None]
             if name == "side" and node.op == "sub" and len(sides) == 2:
                 names |= {sides[0]: f"is_right_{k}", sides[1]: f"is_left_{k}"}
-                names |= _either(order, set(sides), f"is_active_{k}")
+                names |= _either_name(order, set(sides), f"is_active_{k}")
     return names
 
 
-def _either(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
-    """Return the name of the node that holds where one of two truths does."""
+def _either_name(order: list[Node], truths: set[Node], name: str) -> dict[Node, str]:
+    """Return the name of the node that is true if either of two conditions is."""
     for node in order:
         if node.op == "or" and set(node.args) == truths:
             return {node: name}
     return {}
 
 
-def _present(order: list[Node], step: Step) -> dict[Node, str]:
-    """Return the truths that an input is a finite number: -1e300 < w and w < 1e300."""
-    inputs = entries(w=[f"{name}_{k}" for name, k in members(step.inputs)])
+def _presence_names(order: list[Node], step: ExportedStep) -> dict[Node, str]:
+    """Return names of the conditions that an input is finite: -1e300 < w and w < 1e300."""
+    inputs = name_entries(w=[f"{name}_{k}" for name, k in member_entries(step.inputs)])
     names: dict[Node, str] = {}
     for node in order:
         if node.op != "and":
             continue
-        compared = {_input_of_bound(arg) for arg in node.args}
+        compared = {_input_in_comparison(arg) for arg in node.args}
         text = compared.pop()
         if not compared and text in inputs:
             names[node] = f"has_{inputs[text]}"
     return names
 
 
-def _input_of_bound(node: Node) -> str:
-    """Return the name of the input of w < huge or -huge < w; empty: a node is neither."""
+def _input_in_comparison(node: Node) -> str:
+    """Return the name of the input in w < huge or -huge < w, or an empty name."""
     if node.op != "lt":
         return ""
     low, high = node.args

@@ -1,4 +1,4 @@
-"""What an export writes for each target: C alone, or the same C inside of something else."""
+"""Files of an export for each target: C alone, or the same C inside another format."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from undeadzone_export import plc, plcopen
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import Field
 from undeadzone_export.fmu import package
-from undeadzone_export.selftest_vectors import Vectors, selftest
+from undeadzone_export.selftest_vectors import Vectors, selftest_source
 from undeadzone_export.source import Labels, Source
 from undeadzone_export.template import call_words, fill_template
 
@@ -26,13 +26,13 @@ GENERATOR = "undeadzone export"
 MANIFEST = "manifest.json"
 
 
-def manifest(report: dict[str, Any]) -> str:
+def manifest_text(report: dict[str, Any]) -> str:
     """Return the text of the manifest."""
-    return _text({"generator": GENERATOR} | report)
+    return _manifest_json({"generator": GENERATOR} | report)
 
 
 def require_replaceable(out: Path, force: bool = False) -> None:
-    """Raise FileError unless a folder can be written, and is absent, empty or an earlier export.
+    """Raise FileError unless a folder is writable, and absent, empty or an earlier export.
 
     Args:
         out: the folder.
@@ -46,7 +46,7 @@ def require_replaceable(out: Path, force: bool = False) -> None:
         return
     if force or all(path.name.startswith(".") for path in out.iterdir()):
         return
-    written = _written_digests(out)
+    written = _earlier_digests(out)
     if not written:
         raise FileError(
             f"{out}: holds no {MANIFEST} of `{GENERATOR}` as it was written, so it is not "
@@ -57,46 +57,47 @@ def require_replaceable(out: Path, force: bool = False) -> None:
         raise FileError(f"{out / changed[0]}: someone edited it; {CURE}")
 
 
-def _written_digests(out: Path) -> dict[str, str]:
-    """Return the digests of an export's files by path; none where its manifest is not as
-    written.
-    """
+def _earlier_digests(out: Path) -> dict[str, str]:
+    """Return the digests of an earlier export by path, or none if its manifest was changed."""
     try:
         text = read_text(out / MANIFEST)
         content = json.loads(text)
-        is_whole = text == _text(content) and content["generator"] == GENERATOR
+        is_whole = text == _manifest_json(content) and content["generator"] == GENERATOR
         written = content["files"]
         own, written[MANIFEST] = written[MANIFEST], ""
-        if not is_whole or own != digest(_text(content).encode()):
+        if not is_whole or own != digest(_manifest_json(content).encode()):
             return {}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
     return {path: value for path, value in written.items() if path != MANIFEST}
 
 
-def _sign_manifest(files: Files) -> Files:
-    """Return the files with the digest of each in the manifest, its own with nothing in that
-    place.
+def _add_digests(files: Files) -> Files:
+    """Add the digest of each file to the manifest.
+
+    The manifest's own digest is computed with that entry empty.
     """
     content = json.loads(files[MANIFEST])
-    content["files"] = {path: digest(_bytes(text)) for path, text in sorted(files.items())}
+    content["files"] = {path: digest(_to_bytes(text)) for path, text in sorted(files.items())}
     content["files"][MANIFEST] = ""
-    content["files"][MANIFEST] = digest(_text(content).encode())
-    return files | {MANIFEST: _text(content)}
+    content["files"][MANIFEST] = digest(_manifest_json(content).encode())
+    return files | {MANIFEST: _manifest_json(content)}
 
 
-def _text(content: dict[str, Any]) -> str:
-    """Return the text of a manifest."""
+def _manifest_json(content: dict[str, Any]) -> str:
+    """Return the text of a manifest's content."""
     return json.dumps(content, indent=2) + "\n"
 
 
-def _bytes(content: str | bytes) -> bytes:
-    """What a file holds, in bytes."""
+def _to_bytes(content: str | bytes) -> bytes:
+    """Convert the content of a file to bytes."""
     return content.encode() if isinstance(content, str) else content
 
 
 def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
-    """Write files into a folder; each takes its place once all are written beside.
+    """Write files into a folder.
+
+    Each is moved to its place after all are written to a temporary folder.
 
     Args:
         files: texts and bytes by their paths inside the folder, a manifest among them.
@@ -110,7 +111,7 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
         FileError: it cannot be written, or `out` or a file there is something else.
     """
     require_replaceable(out, force)
-    before = _written_digests(out)
+    before = _earlier_digests(out)
     own = {MANIFEST, *before} - set(edited_files(out, before))
     for path in files:
         if (out / path).parent.resolve() != out.resolve() / Path(path).parent:
@@ -121,9 +122,9 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".fresh-") as name:
             fresh = Path(name)
-            for path, content in _sign_manifest(files).items():
+            for path, content in _add_digests(files).items():
                 (fresh / path).parent.mkdir(parents=True, exist_ok=True)
-                (fresh / path).write_bytes(_bytes(content))
+                (fresh / path).write_bytes(_to_bytes(content))
             for path in own - files.keys():
                 (out / path).unlink(missing_ok=True)
             for path in sorted(files, key=MANIFEST.__eq__):  # the manifest last
@@ -145,7 +146,7 @@ VERSIONS: Final = {"fmu2": 2, "fmu3": 3}  # of FMI
 
 
 class Material(NamedTuple):
-    """What the files of an export are made of.
+    """Parts from which the files of an export are written.
 
     Attributes:
         printed: the graphs.
@@ -165,13 +166,13 @@ class Material(NamedTuple):
 
     @property
     def c_files(self) -> dict[str, str]:
-        """Return the C by the names of its files, with the self-test."""
+        """Return the C texts by file name, with the self-test."""
         name = self.report["name"]
-        test = selftest(self.printed, name, self.vectors)
-        return self.text.files() | {f"{name}_test.c": test}
+        test = selftest_source(self.printed, name, self.vectors)
+        return self.text.texts_by_name() | {f"{name}_test.c": test}
 
 
-def files(to: str, material: Material) -> Files:
+def export_files(to: str, material: Material) -> Files:
     """Return the files of an export by their paths in its folder.
 
     Args:
@@ -182,7 +183,7 @@ def files(to: str, material: Material) -> Files:
         InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
     """
     report, name = material.report, material.report["name"]
-    code = material.text.files()
+    code = material.text.texts_by_name()
     content: Files = dict(code)
     if to == "arduino":
         content = {f"src/{path}": text for path, text in code.items()}
@@ -191,32 +192,30 @@ def files(to: str, material: Material) -> Files:
         around = _arduino_files(report)
     elif to == "c":
         content = dict(material.c_files)
-        around = _build_files(report, bool(material.text.math))
+        around = _build_system_files(report, bool(material.text.math))
     elif to == "st":
         content, around = _st_files(material)
     elif to == "python":
-        content[f"{name}.py"] = _module(material.printed, report)
-        around = {"README.md": _installation_text("python", {"name": name}, report)}
+        content[f"{name}.py"] = _python_module(material.printed, report)
+        around = {"README.md": _target_readme("python", {"name": name}, report)}
     else:
         version = VERSIONS[to]
-        unit = package.package(material.printed, code, report, material.units, version)
+        unit = package.build_fmu(material.printed, code, report, material.units, version)
         content = {f"{name}.fmu": unit}
-        around = {
-            "README.md": _installation_text("fmu", {"name": name, "version": version}, report)
-        }
+        around = {"README.md": _target_readme("fmu", {"name": name, "version": version}, report)}
     report["files"] = sorted({*content, *around, MANIFEST})
-    return content | around | {MANIFEST: manifest(report)}
+    return content | around | {MANIFEST: manifest_text(report)}
 
 
-def _readme(report: dict[str, Any], build: str = "") -> str:
-    """Return the README; of what is built, how: by default by make, with the self-test."""
+def _readme_text(report: dict[str, Any], build: str = "") -> str:
+    """Return the README with build instructions: make and the self-test by default."""
     by_make = f"Run `make && ./{report['name']}_test`: exit code 0 means that every bit agrees."
     words = {"build": build or by_make, "by_make": not build}
-    return fill_template("templates/README.md", _words(report) | words)
+    return fill_template("templates/README.md", _template_words(report) | words)
 
 
-def _words(report: dict[str, Any]) -> dict[str, Any]:
-    """What stands for the words of the texts."""
+def _template_words(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of the words in the templates."""
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
     shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
     shown |= {"counts": counts, "upper": report["name"].upper()}
@@ -224,21 +223,21 @@ def _words(report: dict[str, Any]) -> dict[str, Any]:
     return report | call_words(report["name"], bool(report["tunable"])) | shown
 
 
-def _build_files(report: dict[str, Any], math: bool) -> dict[str, str]:
+def _build_system_files(report: dict[str, Any], math: bool) -> dict[str, str]:
     """Return the texts of Makefile, CMakeLists.txt and README.md, by name."""
-    words = _words(report)
+    words = _template_words(report)
     words["math"] = f"{report['name']}_math.h " if math else ""
     return {
         "Makefile": fill_template("templates/Makefile", words),
         "CMakeLists.txt": fill_template("templates/CMakeLists.txt", words),
-        "README.md": _readme(report),
+        "README.md": _readme_text(report),
     }
 
 
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
     """Return the texts around the C of an Arduino library, by name."""
     name = report["name"]
-    words = _words(report) | {"title": one_line(str(report["title"]))}
+    words = _template_words(report) | {"title": one_line(str(report["title"]))}
     build = (
         "Copy this folder into the libraries folder of the Arduino IDE. The example\n"
         f"{name}_test runs the self-test on the board and prints its verdict."
@@ -249,43 +248,43 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
             "templates/example.ino", words
         ),
         f"examples/{name}_test/{name}_test.ino": fill_template("templates/selftest.ino", words),
-        "README.md": _readme(report, build),
+        "README.md": _readme_text(report, build),
     }
 
 
 def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
-    """Return (the Structured Text, its README) by name; the report gets its sizes."""
+    """Return the Structured Text and its README, by name. Add their sizes to the report."""
     report, labels, printed = material.report, material.labels, material.printed
     made = plc.export_plc(printed, labels, material.vectors)
-    name, text = labels.prefix, plcopen.text_of(made.units, labels, printed)
-    report["structured_text"] = {"blocks": made.blocks, "lines": text.count("\n")}
+    name, text = labels.prefix, plcopen.st_text(made.units, labels, printed)
+    report["structured_text"] = {"blocks": made.block_count, "lines": text.count("\n")}
     content: Files = {
         f"{name}.st": text,
-        f"{name}_test.st": plcopen.text_of([made.test], labels, printed),
-        f"{name}.xml": plcopen.xml_of([*made.units, made.test], labels, printed),
+        f"{name}_test.st": plcopen.st_text([made.test], labels, printed),
+        f"{name}.xml": plcopen.plcopen_xml([*made.units, made.test], labels, printed),
     }
-    words = _words(report) | {
-        "blocks": made.blocks,
+    words = _template_words(report) | {
+        "blocks": made.block_count,
         "type": "REAL" if printed.single else "LREAL",
         "samples": len(material.vectors.states),
         "argument": f"{printed.step.inputs[1].name}_0",
-        "parted": made.blocks > 1,
+        "parted": made.block_count > 1,
         "single": printed.single,
         "double": not printed.single,
     }
     return content, {"README.md": fill_template("templates/st.md", words)}
 
 
-def _installation_text(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
-    """Return the README of what takes more than the C."""
-    return _readme(report, fill_template(f"templates/{kind}.md", words).rstrip("\n"))
+def _target_readme(kind: str, words: dict[str, Any], report: dict[str, Any]) -> str:
+    """Return the README of a target that needs more than the C."""
+    return _readme_text(report, fill_template(f"templates/{kind}.md", words).rstrip("\n"))
 
 
 # --- `--to python`: a module that compiles the exported C and calls it, without undeadzone
 
 
-def _module(printed: Code, report: dict[str, Any]) -> str:
-    """Return the text of the module.
+def _python_module(printed: Code, report: dict[str, Any]) -> str:
+    """Return the text of the Python module.
 
     Args:
         printed: what is printed as C.
@@ -293,32 +292,33 @@ def _module(printed: Code, report: dict[str, Any]) -> str:
     """
     structs = printed.structs
     words = {key: report[key] for key in ("name", "version", "part")} | {
-        "title": _plain(report["title"]),
+        "title": _to_docstring_line(report["title"]),
         "hash": repr(report["hash"]),
         "step": repr(report["step"]),
         "seconds": f"{report['step']:g}",
         "arguments": ", ".join(field.name for field in structs["in"]),
-        "inputs": _list_fields(structs["in"]),
-        "outputs": _list_fields(structs["out"]),
+        "inputs": _field_lines(structs["in"]),
+        "outputs": _field_lines(structs["out"]),
         "real": f"c_{printed.real}",
     }
     for name in ("state", "in", "out", "params"):
-        words[f"fields_of_{name}"] = _sizes(structs.get(name, []))
+        words[f"fields_of_{name}"] = _field_sizes(structs.get(name, []))
     return fill_template("templates/python_module.txt", words)
 
 
-def _sizes(fields: list[Field]) -> list[tuple[str, int]]:
-    """Names and sizes of the arrays of a struct."""
+def _field_sizes(fields: list[Field]) -> list[tuple[str, int]]:
+    """Return names and sizes of the arrays of a struct."""
     return [(field.name, field.size) for field in fields]
 
 
-def _list_fields(fields: list[Field]) -> str:
-    """Return fields in words, a line each."""
+def _field_lines(fields: list[Field]) -> str:
+    """Return a line of text for each field."""
     return "".join(
-        f"\n    {field.name} ({field.size}): {_plain(field.meaning)}" for field in fields
+        f"\n    {field.name} ({field.size}): {_to_docstring_line(field.meaning)}"
+        for field in fields
     )
 
 
-def _plain(text: str) -> str:
-    """Return a text that ends no docstring."""
+def _to_docstring_line(text: str) -> str:
+    """Return a text on one line that cannot end a docstring."""
     return one_line(text).replace("\\", "/").replace('"', "'")

@@ -1,4 +1,4 @@
-"""Texts that an export writes, as files of their own in which words are filled in."""
+"""Templates of the texts that an export writes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 from undeadzone.util import text
 
 
-def text_of(path: str) -> str:
-    """Return a file of this room.
+def read_template(path: str) -> str:
+    """Read a file of this package.
 
     Args:
         path: as seen from here.
@@ -18,17 +18,17 @@ def text_of(path: str) -> str:
 
 
 def fill_template(path: str, words: dict[str, Any]) -> str:
-    """Return a file of this room with its words filled in, as `support.text.filled` does.
+    """Fill the words of a template file, as `util.text.filled` does.
 
     Args:
         path: as seen from here.
         words: what stands for each word, as text.
     """
-    return text.fill_words(text_of(path), words)
+    return text.fill_words(read_template(path), words)
 
 
 def call_words(name: str, tunable: bool) -> dict[str, Any]:
-    """Return the words of texts that call an export.
+    """Return the template words of texts that call an export.
 
     Args:
         name: what every symbol begins with.

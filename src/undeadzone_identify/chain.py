@@ -100,13 +100,13 @@ def compare_with_firmware(scenario: Scenario, found: Estimation, code: Code) -> 
     Returns:
         rms of y / m - z, and of the C's z^ - z, over all outputs [z].
     """
-    from undeadzone_export.accuracy import Compiled
-    from undeadzone_export.exported_step import places_of
+    from undeadzone_export.accuracy import CompiledStep
+    from undeadzone_export.exported_step import field_slices
 
     z = found.z_hat if found.z_smooth is None else found.z_smooth
     with tempfile.TemporaryDirectory() as scratch:
-        outputs = Compiled(code, Path(scratch))(np.hstack([found.y, found.u]))
-    estimated = outputs[:, places_of(code.step.outputs)["z"]]
+        outputs = CompiledStep(code, Path(scratch))(np.hstack([found.y, found.u]))
+    estimated = outputs[:, field_slices(code.step.outputs)["z"]]
     return _rms(found.y / np.asarray(scenario.sensor.slope) - z), _rms(estimated - z)
 
 

@@ -1,4 +1,4 @@
-"""The audit of the paper as one value, and its numbers for JSON."""
+"""Audit of the paper as one value, and its numbers for JSON."""
 
 from __future__ import annotations
 
@@ -9,18 +9,25 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.results.run import Run
-from undeadzone_paper.claims import Claim, about, judge
+from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
 from undeadzone_paper.equations import EQUATIONS
-from undeadzone_paper.evidence import RESTING, Evidence, gather
-from undeadzone_paper.facts import Fact, facts
-from undeadzone_paper.measures import rate
-from undeadzone_paper.printed import DEFINITION, LAST, Count, Outcome, count, run_variants
+from undeadzone_paper.evidence import RESTING, Evidence, gather_evidence
+from undeadzone_paper.facts import Fact, compute_facts
+from undeadzone_paper.measures import width_convergence_rate
+from undeadzone_paper.printed import (
+    DEFINITION,
+    LAST,
+    Outcome,
+    VariantCount,
+    count_outcomes,
+    run_variants,
+)
 
 Progress = Callable[[int], None]
 
 
 class Paper(NamedTuple):
-    """Everything that the audit found.
+    """Results of the audit.
 
     Attributes:
         evidence: the runs on which claims are judged
@@ -35,9 +42,9 @@ class Paper(NamedTuple):
     claims: list[Claim]
 
     @property
-    def counts(self) -> list[Count]:
-        """Return the variants counted by plant and start."""
-        return count(self.variants)
+    def counts(self) -> list[VariantCount]:
+        """Count the variants by plant and start."""
+        return count_outcomes(self.variants)
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON.
@@ -48,9 +55,9 @@ class Paper(NamedTuple):
         texts = [claim.text for claim in self.claims]
         return {
             "printed": _numbers_as_printed(self.evidence.printed[RESTING][0]),
-            "repaired": _numbers_of_repair(five),
-            "repaired_2sin": _numbers_of_repair(two),
-            "repaired_sampled": _numbers_of_repair(self.evidence.sampled),
+            "repaired": _numbers_as_repaired(five),
+            "repaired_2sin": _numbers_as_repaired(two),
+            "repaired_sampled": _numbers_as_repaired(self.evidence.sampled),
             "variants": {
                 "definition": DEFINITION,
                 "counts": [item._asdict() for item in self.counts],
@@ -59,20 +66,20 @@ class Paper(NamedTuple):
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
             "equations": [
-                {**equation._asdict(), "claims": about(equation.number, texts)}
+                {**equation._asdict(), "claims": claims_on_equation(equation.number, texts)}
                 for equation in EQUATIONS
             ],
         }
 
 
 def audit(progress: Progress | None = None) -> Paper:
-    """Run the example in every variant and repaired, and judge the claims.
+    """Run the example in every variant and repaired, and decide the claims.
 
     Args:
         progress: called with the number of steps just done
     """
-    evidence = gather(progress)
-    return Paper(evidence, run_variants(progress), facts(), judge(evidence))
+    evidence = gather_evidence(progress)
+    return Paper(evidence, run_variants(progress), compute_facts(), judge_claims(evidence))
 
 
 SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")
@@ -89,6 +96,6 @@ def _numbers_as_printed(run: Run) -> dict[str, Any]:
     return numbers | {name: value for name, value in run.summary().items() if name in SHOWN}
 
 
-def _numbers_of_repair(run: Run) -> dict[str, Any]:
+def _numbers_as_repaired(run: Run) -> dict[str, Any]:
     """Return the numbers of a repaired run."""
-    return {**run.summary(), "rate": rate(run)}
+    return {**run.summary(), "rate": width_convergence_rate(run)}

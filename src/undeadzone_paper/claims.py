@@ -1,4 +1,4 @@
-"""The paper's claims judged.
+"""Verdicts on the paper's claims.
 
 What they say stands in `claims.toml`, once; what was measured for them comes from `trials`. A
 verdict follows from two measured numbers and a limit alone: the claim holds as printed, holds after
@@ -18,14 +18,14 @@ import numpy as np
 
 from undeadzone.util.arrays import finite
 from undeadzone_paper.evidence import CONDITIONS, Evidence
-from undeadzone_paper.trials import Measured, measure
+from undeadzone_paper.trials import ClaimNumbers, measure_claims
 
 Verdict = Literal["holds", "holds after repair", "does not hold", "not shown"]
 TINY: Final = 1e-12  # below it a number is rounding
 
 
-class Text(NamedTuple):
-    """A claim in words; `claims.toml` says what each entry is.
+class ClaimText(NamedTuple):
+    """Text of a claim. `claims.toml` explains each entry.
 
     Attributes:
         id: its name in this audit
@@ -51,7 +51,7 @@ class Text(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A claim and what was measured for it; an infinite value: the run diverges.
+    """Claim with its measured numbers. An infinite value is a diverging run.
 
     Attributes:
         text: the claim in words
@@ -59,44 +59,44 @@ class Claim(NamedTuple):
         repaired: its quantity as repaired; None: there is nothing to repair
     """
 
-    text: Text
+    text: ClaimText
     printed: dict[str, float]
     repaired: float | None
 
     @property
-    def worst(self) -> float | None:
-        """Return its quantity as printed in the worst case; None where no equation has it."""
+    def worst_printed(self) -> float | None:
+        """Return the quantity as printed in the worst case, or None if no equation has it."""
         return max(self.printed.values(), default=None)
 
     @property
     def verdict(self) -> Verdict:
-        """What the numbers say."""
-        if _within(self.worst, self.text.limit):
+        """Return the verdict that follows from the numbers."""
+        if _is_within(self.worst_printed, self.text.limit):
             return "holds"
         if self.text.announced:
             return "not shown"
-        return "holds after repair" if _within(self.repaired, self.text.limit) else "does not hold"
+        return (
+            "holds after repair" if _is_within(self.repaired, self.text.limit) else "does not hold"
+        )
 
     @property
-    def measured_in_words(self) -> str:
-        """Return the numbers in words."""
-        cases = [f"{value_in_words(value)} {case}".strip() for case, value in self.printed.items()]
+    def numbers_text(self) -> str:
+        """Return the numbers as text."""
+        cases = [f"{value_text(value)} {case}".strip() for case, value in self.printed.items()]
         first = ", ".join(cases) or "in no equation"
         limit = f"limit {self.text.limit:g}"
         if self.repaired is None:
             return f"{self.text.quantity}: {first}; {limit}"
-        repaired = value_in_words(self.repaired)
+        repaired = value_text(self.repaired)
         return f"{self.text.quantity}: as printed {first}; repaired {repaired}; {limit}"
 
     def summary(self) -> dict[str, Any]:
-        """Return the claim ready for JSON; values that are not finite, or not there, become
-        None.
-        """
+        """Return the claim ready for JSON, with None for missing or infinite values."""
         return {
             **self.text._asdict(),
-            "printed": None if self.worst is None else finite(self.worst),
+            "printed": None if self.worst_printed is None else finite(self.worst_printed),
             "repaired": None if self.repaired is None else finite(self.repaired),
-            "measured": self.measured_in_words,
+            "measured": self.numbers_text,
             "verdict": self.verdict,
         }
 
@@ -107,8 +107,8 @@ HOW: Final = (
 )
 
 
-def count_verdicts(claims: Iterable[Claim]) -> str:
-    """How many claims hold, as a sentence."""
+def verdict_counts_text(claims: Iterable[Claim]) -> str:
+    """Return the counts of the verdicts as a sentence."""
     counts = Counter(claim.verdict for claim in claims)
     return (
         f"Of {counts.total()} claims {counts['holds']} hold as printed, "
@@ -117,54 +117,54 @@ def count_verdicts(claims: Iterable[Claim]) -> str:
     )
 
 
-def value_in_words(value: float) -> str:
-    """Return a value in words."""
+def value_text(value: float) -> str:
+    """Return a value as text."""
     if not np.isfinite(value):
         return "diverges"
     return f"{value if abs(value) > TINY else 0.0:.3g}"
 
 
-def _within(value: float | None, limit: float) -> bool:
-    """Return whether there is a value and it keeps to its limit."""
+def _is_within(value: float | None, limit: float) -> bool:
+    """Return whether a value exists and is at most its limit."""
     return value is not None and value <= limit
 
 
-def texts() -> list[Text]:
-    """Return every claim as `claims.toml` has it; conditions of the runs are filled in."""
+def read_claim_texts() -> list[ClaimText]:
+    """Read all claims from `claims.toml`. Conditions of the runs are filled in."""
     file = files("undeadzone_paper").joinpath("claims.toml").read_text(encoding="utf-8")
     found = []
     for key, entry in tomllib.loads(file).items():
-        text = Text(id=key, **entry)
+        text = ClaimText(id=key, **entry)
         quantity = text.quantity.format(**CONDITIONS)
         found.append(text._replace(quantity=quantity, why=" ".join(text.why.split())))
     return found
 
 
-def about(number: int, claims: Iterable[Text]) -> list[str]:
-    """Return the claims that judge an equation, by their ids.
+def claims_on_equation(number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on an equation.
 
     Args:
         number: of the equation
         claims: all of them; where each stands names equations as "(34)" or "(30)-(36)"
     """
-    return [claim.id for claim in claims if number in _equations(claim.where)]
+    return [claim.id for claim in claims if number in _equation_numbers(claim.where)]
 
 
-def _equations(where: str) -> set[int]:
-    """Return the numbers of the equations that a place names."""
+def _equation_numbers(where: str) -> set[int]:
+    """Return the numbers of the equations that a text names."""
     named: set[int] = set()
     for first, last in re.findall(r"\((\d+)\)(?:-\((\d+)\))?", where):
         named.update(range(int(first), int(last or first) + 1))
     return named
 
 
-def judge(evidence: Evidence) -> list[Claim]:
-    """Return every claim with what was measured for it."""
-    numbers = measure(evidence)
-    return [_claim(text, numbers[text.id]) for text in texts()]
+def judge_claims(evidence: Evidence) -> list[Claim]:
+    """Decide every claim by its measured numbers."""
+    numbers = measure_claims(evidence)
+    return [_build_claim(text, numbers[text.id]) for text in read_claim_texts()]
 
 
-def _claim(text: Text, measured: Measured) -> Claim:
-    """Return a claim with its numbers, and with those that its reason names."""
+def _build_claim(text: ClaimText, measured: ClaimNumbers) -> Claim:
+    """Build a claim with its numbers and those of its reason."""
     why = text.why.format(**CONDITIONS, **measured.named)
     return Claim(text._replace(why=why), measured.printed, measured.repaired)

@@ -1,4 +1,4 @@
-"""undeadzone paper"""
+"""Command `undeadzone paper`."""
 
 from __future__ import annotations
 
@@ -41,19 +41,19 @@ def paper(output: Output) -> int:
     if output.as_json:
         print_json(summary, written)
     else:
-        _print(result.claims, summary, written)
+        _print_claims(result.claims, summary, written)
     return 0
 
 
-def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) -> None:
-    """Print the claims and what was measured."""
+def _print_claims(claims: list[Claim], summary: dict[str, Any], written: list[Path]) -> None:
+    """Print the claims and their measured numbers."""
     from rich.console import Console
 
-    from undeadzone_paper.claims import count_verdicts
+    from undeadzone_paper.claims import verdict_counts_text
 
     console = Console()
-    console.print(_table(claims))
-    console.print(count_verdicts(claims), highlight=False)
+    console.print(_claims_table(claims))
+    console.print(verdict_counts_text(claims), highlight=False)
     printed, repaired = summary["printed"], summary["repaired"]
     console.print(
         f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
@@ -67,7 +67,7 @@ def _print(claims: list[Claim], summary: dict[str, Any], written: list[Path]) ->
         console.print(f"wrote {path}", highlight=False)
 
 
-def _table(claims: list[Claim]) -> Table:
+def _claims_table(claims: list[Claim]) -> Table:
     """Return the table of claims."""
     from rich import box
     from rich.table import Table
@@ -77,14 +77,16 @@ def _table(claims: list[Claim]) -> Table:
         table.add_column(column, justify="right" if column in NUMBERS else "left")
     for claim in claims:
         text, verdict = claim.text, claim.verdict
-        numbers = [_format_number(value) for value in (claim.worst, claim.repaired, text.limit)]
+        numbers = [
+            _cell_number_text(value) for value in (claim.worst_printed, claim.repaired, text.limit)
+        ]
         colour = COLOURS.get(verdict, "red")
         table.add_row(text.claim, text.quantity, *numbers, f"[{colour}]{verdict}[/]")
     return table
 
 
-def _format_number(value: float | None) -> str:
-    """Return a number; empty where there is none."""
-    from undeadzone_paper.claims import value_in_words
+def _cell_number_text(value: float | None) -> str:
+    """Return a number as text, empty for None."""
+    from undeadzone_paper.claims import value_text
 
-    return "" if value is None else value_in_words(value)
+    return "" if value is None else value_text(value)

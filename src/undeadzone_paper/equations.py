@@ -265,14 +265,14 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         38,
         "the same as a state equation",
-        "undeadzone_paper.example.printed_example",
+        "undeadzone_paper.example.example_as_printed",
         "as printed",
         "omega_n = 1, though the text says 2 pi",
     ),
     (
         39,
         "its A, B, C",
-        "undeadzone_paper.example.printed_example",
+        "undeadzone_paper.example.example_as_printed",
         "as printed",
         "the default plant",
     ),
@@ -300,13 +300,16 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
 )
 
 
-def _equation(number: int, what: str, where: str | None, status: Status, reason: str) -> Equation:
-    """Return a row of the table with the whole name of its object, the tool's without its
-    package.
+def _build_equation(
+    number: int, what: str, where: str | None, status: Status, reason: str
+) -> Equation:
+    """Build a row of the table with the full name of its object.
+
+    Names of the tool lack its package.
     """
     if where is not None and not where.startswith("undeadzone_"):
         where = f"undeadzone.{where}"
     return Equation(number, what, where, status, reason)
 
 
-EQUATIONS: Final = tuple(_equation(*row) for row in _TABLE)
+EQUATIONS: Final = tuple(_build_equation(*row) for row in _TABLE)

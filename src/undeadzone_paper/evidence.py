@@ -1,4 +1,4 @@
-"""The runs on which the paper's claims are judged.
+"""Runs for the verdicts on the paper's claims.
 
 They are the example as printed, repaired, both off their nominal conditions, and with what the
 paper recommends beside it: a tanh term, a filter, identification.
@@ -32,9 +32,9 @@ from undeadzone_paper.example import (
     L_REPAIRED,
     STARTED,
     D,
-    printed_example,
-    reference,
-    repaired_example,
+    example_as_printed,
+    example_as_repaired,
+    example_reference,
 )
 from undeadzone_paper.measures import with_printed_V
 
@@ -65,7 +65,7 @@ BEGUN: Final = f"from x1 = {STARTED:g}"
 SIGNED: Final = f"{BEGUN} with d_l < 0"
 
 
-class Pair(NamedTuple):
+class RunPair(NamedTuple):
     """Runs under the same conditions, as printed (started at x1 = 5, d_l > 0) and repaired."""
 
     printed: tuple[Run, ...]
@@ -73,7 +73,7 @@ class Pair(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Runs by what they show; V of those as printed is (30).
+    """Runs by purpose. V of runs as printed is (30).
 
     Attributes:
         printed: by how they start; r = 5 sin and 2 sin
@@ -98,14 +98,14 @@ class Evidence(NamedTuple):
     printed: dict[str, tuple[Run, ...]]
     repaired: tuple[Run, ...]
     sampled: Run
-    noisy: Pair
-    mismatched: Pair
-    disturbed: Pair
+    noisy: RunPair
+    mismatched: RunPair
+    disturbed: RunPair
     scaled: Run
     unaware: dict[str, Run]
     aware: tuple[Run, ...]
     silent: Run
-    far: Pair
+    far: RunPair
     blind: Run
     slow: Run
     held: tuple[Run, Run]
@@ -115,126 +115,143 @@ class Evidence(NamedTuple):
 
 
 class Runner(NamedTuple):
-    """Runs variations of the example; `progress` is told of every step."""
+    """Runner of variations of the example. `progress` is called at every step."""
 
     progress: Callable[[int], None] | None
 
-    def run(self, scenario: Scenario, check_step: bool = False, **changes: Any) -> Run:
-        """Return a scenario with changes."""
+    def simulate_changed(self, scenario: Scenario, check_step: bool = False, **changes: Any) -> Run:
+        """Simulate a scenario with changes."""
         changed = msgspec.structs.replace(scenario, **changes)
         return simulate(changed, check_step=check_step, progress=self.progress)
 
-    def pair(self, *variations: dict[str, Any]) -> Pair:
-        """Return the example under the same conditions, as printed and repaired."""
-        begun, nominal = printed_example(5.0, x1=STARTED), repaired_example(5.0)
-        return Pair(
-            tuple(self.run(begun, **variation) for variation in variations),
-            tuple(self.run(nominal, **variation) for variation in variations),
+    def simulate_pair(self, *variations: dict[str, Any]) -> RunPair:
+        """Simulate the example under the same conditions, as printed and repaired."""
+        begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
+        return RunPair(
+            tuple(self.simulate_changed(begun, **variation) for variation in variations),
+            tuple(self.simulate_changed(nominal, **variation) for variation in variations),
         )
 
 
-def gather(progress: Callable[[int], None] | None = None) -> Evidence:
-    """Run them all. Only nominal runs are repeated with half the step.
+def gather_evidence(progress: Callable[[int], None] | None = None) -> Evidence:
+    """Run all cases. Only nominal runs are repeated with half the step.
 
     Args:
         progress: called with the number of steps just done
     """
     runner = Runner(progress)
-    nominal = repaired_example(5.0)
+    nominal = example_as_repaired(5.0)
     noisy = Sensor(right=D, left=D, noise=NOISE)
     gust = Sine(amplitude=DISTURBANCE, frequency=0.3)
-    within = reference(0.5)  # z never leaves the zone
-    aware = _observer(nominal, widths0=[D, D])
+    within = example_reference(0.5)  # z never leaves the zone
+    aware = _change_observer(nominal, widths0=[D, D])
     paper_poles = Certified(L=L_POLES, gamma=2.0, widths0=[0.2, 0.2], width_max=3.0)
-    logged = runner.run(nominal, sensor=noisy, simulation=SAMPLED, model=_mismatches()[-1])
+    logged = runner.simulate_changed(
+        nominal, sensor=noisy, simulation=SAMPLED, model=_wrong_models()[-1]
+    )
     return Evidence(
-        printed=_as_printed(runner),
-        repaired=tuple(runner.run(repaired_example(each), check_step=True) for each in AMPLITUDES),
-        sampled=runner.run(nominal, simulation=SAMPLED),
-        noisy=runner.pair({"sensor": noisy}),
-        mismatched=runner.pair(*({"model": model} for model in _mismatches())),
-        disturbed=runner.pair({"disturbance": gust}),
-        scaled=runner.run(nominal, sensor=Sensor(right=D, left=D, slope=SLOPE)),
-        unaware=_unaware(runner),
-        aware=(
-            runner.run(nominal, observer=aware),
-            runner.run(nominal, observer=aware, reference=within),
+        printed=_runs_as_printed(runner),
+        repaired=tuple(
+            runner.simulate_changed(example_as_repaired(each), check_step=True)
+            for each in AMPLITUDES
         ),
-        silent=runner.run(nominal, reference=within),
-        far=_far(runner),
-        blind=runner.run(nominal, observer=Luenberger(L=L_REPAIRED)),
-        slow=runner.run(nominal, observer=paper_poles, simulation=Simulation(duration=100.0)),
-        held=_without_adaptation(runner),
+        sampled=runner.simulate_changed(nominal, simulation=SAMPLED),
+        noisy=runner.simulate_pair({"sensor": noisy}),
+        mismatched=runner.simulate_pair(*({"model": model} for model in _wrong_models())),
+        disturbed=runner.simulate_pair({"disturbance": gust}),
+        scaled=runner.simulate_changed(nominal, sensor=Sensor(right=D, left=D, slope=SLOPE)),
+        unaware=_unaware_runs(runner),
+        aware=(
+            runner.simulate_changed(nominal, observer=aware),
+            runner.simulate_changed(nominal, observer=aware, reference=within),
+        ),
+        silent=runner.simulate_changed(nominal, reference=within),
+        far=_far_runs(runner),
+        blind=runner.simulate_changed(nominal, observer=Luenberger(L=L_REPAIRED)),
+        slow=runner.simulate_changed(
+            nominal, observer=paper_poles, simulation=Simulation(duration=100.0)
+        ),
+        held=_constant_width_runs(runner),
         filtered=(
-            runner.run(nominal, observer=_filter(0.0), simulation=SAMPLED, sensor=noisy),
-            runner.run(nominal, observer=_filter(None), simulation=SAMPLED, disturbance=gust),
+            runner.simulate_changed(
+                nominal, observer=_kalman_options(0.0), simulation=SAMPLED, sensor=noisy
+            ),
+            runner.simulate_changed(
+                nominal, observer=_kalman_options(None), simulation=SAMPLED, disturbance=gust
+            ),
         ),
         logged=logged,
         identified=_identify_widths(logged),
     )
 
 
-def _as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
-    """Return the nominal runs as printed, by how they start."""
-    resting = [runner.run(printed_example(amplitude), check_step=True) for amplitude in AMPLITUDES]
-    outside = [runner.run(printed_example(amplitude, x1=STARTED)) for amplitude in AMPLITUDES]
-    signed = [runner.run(printed_example(5.0, x1=STARTED, signed_left=True))]
+def _runs_as_printed(runner: Runner) -> dict[str, tuple[Run, ...]]:
+    """Run the nominal cases as printed, by start."""
+    resting = [
+        runner.simulate_changed(example_as_printed(amplitude), check_step=True)
+        for amplitude in AMPLITUDES
+    ]
+    outside = [
+        runner.simulate_changed(example_as_printed(amplitude, x1=STARTED))
+        for amplitude in AMPLITUDES
+    ]
+    signed = [runner.simulate_changed(example_as_printed(5.0, x1=STARTED, signed_left=True))]
     starts = {RESTING: resting, BEGUN: outside, SIGNED: signed}
     return {start: tuple(with_printed_V(run) for run in runs) for start, runs in starts.items()}
 
 
-def _observer(scenario: Scenario, **changes: Any) -> Any:
+def _change_observer(scenario: Scenario, **changes: Any) -> Any:
     """Return a scenario's observer with changes."""
     return msgspec.structs.replace(cast(Any, scenario.observer), **changes)
 
 
-def _unaware(runner: Runner) -> dict[str, Run]:
-    """As printed with a wrong d^(0), by how it starts."""
-    starts = {RESTING: printed_example(5.0), BEGUN: printed_example(5.0, x1=STARTED)}
+def _unaware_runs(runner: Runner) -> dict[str, Run]:
+    """Run the example as printed with a wrong d^(0), by start."""
+    starts = {RESTING: example_as_printed(5.0), BEGUN: example_as_printed(5.0, x1=STARTED)}
     return {
-        start: runner.run(scenario, observer=_observer(scenario, widths0=UNAWARE))
+        start: runner.simulate_changed(
+            scenario, observer=_change_observer(scenario, widths0=UNAWARE)
+        )
         for start, scenario in starts.items()
     }
 
 
-def _far(runner: Runner) -> Pair:
-    """Return both from starts all around, near and far."""
+def _far_runs(runner: Runner) -> RunPair:
+    """Run both versions from starts all around, near and far."""
     starts = []
     for radius, angle in product(RADII, DIRECTIONS):
         place = radius * np.exp(1j * np.pi * angle)
-        plant = msgspec.structs.replace(repaired_example(5.0).plant, x0=[place.real, place.imag])
+        plant = msgspec.structs.replace(example_as_repaired(5.0).plant, x0=[place.real, place.imag])
         starts.append({"plant": plant, "simulation": Simulation(step=5e-3)})
-    return runner.pair(*starts)
+    return runner.simulate_pair(*starts)
 
 
-def _without_adaptation(runner: Runner) -> tuple[Run, Run]:
-    """Return repaired with wrong widths that are not adapted, without a tanh term and with one."""
-    nominal = repaired_example(5.0)
-    held = _observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
+def _constant_width_runs(runner: Runner) -> tuple[Run, Run]:
+    """Run the repaired example with wrong fixed widths, without a tanh term and with one."""
+    nominal = example_as_repaired(5.0)
+    held = _change_observer(nominal, gamma=1e-9, widths0=[HELD, HELD])
     robust = StateFeedback(alpha=ALPHA, robust=Robust(gain=5.0, width=0.05))
     return (
-        runner.run(nominal, observer=held),
-        runner.run(nominal, observer=held, controller=robust),
+        runner.simulate_changed(nominal, observer=held),
+        runner.simulate_changed(nominal, observer=held, controller=robust),
     )
 
 
-def _filter(disturbance: float | None) -> Kalman:
-    """Return the Kalman filter with ranges for the widths, and what is claimed of the
-    disturbance.
-    """
+def _kalman_options(disturbance: float | None) -> Kalman:
+    """Return the Kalman filter with ranges for the widths and an assumed disturbance."""
     return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
 
 
 def _identify_widths(run: Run) -> tuple[float, float]:
-    """Return (d_r, d_l) that `identify` finds in u and y of a run."""
+    """Identify d_r and d_l from u and y of a run [z]."""
     found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
     if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:
         raise AssertionError("the log of one output has an answer")
     return found.right.value, found.left.value
 
 
-def _mismatches() -> list[Model]:
-    """Models with stiffness, damping or input gain too small or too large by `MISMATCH`."""
+def _wrong_models() -> list[Model]:
+    """Return models with stiffness, damping or input gain wrong by `MISMATCH`."""
     factors = (1 - MISMATCH, 1 + MISMATCH)
     return [
         *(Model(A=[[0.0, 1.0], [-factor, -2.0]]) for factor in factors),

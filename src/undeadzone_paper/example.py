@@ -27,34 +27,39 @@ DURATION: Final = 20.0  # [s]
 STARTED: Final = 5.0  # x1(0) of the runs that begin outside the zone
 
 
-class Reading(NamedTuple):
-    """One reading of (37)-(39): its plant and where it comes from."""
+class PlantReading(NamedTuple):
+    """One reading of (37)-(39): its plant and its source."""
 
     plant: Plant
     words: str
 
 
 READINGS: Final = {
-    "omega_n = 1": Reading(Plant(second_order=SecondOrder(zeta=1.0, omega_n=1.0)), "(38), (39)"),
-    "omega_n = 2 pi": Reading(
+    "omega_n = 1": PlantReading(
+        Plant(second_order=SecondOrder(zeta=1.0, omega_n=1.0)), "(38), (39)"
+    ),
+    "omega_n = 2 pi": PlantReading(
         Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA)), "(37) with omega_n^2 x"
     ),
-    "stiffness 2 pi": Reading(Plant(companion=[OMEGA, 2 * OMEGA]), "(37) as printed, omega_n x"),
-    "unity DC gain": Reading(
+    "stiffness 2 pi": PlantReading(
+        Plant(companion=[OMEGA, 2 * OMEGA]), "(37) as printed, omega_n x"
+    ),
+    "unity DC gain": PlantReading(
         Plant(second_order=SecondOrder(zeta=1.0, omega_n=OMEGA, gain=OMEGA**2)),
         "(37) with omega_n^2 x = omega_n^2 u",
     ),
 }
 
 
-def reference(amplitude: float) -> Sine:
-    """Return amplitude * sin 2 pi t."""
+def example_reference(amplitude: float) -> Sine:
+    """Return the signal amplitude * sin 2 pi t."""
     return Sine(amplitude=amplitude, frequency=1.0)
 
 
-def printed_example(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
-    """Return the example as printed: (16), (41) without B u, (25), (42), plant (39), d^(0) = d
-    (A2).
+def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = False) -> Scenario:
+    """Build the example as printed:
+
+    (16), (41) without B u, (25), (42), plant (39), d^(0) = d (A2).
 
     Args:
         amplitude: of r = amplitude sin 2 pi t
@@ -66,20 +71,20 @@ def printed_example(amplitude: float, x1: float = 0.0, signed_left: bool = False
         title=f"As printed, r = {amplitude:g} sin 2πt",
         plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[x1, 0.0]),
         sensor=Sensor(right=D, left=D),
-        reference=reference(amplitude),
+        reference=example_reference(amplitude),
         observer=Printed(L=L_PRINTED, alpha=ALPHA, widths0=D, left_sign=left_sign),
         controller=PD(L=L_PRINTED, alpha=ALPHA),
         simulation=Simulation(duration=DURATION),
     )
 
 
-def repaired_example(amplitude: float) -> Scenario:
-    """Return the example repaired, r = amplitude sin 2 pi t.
+def example_as_repaired(amplitude: float) -> Scenario:
+    """Build the example as repaired, r = amplitude sin 2 pi t.
 
     The observer knows u and the measured side, and feedforward makes z follow r.
     """
     return msgspec.structs.replace(
-        printed_example(amplitude),
+        example_as_printed(amplitude),
         title=f"Repaired, r = {amplitude:g} sin 2πt",
         plant=Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], x0=[0.5, 0.0]),
         observer=Certified(L=L_REPAIRED, gamma=10.0, widths0=[0.2, 0.2], width_max=3.0),

@@ -1,4 +1,4 @@
-"""Numbers of the paper's example, each measured on the code and put beside its closed form."""
+"""Numbers of the paper's example, each measured on the code and in closed form."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from undeadzone_paper.example import (
     OMEGA,
     POLES,
     READINGS,
-    printed_example,
+    example_as_printed,
 )
-from undeadzone_paper.trials import rightmost, unstable_from
+from undeadzone_paper.trials import destabilising_alpha, rightmost_pole
 
 STEADY: Final = 4.0  # [s] at the end of a run, over which a steady amplitude is read
 
 
 class Fact(NamedTuple):
-    """A number as measured and in closed form.
+    """Number as measured and in closed form.
 
     Attributes:
         where: the reading of the plant and the equation that it belongs to
@@ -46,13 +46,13 @@ class Fact(NamedTuple):
     closed_form: float
 
     @property
-    def error(self) -> float:
-        """Return measured against closed form, relative where that is above 1."""
+    def relative_error(self) -> float:
+        """Return |measured - closed form|, relative if the closed form is above 1."""
         return abs(self.measured - self.closed_form) / max(1.0, abs(self.closed_form))
 
 
-def facts() -> list[Fact]:
-    """Return all of them.
+def compute_facts() -> list[Fact]:
+    """Compute all facts.
 
     Poles and gains of (40), gains of (34) with A - L C, the certificate of (12, 15), the answer to
     r as a force.
@@ -60,21 +60,19 @@ def facts() -> list[Fact]:
     plants = {name: matrices(reading.plant) for name, reading in READINGS.items()}
     rows = []
     for name, linear in plants.items():
-        rows += _poles(name, linear)
-    rows += _riccati(plants["omega_n = 1"])
-    rows += _certificate(plants["omega_n = 1"])
+        rows += _pole_facts(name, linear)
+    rows += _riccati_facts(plants["omega_n = 1"])
+    rows += _certificate_facts(plants["omega_n = 1"])
     for amplitude in AMPLITUDES:
-        rows += _responses(amplitude)
+        rows += _response_facts(amplitude)
     return rows
 
 
-def _poles(name: str, linear: Matrices) -> list[Fact]:
-    """Return the rightmost and leftmost pole of A - L C with (40), and the gains that (-4, -10)
-    need.
-    """
+def _pole_facts(name: str, linear: Matrices) -> list[Fact]:
+    """Compute the extreme poles of A - L C with (40), and the gains that (-4, -10) need."""
     a0, a1 = -linear.A[1]  # of the plant's polynomial s^2 + a1 s + a0
     l1, l2 = L_PRINTED
-    roots = _quadratic(a1 + l1, a0 + a1 * l1 + l2)
+    roots = _quadratic_roots(a1 + l1, a0 + a1 * l1 + l2)
     poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
     placed = observer_gain(linear, POLES, None).ravel()
     p, q = -sum(POLES), POLES[0] * POLES[1]  # of the wanted polynomial s^2 + p s + q
@@ -87,15 +85,16 @@ def _poles(name: str, linear: Matrices) -> list[Fact]:
     ]
 
 
-def _quadratic(b: float, c: float) -> tuple[float, float]:
+def _quadratic_roots(b: float, c: float) -> tuple[float, float]:
     """Return the real parts of the roots of s^2 + b s + c, the larger first."""
     root = np.sqrt(complex(b * b / 4 - c)).real
     return -b / 2 + root, -b / 2 - root
 
 
-def _riccati(linear: Matrices) -> list[Fact]:
-    """Return K of (34) with A - L C at (-4, -10) and alpha = 10; the alpha from which it
-    destabilises.
+def _riccati_facts(linear: Matrices) -> list[Fact]:
+    """Compute K of (34) with A - L C at (-4, -10), alpha = 10.
+
+    Also compute the alpha from which A - B K is unstable.
 
     In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
     Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
@@ -107,13 +106,15 @@ def _riccati(linear: Matrices) -> list[Fact]:
     k1, k2 = _control_gain(ALPHA)
     # A - B K has s^2 + (2 + k2) s + 1 + k1, with k2 > 0.
     brink = brentq(lambda alpha: 1 + _control_gain(alpha)[0], 1.0, 100.0)
-    pole = _quadratic(2 + k2, 1 + k1)[0]
+    pole = _quadratic_roots(2 + k2, 1 + k1)[0]
     where = "omega_n = 1, (34) with A - L C, L = (12, 15)"
     return [
         Fact(where, "k1", float(K[0, 0]), k1),
         Fact(where, "k2", float(K[0, 1]), k2),
-        Fact(where, "rightmost pole of A - B K", rightmost(linear, drift, ALPHA), pole),
-        Fact(where, "alpha from which A - B K is unstable", unstable_from(linear, drift), brink),
+        Fact(where, "rightmost pole of A - B K", rightmost_pole(linear, drift, ALPHA), pole),
+        Fact(
+            where, "alpha from which A - B K is unstable", destabilising_alpha(linear, drift), brink
+        ),
     ]
 
 
@@ -126,9 +127,8 @@ def _control_gain(alpha: float) -> tuple[float, float]:
     return float((g - q) / 2 - k2 * l1), float(k2)
 
 
-def _certificate(linear: Matrices) -> list[Fact]:
-    """Return min Re(1 + G(jw)) for L = (12, 15), and whether the certificate's search agrees on its
-    sign.
+def _certificate_facts(linear: Matrices) -> list[Fact]:
+    """Compute min Re(1 + G(jw)) for L = (12, 15), and compare its sign with the certificate.
 
     G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
     """
@@ -151,12 +151,12 @@ def _certificate(linear: Matrices) -> list[Fact]:
 
 
 def response_to_force(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
-    """Return the answer from rest to r as a force: u = amplitude sin 2 pi t, k_p = k_d = 0.
+    """Simulate the response from rest to the force u = amplitude sin 2 pi t, k_p = k_d = 0.
 
     Returns:
         Instants t [s], and z at them by reading of the plant.
     """
-    problem = resolve_scenario(printed_example(amplitude))
+    problem = resolve_scenario(example_as_printed(amplitude))
     start = prepare(problem)
     loop = start.loop
     law: Any = loop.params.controller
@@ -168,8 +168,8 @@ def response_to_force(amplitude: float) -> tuple[Floats, dict[str, Floats]]:
     return np.arange(problem.steps + 1) * problem.scenario.simulation.step, outputs
 
 
-def _responses(amplitude: float) -> list[Fact]:
-    """Return steady amplitude (and peak from rest where both poles are equal) with u = r."""
+def _response_facts(amplitude: float) -> list[Fact]:
+    """Compute the steady amplitude with u = r, and the peak from rest if both poles are equal."""
     rows = []
     t, outputs = response_to_force(amplitude)
     for name, z in outputs.items():
@@ -181,13 +181,13 @@ def _responses(amplitude: float) -> list[Fact]:
         steady = float(force / np.hypot(a0 - OMEGA**2, a1 * OMEGA))
         rows.append(Fact(where, "steady amplitude of z", last, steady))
         if np.isclose(a1**2, 4 * a0):
-            peak = float(np.abs(_from_rest(force, a1 / 2, t)).max())
+            peak = float(np.abs(_double_pole_response(force, a1 / 2, t)).max())
             rows.append(Fact(where, "peak of |z| from rest", float(np.abs(z).max()), peak))
     return rows
 
 
-def _from_rest(force: float, w: float, t: Floats) -> Floats:
-    """Return x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly."""
+def _double_pole_response(force: float, w: float, t: Floats) -> Floats:
+    """Return x of x'' + 2 w x' + w^2 x = force sin OMEGA t from rest, exactly (N)."""
     G = force / (w + 1j * OMEGA) ** 2
     # x = Im(G e^{j OMEGA t}) + (c + e t) e^{-w t} with x(0) = x'(0) = 0
     c = -G.imag

@@ -1,4 +1,4 @@
-"""Figures 3-8 of the paper as printed beside repaired, and why the sensor stays silent."""
+"""Figures 3-8 of the paper as printed and as repaired, and the output inside the zone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from undeadzone.results.run import Run
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
-from undeadzone_paper.measures import reading_of_estimate
+from undeadzone_paper.measures import reading_estimate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,8 +26,8 @@ DASHED: Final = (0, (4, 2))
 _COLOURS: Final = (ink.PRINTED, ink.ESTIMATE, ink.REFERENCE, ink.READING)
 
 
-class Trio(NamedTuple):
-    """The runs of one reference.
+class RunTrio(NamedTuple):
+    """Runs of one reference.
 
     Attributes:
         resting: as printed, from rest
@@ -40,8 +40,8 @@ class Trio(NamedTuple):
     repaired: Run
 
 
-class Line(NamedTuple):
-    """A signal of a run with the name and colour of its line."""
+class SignalLine(NamedTuple):
+    """Signal of a run with the name and colour of its line."""
 
     name: str
     colour: str
@@ -50,25 +50,27 @@ class Line(NamedTuple):
 
 _LINES: Final = {
     3: (
-        Line("$y$", ink.TRUTH, lambda run: run.y[:, 0]),
-        Line(r"$\hat y$", ink.ESTIMATE, reading_of_estimate),
+        SignalLine("$y$", ink.TRUTH, lambda run: run.y[:, 0]),
+        SignalLine(r"$\hat y$", ink.ESTIMATE, reading_estimate),
     ),
-    4: (Line(r"$\hat y - y$", ink.ESTIMATE, lambda run: reading_of_estimate(run) - run.y[:, 0]),),
+    4: (
+        SignalLine(r"$\hat y - y$", ink.ESTIMATE, lambda run: reading_estimate(run) - run.y[:, 0]),
+    ),
     5: (
-        Line("$x_1$", ink.TRUTH, lambda run: run.x[:, 0]),
-        Line(r"$\hat x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
+        SignalLine("$x_1$", ink.TRUTH, lambda run: run.x[:, 0]),
+        SignalLine(r"$\hat x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
     ),
-    6: (Line(r"$\hat x_1 - x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
-    7: (Line(r"$\hat x_2 - x_2$", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
+    6: (SignalLine(r"$\hat x_1 - x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
+    7: (SignalLine(r"$\hat x_2 - x_2$", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
     8: (
-        Line(r"$\hat d_r$", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
-        Line(r"$\hat d_l$", ink.OTHER, lambda run: run.d_hat[:, 1]),
+        SignalLine(r"$\hat d_r$", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
+        SignalLine(r"$\hat d_l$", ink.OTHER, lambda run: run.d_hat[:, 1]),
     ),
 }
 
 
-def figure(number: int, runs: Trio, reference: str) -> Figure:
-    """Return one of figures 3-8, V(t) below it.
+def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
+    """Plot one of figures 3-8 with V(t) below.
 
     Args:
         number: of the figure
@@ -78,37 +80,41 @@ def figure(number: int, runs: Trio, reference: str) -> Figure:
     lines = _LINES[number]
     sketch, panels = sheet(
         [["printed", "repaired"], ["V printed", "V repaired"]],
-        f"Figure {number}: {mathtext(FIGURES[number])}, {reference}",
+        f"Figure {number}: {to_mathtext(FIGURES[number])}, {reference}",
     )
     axes = panels["printed"]
-    _signals(axes, lines, runs.begun)
-    _from_rest(axes, runs.resting, lines[0].value)
+    _plot_lines(axes, lines, runs.begun)
+    _plot_from_rest(axes, runs.resting, lines[0].value)
     start = f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}"
     finish(axes, start, ", ".join(line.name for line in lines))
-    _signals(panels["repaired"], lines, runs.repaired)
+    _plot_lines(panels["repaired"], lines, runs.repaired)
     finish(panels["repaired"], "Repaired")
     axes = panels["V printed"]
-    axes.plot(runs.begun.t, _V(runs.begun), color=ink.TRUTH, label="started outside the zone")
-    _from_rest(axes, runs.resting, _V)
+    axes.plot(
+        runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside the zone"
+    )
+    _plot_from_rest(axes, runs.resting, _values_of_V)
     finish(axes, "V of (30), as printed", "V")
-    plot_magnitude(panels["V repaired"], runs.repaired.t, _V(runs.repaired), ink.TRUTH, "V")
+    plot_magnitude(
+        panels["V repaired"], runs.repaired.t, _values_of_V(runs.repaired), ink.TRUTH, "V"
+    )
     finish(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
     return sketch
 
 
-def mathtext(words: str) -> str:
-    """Return words with x1 and y as symbols, and x^1 and y^ with their hats on."""
+def to_mathtext(words: str) -> str:
+    """Convert words to symbols: x1 and y, and x^1 and y^ with hats."""
     plain = re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words)
     return re.sub(r"([a-z])\^(\d?)", r"$\\hat{\1}_{\2}$", plain)
 
 
-def _V(run: Run) -> Floats:
-    """Return V of a run; nan where it has none."""
+def _values_of_V(run: Run) -> Floats:
+    """Return V of a run (N), NaN if it has none."""
     return np.full(run.t.size, np.nan) if run.V is None else run.V
 
 
-def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
-    """The lines of a run: two oscillating ones early, an error or the widths over all of it."""
+def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
+    """Plot the lines of a run: oscillating pairs early, an error or the widths over all of it."""
     widths = lines is _LINES[8]
     paired = len(lines) == 2 and not widths
     shown = run.t <= (EARLY if paired else run.t[-1])
@@ -120,14 +126,14 @@ def _signals(axes: Axes, lines: tuple[Line, ...], run: Run) -> None:
         axes.plot(t, value, color=line.colour, label=line.name, linestyle=dashes)
 
 
-def _from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
-    """A thin line of what the same does from rest, as far as the panel goes."""
+def _plot_from_rest(axes: Axes, run: Run, value: Callable[[Run], Floats]) -> None:
+    """Plot a thin line of the run from rest, up to the end of the panel."""
     shown = run.t <= axes.dataLim.x1
     axes.plot(run.t[shown], value(run)[shown], color=ink.PRINTED, linewidth=1.0, label="from rest")
 
 
-def silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
-    """What u = r = 5 sin 2 pi t as a force does from rest, the small answers again larger.
+def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
+    """Plot the response from rest to the force u = 5 sin 2 pi t, small responses enlarged.
 
     Args:
         t: instants [s]

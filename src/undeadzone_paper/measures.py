@@ -1,4 +1,4 @@
-"""What the paper plots and claims, measured on a `Run` of one output."""
+"""Quantities that the paper plots and claims, measured on a `Run` of one output."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from undeadzone.plants.build import matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
 from undeadzone.util.arrays import Floats
-from undeadzone_paper.example import ALPHA, L_PRINTED, printed_example
+from undeadzone_paper.example import ALPHA, L_PRINTED, example_as_printed
 
 
-def reading_of_estimate(run: Run) -> Floats:
-    """Return y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N)."""
+def reading_estimate(run: Run) -> Floats:
+    """Return y^ = C x^ - Sat(C x^) of (17), with the estimated widths (N) [y]."""
     return np.asarray(deadzone(run.z_hat[:, 0], run.d_hat[:, 0], run.d_hat[:, 1]))
 
 
 def width_errors(run: Run) -> Floats:
-    """Return d^ - d (N x 2)."""
+    """Return d^ - d (N x 2) [z]."""
     return run.d_hat - np.array(run.info.widths)
 
 
@@ -28,71 +28,72 @@ def with_printed_V(run: Run) -> Run:
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
-    A, B, C = matrices(printed_example(1.0).plant)
+    A, B, C = matrices(example_as_printed(1.0).plant)
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
     of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2
     return Run(run.info, run.signals, V=of_reading + of_widths)
 
 
-def rms(values: Floats) -> float:
-    """Return root mean square; infinite where the values diverge."""
+def rms_or_inf(values: Floats) -> float:
+    """Return the root mean square, or inf if the values diverge."""
     with np.errstate(over="ignore", invalid="ignore"):
         size = float(np.sqrt(np.mean(np.square(values))))
     return size if size < LIMIT else np.inf
 
 
 def reading_error(run: Run) -> float:
-    """Return rms of y^ - y over the last 2 s."""
-    return rms((reading_of_estimate(run) - run.y[:, 0])[run.last])
+    """Return the rms of y^ - y over the last 2 s [y]."""
+    return rms_or_inf((reading_estimate(run) - run.y[:, 0])[run.last])
 
 
 def state_error(run: Run, index: int) -> float:
-    """Return rms of x^ - x of one state over the last 2 s."""
-    return rms((run.x_hat - run.x)[run.last, index])
+    """Return the rms of x^ - x of one state over the last 2 s."""
+    return rms_or_inf((run.x_hat - run.x)[run.last, index])
 
 
 def width_error(run: Run) -> float:
-    """Return largest |d^ - d| over the last 2 s."""
-    return _largest(width_errors(run)[run.last])
+    """Return the largest |d^ - d| over the last 2 s [z]."""
+    return _largest_or_inf(width_errors(run)[run.last])
 
 
 def growth_of_widths(run: Run) -> float:
-    """Return largest |d^| in the second half of the run relative to that in the first.
+    """Return the largest |d^| in the second half of the run relative to the first half [1].
 
     Infinite if the run diverges.
     """
     if run.divergence_time is not None:
         return np.inf
     half = run.t.size // 2
-    return _largest(run.d_hat[half:]) / _largest(run.d_hat[:half])
+    return _largest_or_inf(run.d_hat[half:]) / _largest_or_inf(run.d_hat[:half])
 
 
-def difference(run: Run, other: Run) -> float:
-    """Return largest difference of d^ between two runs."""
-    return _largest(run.d_hat - other.d_hat)
+def width_difference(run: Run, other: Run) -> float:
+    """Return the largest difference of d^ between two runs [z]."""
+    return _largest_or_inf(run.d_hat - other.d_hat)
 
 
 def tracking_error(run: Run) -> float:
-    """Return rms of z - r over the last 2 s."""
-    return rms((run.z - run.r)[run.last])
+    """Return the rms of z - r over the last 2 s [z]."""
+    return rms_or_inf((run.z - run.r)[run.last])
 
 
 def inverse_error(run: Run) -> float:
-    """Return rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone; 0 without
-    any.
+    """Return the rms of y + chi_bar d^ - z over the last 2 s of samples outside the zone [z].
+
+    It is 0 without any.
     """
     outside = np.flatnonzero(run.side[:, 0])[-round(LAST / run.info.step) :]
-    return rms((run.z_inverse - run.z)[outside]) if outside.size else 0.0
+    return rms_or_inf((run.z_inverse - run.z)[outside]) if outside.size else 0.0
 
 
 def total_inverse_error(run: Run) -> float:
-    """Return rms of y + chi_bar d^ - z over the last 2 s, inside the zone and outside."""
-    return rms((run.z_inverse - run.z)[run.last])
+    """Return the rms of y + chi_bar d^ - z over the last 2 s, inside the zone and outside [z]."""
+    return rms_or_inf((run.z_inverse - run.z)[run.last])
 
 
 def indicator_error(run: Run, sharpness: float) -> float:
-    """Return largest difference of the smooth indicators (8)-(10) of y from the true branch of z.
+    """Return the largest error of the smooth indicators (8)-(10) of y for the branch of z [1].
 
     Args:
         run: of one output
@@ -100,16 +101,16 @@ def indicator_error(run: Run, sharpness: float) -> float:
     """
     where = zone(run.z, *np.array(run.info.widths))
     right, left = indicators(run.y, sharpness)
-    return _largest(np.hstack([right - (where > 0), left - (where < 0)]))
+    return _largest_or_inf(np.hstack([right - (where > 0), left - (where < 0)]))
 
 
 def side_error(run: Run) -> float:
-    """Return largest difference of the measured side from the true branch of z."""
-    return _largest(run.side - zone(run.z, *np.array(run.info.widths)))
+    """Return the largest difference of the measured side from the true branch of z [1]."""
+    return _largest_or_inf(run.side - zone(run.z, *np.array(run.info.widths)))
 
 
 def steep_share(run: Run, slope: float = 0.1) -> float:
-    """Return share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1/s].
+    """Return the share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1].
 
     Infinite if the run diverges.
     """
@@ -119,8 +120,8 @@ def steep_share(run: Run, slope: float = 0.1) -> float:
     return float((np.abs(np.gradient(error, run.info.step)) > slope).mean())
 
 
-def rise(run: Run) -> float:
-    """Return largest increase of V above an earlier value, relative to its largest.
+def lyapunov_rise(run: Run) -> float:
+    """Return the largest increase of V above an earlier value, relative to its largest [1].
 
     Infinite if the run diverges.
     """
@@ -129,8 +130,8 @@ def rise(run: Run) -> float:
     return run.largest_rise_of_V
 
 
-def rate(run: Run) -> float:
-    """Return rate [1/s] at which |d^ - d| falls.
+def width_convergence_rate(run: Run) -> float:
+    """Return the rate at which |d^ - d| falls [1/s].
 
     From its largest values in the last second and in one at half time.
     """
@@ -141,7 +142,7 @@ def rate(run: Run) -> float:
     return float(np.log(ratio) / (run.t[-1] - run.t[half - 1]))
 
 
-def _largest(values: Floats) -> float:
-    """Return the largest size; infinite where the values diverge."""
+def _largest_or_inf(values: Floats) -> float:
+    """Return the largest absolute value, or inf if the values diverge."""
     size = float(np.abs(values).max())
     return size if size < LIMIT else np.inf

@@ -1,4 +1,4 @@
-"""The paper's observer as printed, (16)-(17), (25), with the least that makes its shapes agree."""
+"""Observer of the paper as printed, (16)-(17), (25), with minimal repairs of its shapes."""
 
 from __future__ import annotations
 
@@ -54,37 +54,41 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
     left_sign: float = -1.0
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a continuous-time linear model of one output."""
+        """Build the observer for a continuous-time linear model of one output."""
         if model.Ts is not None or model.nonlinear or model.p != 1:
             raise InputError(
                 "observer.method: 'printed' is defined for a linear plant of one output in "
                 "continuous time (simulation.time)"
             )
-        params = self._params(model)
+        params = self._observer_numbers(model)
 
-        def init(p: Params) -> State:
-            return State(np.zeros(model.n), p.right0, p.left0)
+        def init(p: PrintedParams) -> PrintedState:
+            """Return the state at t = 0."""
+            return PrintedState(np.zeros(model.n), p.right0, p.left0)
 
-        def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        def step(
+            p: PrintedParams, s: PrintedState, u: Any, reading: Reading
+        ) -> tuple[PrintedState, Estimate]:
+            """Return the state's derivative and the estimate."""
             z = model.output(p.model, s.x)
             y_hat = z - saturation(z, s.right, s.left)
             e = reading.y - y_hat
             chi_r, chi_l = indicators(reading.y, p.sharpness)
             rate = -p.sigma * e * p.cpl
             x = model.move(p.model, s.x, p.feed_input * u) + p.L @ e
-            change = State(x, rate * chi_r, p.left_sign * -rate * chi_l)
+            change = PrintedState(x, rate * chi_r, p.left_sign * -rate * chi_l)
             return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
 
         return Observer(params, init, step, traits=Traits(L=params.L))
 
-    def _params(self, model: System) -> Params:
+    def _observer_numbers(self, model: System) -> PrintedParams:
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
         A, B, C = model.linear
         L = gains(self.L, model)
         alpha = scalar("observer.alpha", self.alpha, above=0.0)
         P = paper_riccati(A - L @ C, B, alpha, weight("observer.Q", self.Q, model.n)).P
         right, left = pairs("observer.widths0", self.widths0, 1)[0]
-        return Params(
+        return PrintedParams(
             model=model.params,
             L=L,
             sigma=np.float64(scalar("observer.sigma", self.sigma)),
@@ -97,8 +101,8 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
         )
 
 
-class Params(NamedTuple):
-    """Numbers of the observer; cpl = C P L, the others as in `Printed`."""
+class PrintedParams(NamedTuple):
+    """Numbers of the observer: cpl = C P L, the rest as in `Printed`."""
 
     model: Any
     L: Floats
@@ -111,8 +115,8 @@ class Params(NamedTuple):
     left0: Floats
 
 
-class State(NamedTuple):
-    """x^ and the widths d_r^, d_l^."""
+class PrintedState(NamedTuple):
+    """State x^ and the widths d_r^, d_l^."""
 
     x: Any
     right: Any

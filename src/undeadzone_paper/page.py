@@ -1,4 +1,4 @@
-"""The audit on paper: its figures as files, and one page that holds everything."""
+"""Files of the audit: its figures, and one page with all results."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write
 from undeadzone.util.files import write_text
-from undeadzone_paper.claims import HOW, count_verdicts
+from undeadzone_paper.claims import HOW, verdict_counts_text
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING
 from undeadzone_paper.example import AMPLITUDES, READINGS
 from undeadzone_paper.facts import response_to_force
-from undeadzone_paper.figures import Trio, figure, silence
+from undeadzone_paper.figures import RunTrio, plot_paper_figure, plot_silence
 from undeadzone_paper.observer import STAND_INS
 from undeadzone_paper.printed import DEFINITION
 
@@ -39,7 +39,7 @@ _COLOURS: Final = {
 }
 
 
-def write_figures(
+def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None = None
 ) -> list[Path]:
     """Write silence.svg, and figures 3-8 for r = 5 sin and for r = 2 sin. Raises FileError.
@@ -53,22 +53,22 @@ def write_figures(
         silence.svg; figure_3.svg ... figure_8.svg for r = 5 sin; figure_3_2sin.svg ... for 2 sin.
     """
     evidence = paper.evidence
-    written = [write(silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")]
+    written = [write(plot_silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")]
     trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
         for number in FIGURES:
-            drawn = figure(number, Trio(*trio), f"r = {amplitude:g} sin 2πt")
+            drawn = plot_paper_figure(number, RunTrio(*trio), f"r = {amplitude:g} sin 2πt")
             written.append(write(drawn, folder / f"figure_{number}{suffix}.svg"))
             if progress is not None:
                 progress(1)
     return written
 
 
-def write_report(
+def write_audit_page(
     paper: Paper, images: list[Path], path: Path, origin: Origin | None = None
 ) -> Path:
-    """Write one self-contained HTML page with everything. Raises FileError.
+    """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:
         paper: the audit
@@ -84,14 +84,14 @@ def write_report(
     caption = "Each reading of the plant with the reference acting as a force, from rest."
     text = page(
         "Output deadzone: the paper's example, as printed and repaired",
-        paragraph(count_verdicts(paper.claims)),
+        paragraph(verdict_counts_text(paper.claims)),
         paragraph(intro, "note"),
-        _outcome(paper),
-        section("The paper's claims", *_claims(paper)),
-        section("As printed", *_as_printed(paper), picture(silent.read_bytes(), caption)),
-        section("Figures 3-8", *_figures(numbered)),
-        section("Numbers against their closed forms", _facts(paper)),
-        section("Where each equation went", _equations(paper)),
+        _outcome_table(paper),
+        section("The paper's claims", *_claims_section(paper)),
+        section("As printed", *_variants_section(paper), picture(silent.read_bytes(), caption)),
+        section("Figures 3-8", *_figures_section(numbered)),
+        section("Numbers against their closed forms", _facts_table(paper)),
+        section("Where each equation went", _equations_table(paper)),
         origin=origin,
     )
     return write_text(text, path)
@@ -114,8 +114,8 @@ _WORDS: Final = {
 }
 
 
-def _outcome(paper: Paper) -> Html:
-    """Return the numbers of the example as printed beside those of its repairs."""
+def _outcome_table(paper: Paper) -> Html:
+    """Return a table of the example's numbers as printed and as repaired."""
     summary = paper.summary()
     printed = summary["printed"]
     absent = [None] * len(_REPAIRED)
@@ -129,14 +129,14 @@ def _outcome(paper: Paper) -> Html:
     return table(("", "as printed, 5 sin, from rest", *_REPAIRED.values()), rows)
 
 
-def _claims(paper: Paper) -> list[Html]:
-    """How many claims hold, and the table of them."""
+def _claims_section(paper: Paper) -> list[Html]:
+    """Return the rule of the verdicts and the table of claims."""
     rows = []
     for claim in paper.claims:
         text = claim.text
         verdict = tag("span", claim.verdict, _COLOURS[claim.verdict])
         quoted = f"\u201c{text.words}\u201d, {text.where}"
-        rows.append((text.claim, quoted, claim.measured_in_words, verdict, text.why))
+        rows.append((text.claim, quoted, claim.numbers_text, verdict, text.why))
     return [
         paragraph(HOW),
         table(("claim", "in the paper", "measured", "verdict", "why"), rows),
@@ -167,8 +167,8 @@ _VARIANT: Final = (
 )
 
 
-def _as_printed(paper: Paper) -> list[Html]:
-    """What the variants of the example as printed do, and what stands in for what is missing."""
+def _variants_section(paper: Paper) -> list[Html]:
+    """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
     counts = [(READINGS[count.plant].words, *count) for count in paper.counts]
     stand_ins = [*STAND_INS.items(), ("(30) P", _SCALAR_P)]
@@ -189,7 +189,7 @@ def _as_printed(paper: Paper) -> list[Html]:
     ]
 
 
-def _figures(images: list[Path]) -> list[Html]:
+def _figures_section(images: list[Path]) -> list[Html]:
     """Return figures 3-8 of the first reference, and folded those of the second."""
     half = len(images) // 2
     captions = [
@@ -202,14 +202,14 @@ def _figures(images: list[Path]) -> list[Html]:
     return [*shown[:half], fold_section("The same for the reference 2 sin 2πt", *shown[half:])]
 
 
-def _facts(paper: Paper) -> Html:
-    """Return numbers as measured beside their closed forms."""
+def _facts_table(paper: Paper) -> Html:
+    """Return a table of numbers as measured and in closed form."""
     head = ("where", "what", "measured", "closed form", "difference")
-    return table(head, [(*fact, fact.error) for fact in paper.facts])
+    return table(head, [(*fact, fact.relative_error) for fact in paper.facts])
 
 
-def _equations(paper: Paper) -> Html:
-    """Return every equation of the paper, where it went, and the claims that judge it."""
+def _equations_table(paper: Paper) -> Html:
+    """Return a table of the paper's equations, their places in the code, and their claims."""
     rows = []
     for entry in paper.summary()["equations"]:
         *cells, claims = entry.values()

@@ -1,4 +1,4 @@
-"""Every variant of the example as printed: what leaves the dead zone, what moves d^, what diverges.
+"""All variants of the example as printed: exits from the zone, moves of d^, divergence.
 
 A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD
 law (the two halves of (42) contradict each other) and the sign convention of d_l: 48 for each plant
@@ -24,7 +24,15 @@ from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone_paper.example import ALPHA, L_PRINTED, POLES, READINGS, STARTED, D, printed_example
+from undeadzone_paper.example import (
+    ALPHA,
+    L_PRINTED,
+    POLES,
+    READINGS,
+    STARTED,
+    D,
+    example_as_printed,
+)
 from undeadzone_paper.observer import Printed
 
 STEP: Final = 5e-3  # [s]
@@ -49,7 +57,7 @@ DEFINITION: Final = (
 
 
 class Variant(NamedTuple):
-    """One choice of everything that the paper leaves open or contradicts.
+    """One choice of all options that the paper leaves open or contradicts.
 
     Attributes:
         plant: one of `READINGS`
@@ -71,7 +79,7 @@ class Variant(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a variant did.
+    """Outcome of a variant.
 
     Attributes:
         variant: which one
@@ -90,8 +98,8 @@ class Outcome(NamedTuple):
     diverged_at: float | None
 
 
-class Count(NamedTuple):
-    """How many of the variants of one plant and start did what."""
+class VariantCount(NamedTuple):
+    """Counts of outcomes over the variants of one plant and start."""
 
     plant: str
     start: str
@@ -108,7 +116,9 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
         progress: called with the number of steps just done
     """
     simulation = Simulation(duration=DURATION, step=STEP)
-    problem = resolve_scenario(msgspec.structs.replace(printed_example(5.0), simulation=simulation))
+    problem = resolve_scenario(
+        msgspec.structs.replace(example_as_printed(5.0), simulation=simulation)
+    )
     loop, _, exogenous = prepare(problem)
     run = engine_for(loop, "auto", len(exogenous))
     outcomes = []
@@ -119,31 +129,29 @@ def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]
             variant = Variant(plant, start, name, feeds_input, sigma, pd_sign, left_sign)
             with_signs, state = _with_signs(with_gains, variant)
             signal = outputs_of(Start(with_signs, state, exogenous), progress, run)
-            outcomes.append(_judge(variant, signal))
+            outcomes.append(_build_outcome(variant, signal))
     return outcomes
 
 
-def gain(name: str, model: System) -> Floats:
-    """Return L by name: (40), its negative, or the one that places the poles of (40) for this
-    plant.
-    """
+def gain_by_name(name: str, model: System) -> Floats:
+    """Return L by name (2): (40), its negative, or the gain that places the poles of (40)."""
     if name == "placed":
         return observer_gain(model.linear, POLES, None)
     return np.array(L_PRINTED) * {"printed": 1.0, "negated": -1.0}[name]
 
 
-def count(outcomes: Iterable[Outcome]) -> list[Count]:
-    """Return the outcomes counted per plant and start, in the order they came."""
+def count_outcomes(outcomes: Iterable[Outcome]) -> list[VariantCount]:
+    """Count the outcomes per plant and start, in their order."""
     groups: dict[tuple[str, str], list[Outcome]] = {}
     for outcome in outcomes:
         key = outcome.variant.plant, outcome.variant.start
         groups.setdefault(key, []).append(outcome)
-    return [_count(*key, group) for key, group in groups.items()]
+    return [_count_group(*key, group) for key, group in groups.items()]
 
 
-def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
-    """Return the outcomes of one plant and start counted."""
-    return Count(
+def _count_group(plant: str, start: str, outcomes: list[Outcome]) -> VariantCount:
+    """Count the outcomes of one plant and start."""
+    return VariantCount(
         plant,
         start,
         total=len(outcomes),
@@ -154,9 +162,9 @@ def _count(plant: str, start: str, outcomes: list[Outcome]) -> Count:
 
 
 def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
-    """Return the loop with a reading of the plant and the gains L of that name."""
+    """Return the loop with a reading of the plant and the gains L of a name."""
     model = system(READINGS[plant].plant)
-    L = gain(name, model)
+    L = gain_by_name(name, model)
     observer = Printed(L=L, alpha=ALPHA).build(model, problem.sensor)
     law = PD(L=L, alpha=ALPHA).build(model)
     params = loop.params._replace(
@@ -184,8 +192,8 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
     return loop._replace(params=params), tree.pack(state)
 
 
-def _judge(variant: Variant, signal: Outputs) -> Outcome:
-    """Return the outcome, from the signals up to where one of them leaves +-LIMIT."""
+def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:
+    """Compute the outcome from the signals up to their divergence."""
     largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))
     end = int(bad[0]) if bad.size else largest.size

@@ -1,4 +1,4 @@
-"""The audit's files: its numbers as JSON, its variants as CSV, figures 3-8, its page."""
+"""Files of the audit: its numbers as JSON, its variants as CSV, figures 3-8, its page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from undeadzone.report.html import Origin
 from undeadzone.util.files import replacing, write_text
 from undeadzone_paper.audit import Paper, Progress
-from undeadzone_paper.page import write_figures, write_report
+from undeadzone_paper.page import write_audit_figures, write_audit_page
 from undeadzone_paper.printed import Outcome, Variant
 
 
@@ -20,7 +20,7 @@ def write(
     progress: Progress | None = None,
     origin: Origin | None = None,
 ) -> list[Path]:
-    """Write paper.json and variants.csv, and figures 3-8 and report.html where wanted.
+    """Write paper.json and variants.csv, and figures 3-8 and report.html if wanted.
 
     Args:
         paper: the audit
@@ -41,13 +41,13 @@ def write(
         _write_variants(paper.variants, folder / "variants.csv"),
     ]
     if figures:
-        images = write_figures(paper, folder, progress)
-        written += [*images, write_report(paper, images, folder / "report.html", origin)]
+        images = write_audit_figures(paper, folder, progress)
+        written += [*images, write_audit_page(paper, images, folder / "report.html", origin)]
     return written
 
 
 def _write_variants(outcomes: list[Outcome], path: Path) -> Path:
-    """Write a line for each variant and what it did."""
+    """Write a line for each variant and its outcome."""
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([*Variant._fields, *Outcome._fields[1:]])

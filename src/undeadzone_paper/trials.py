@@ -1,4 +1,4 @@
-"""The numbers behind each claim: its quantity as printed, as repaired, and those of its reason."""
+"""Numbers for each claim: its quantity as printed, as repaired, and those of its reason."""
 
 from __future__ import annotations
 
@@ -31,14 +31,21 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
 from undeadzone_paper.equations import EQUATIONS, FIGURES
-from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SLOPE, Evidence, Pair
-from undeadzone_paper.example import L_POLES, L_PRINTED, POLES, D, printed_example, repaired_example
+from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SLOPE, Evidence, RunPair
+from undeadzone_paper.example import (
+    L_POLES,
+    L_PRINTED,
+    POLES,
+    D,
+    example_as_printed,
+    example_as_repaired,
+)
 
 Measure: TypeAlias = Callable[[Run], float]
 
 
-class Measured(NamedTuple):
-    """What was measured for a claim.
+class ClaimNumbers(NamedTuple):
+    """Numbers measured for a claim.
 
     Attributes:
         printed: its quantity as printed, by case; empty: no equation has it
@@ -51,170 +58,177 @@ class Measured(NamedTuple):
     named: dict[str, float] = {}
 
 
-Numbers: TypeAlias = dict[str, Measured]  # by the claim's id
+Numbers: TypeAlias = dict[str, ClaimNumbers]  # by the claim's id
 
 SHARPNESS: Final = 100.0  # k_s of tanh(k_s y), (8)
 EQUAL: Final = 1e-12  # rms of y^ - y up to which they are equal
 POSITIVE, NEGATIVE = "with d_l > 0", "with d_l < 0"
 
 
-def measure(evidence: Evidence) -> Numbers:
-    """What was measured, by the claim's id; of several runs the worst counts."""
+def measure_claims(evidence: Evidence) -> Numbers:
+    """Compute the numbers of all claims, by id. Of several runs the worst counts."""
     return {
-        **_sensor(evidence),
-        **_slope(evidence),
-        **_gains(matrices(printed_example(1.0).plant)),
-        **_observer(evidence),
-        **_robust(evidence),
-        **_remedies(evidence),
-        **_paper(evidence),
-        **_others(),
+        **_sensor_claims(evidence),
+        **_slope_claim(evidence),
+        **_gain_claims(matrices(example_as_printed(1.0).plant)),
+        **_observer_claims(evidence),
+        **_robustness_claims(evidence),
+        **_remedy_claims(evidence),
+        **_paper_claims(evidence),
+        **_comparison_claims(),
     }
 
 
-def _worst(measure: Measure, runs: Iterable[Run]) -> float:
+def _worst_value(measure: Measure, runs: Iterable[Run]) -> float:
     """Return the largest value of a quantity among runs."""
     return max(measure(run) for run in runs)
 
 
-def _cases(measure: Measure, evidence: Evidence) -> dict[str, float]:
-    """Return the largest value of a quantity for each way to start the example as printed."""
-    return {case: _worst(measure, runs) for case, runs in evidence.printed.items()}
+def _worst_by_start(measure: Measure, evidence: Evidence) -> dict[str, float]:
+    """Return the largest value of a quantity for each start of the example as printed."""
+    return {case: _worst_value(measure, runs) for case, runs in evidence.printed.items()}
 
 
-def _pair(measure: Measure, pair: Pair) -> Measured:
-    """Return a quantity on runs under the same conditions."""
-    return Measured(_one(_worst(measure, pair.printed)), _worst(measure, pair.repaired))
+def _measure_pair(measure: Measure, pair: RunPair) -> ClaimNumbers:
+    """Compute a quantity on runs under the same conditions."""
+    return ClaimNumbers(
+        _single_case(_worst_value(measure, pair.printed)), _worst_value(measure, pair.repaired)
+    )
 
 
-def _one(value: float) -> dict[str, float]:
+def _single_case(value: float) -> dict[str, float]:
     """Return a value of the example as printed that has one case only."""
     return {"": value}
 
 
-def _sensor(e: Evidence) -> Numbers:
-    """Return claims on the dead zone itself."""
+def _sensor_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on the dead zone itself."""
     z = np.linspace(-5.0, 5.0, 1001)
     z = z[np.abs(z) > D]
     y, side = deadzone(z, D, D), zone(z, D, D)
     printed_form = z - D * (side < 0) - D * (side > 0)  # (11) with chi_bar = [chi_r, chi_l]
     signed_form = z + D * (side < 0) - D * (side > 0)  # the same with d_l = -D
     corrected = z - offset(side, D, D)
-    decomposition = {POSITIVE: _largest(y - printed_form), NEGATIVE: _largest(y - signed_form)}
+    decomposition = {
+        POSITIVE: _largest_absolute(y - printed_form),
+        NEGATIVE: _largest_absolute(y - signed_form),
+    }
     taken_off = float(np.abs(saturation(z, D, D)).max())
     widths = {
         POSITIVE: max(0.0, taken_off - abs(D - D)),
         NEGATIVE: max(0.0, taken_off - abs(D + D)),
     }
-    smooth = _worst(_smooth_indicator_error, e.printed[RESTING])
+    smooth = _worst_value(_smooth_indicator_error, e.printed[RESTING])
     figure_1 = {
-        "with x the output": _worst(_apart_from_output, e.printed[BEGUN]),
-        "with x the input": _worst(_apart_from_input, e.printed[BEGUN]),
+        "with x the output": _worst_value(_output_deviation, e.printed[BEGUN]),
+        "with x the input": _worst_value(_input_deviation, e.printed[BEGUN]),
     }
     return {
-        "decomposition": Measured(decomposition, _largest(y - corrected)),
-        "width-bound": Measured(widths, max(0.0, taken_off - saturation_bound(D, D))),
-        "figure-1": Measured(figure_1, _worst(_apart_from_output, e.repaired)),
-        "indicators": Measured(_one(smooth), _worst(m.side_error, e.repaired)),
+        "decomposition": ClaimNumbers(decomposition, _largest_absolute(y - corrected)),
+        "width-bound": ClaimNumbers(widths, max(0.0, taken_off - saturation_bound(D, D))),
+        "figure-1": ClaimNumbers(figure_1, _worst_value(_output_deviation, e.repaired)),
+        "indicators": ClaimNumbers(_single_case(smooth), _worst_value(m.side_error, e.repaired)),
     }
 
 
-def _slope(e: Evidence) -> Numbers:
-    """Return the claim on m: what a reading that is divided by it differs by, and what comes of
-    it.
-    """
+def _slope_claim(e: Evidence) -> Numbers:
+    """Compute the numbers of the claim on m: errors of a reading divided by m, and effects."""
     z = np.linspace(-5.0, 5.0, 1001)
     divided = deadzone(z, D, D, SLOPE) / SLOPE
-    of_reading = _largest(divided - deadzone(z, D, D))
-    return {"unit-slope": Measured(_one(of_reading), m.difference(e.repaired[0], e.scaled))}
+    of_reading = _largest_absolute(divided - deadzone(z, D, D))
+    return {
+        "unit-slope": ClaimNumbers(
+            _single_case(of_reading), m.width_difference(e.repaired[0], e.scaled)
+        )
+    }
 
 
-def _apart_from_output(run: Run) -> float:
-    """Return the largest difference of y from the dead zone of the plant's output."""
-    return _largest(run.y - deadzone(run.z, D, D))
+def _output_deviation(run: Run) -> float:
+    """Return the largest difference of y from the dead zone of the plant's output [y]."""
+    return _largest_absolute(run.y - deadzone(run.z, D, D))
 
 
-def _apart_from_input(run: Run) -> float:
-    """Return the largest difference of y from the dead zone of the plant's input."""
-    return _largest(run.y - deadzone(run.u, D, D))
+def _input_deviation(run: Run) -> float:
+    """Return the largest difference of y from the dead zone of the plant's input [y]."""
+    return _largest_absolute(run.y - deadzone(run.u, D, D))
 
 
-def _largest(values: Floats) -> float:
-    """Return the largest size among values."""
+def _largest_absolute(values: Floats) -> float:
+    """Return the largest absolute value."""
     return float(np.abs(values).max())
 
 
 def _smooth_indicator_error(run: Run) -> float:
-    """Return the largest error of the smooth indicators as printed."""
+    """Return the largest error of the smooth indicators as printed [1]."""
     return m.indicator_error(run, SHARPNESS)
 
 
-def _gains(linear: Matrices) -> Numbers:
-    """Return claims on the gains (40) and (42)."""
+def _gain_claims(linear: Matrices) -> Numbers:
+    """Compute the numbers of the claims on the gains (40) and (42)."""
     placed = observer_gain(linear, POLES, None).ravel()
-    poles = np.sort(np.linalg.eigvals(_closed_matrix(linear, L_PRINTED)).real)
+    poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L_PRINTED)).real)
     where = {"leftmost": float(poles[0]), "rightmost": float(poles[-1])}
-    printed_drift, placed_drift = _closed_matrix(linear, L_PRINTED), _closed_matrix(linear, L_POLES)
-    brink = {"brink": unstable_from(linear, placed_drift)}
+    printed_drift, placed_drift = _error_matrix(linear, L_PRINTED), _error_matrix(linear, L_POLES)
+    brink = {"brink": destabilising_alpha(linear, placed_drift)}
     return {
-        "observer-poles": Measured(
-            _one(pole_error(linear, L_PRINTED)), pole_error(linear, placed), where
+        "observer-poles": ClaimNumbers(
+            _single_case(pole_error(linear, L_PRINTED)), pole_error(linear, placed), where
         ),
-        "riccati-gain": Measured(
-            _one(_rightmost_of_all(linear, printed_drift)),
-            _rightmost_of_all(linear, linear.A),
+        "riccati-gain": ClaimNumbers(
+            _single_case(_worst_rightmost_pole(linear, printed_drift)),
+            _worst_rightmost_pole(linear, linear.A),
             brink,
         ),
     }
 
 
-def _closed_matrix(linear: Matrices, L: Iterable[float]) -> Floats:
-    """Return A - L C of a plant of order 2."""
+def _error_matrix(linear: Matrices, L: Iterable[float]) -> Floats:
+    """Return A - L C of a plant of order 2 (2 x 2) [1/s]."""
     return linear.A - np.reshape(np.asarray(L), (2, 1)) @ linear.C
 
 
 def pole_error(linear: Matrices, L: Iterable[float]) -> float:
-    """Return the largest distance [1/s] of a pole of A - L C from where the paper wants it."""
-    poles = np.sort(np.linalg.eigvals(_closed_matrix(linear, L)))
+    """Return the largest distance of a pole of A - L C from the paper's target [1/s]."""
+    poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L)))
     return float(np.abs(poles - np.sort(POLES)).max())
 
 
-def rightmost(linear: Matrices, drift: Floats, alpha: float) -> float:
-    """Return the rightmost pole [1/s] of A - B K, K by the Riccati equation (34) with `drift` for
-    A.
-    """
+def rightmost_pole(linear: Matrices, drift: Floats, alpha: float) -> float:
+    """Return the rightmost pole of A - B K [1/s], K by (34) with `drift` for A."""
     K = paper_riccati(drift, linear.B, alpha, np.eye(2)).K
     return float(np.linalg.eigvals(linear.A - linear.B @ K).real.max())
 
 
-def _rightmost_of_all(linear: Matrices, drift: Floats) -> float:
-    """Return the same in the worst of all alpha that are tried."""
+def _worst_rightmost_pole(linear: Matrices, drift: Floats) -> float:
+    """Return the rightmost pole of A - B K in the worst case of all alpha tried [1/s]."""
     alphas = np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51)
-    return max(rightmost(linear, drift, float(alpha)) for alpha in alphas)
+    return max(rightmost_pole(linear, drift, float(alpha)) for alpha in alphas)
 
 
-def unstable_from(linear: Matrices, drift: Floats) -> float:
-    """Return the least alpha, between its bounds, from which A - B K with K of (34) is unstable."""
+def destabilising_alpha(linear: Matrices, drift: Floats) -> float:
+    """Return the least alpha, within bounds, from which A - B K with K of (34) is unstable."""
 
     def excess(exponent: float) -> float:
-        return rightmost(linear, drift, 10.0**exponent)
+        """Return the rightmost pole at alpha = 10^exponent [1/s]."""
+        return rightmost_pole(linear, drift, 10.0**exponent)
 
     ends = np.log10([CONDITIONS["least_alpha"], CONDITIONS["most_alpha"]])
     return 10.0 ** float(brentq(excess, *ends, xtol=1e-12))
 
 
-def _observer(e: Evidence) -> Numbers:
-    """Return claims on what the observer and its loop do."""
+def _observer_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on the observer and its loop."""
     blind = m.state_error(e.blind, 0)
 
     def relative_to_blind(run: Run) -> float:
+        """Return the error of x1 relative to that of the blind observer [1]."""
         return m.state_error(run, 0) / blind
 
     tests: dict[str, Measure] = {
         "switching": relative_to_blind,
         "reading-tracked": m.reading_error,
-        "state-1": _error_of_x1,
-        "state-2": _error_of_x2,
+        "state-1": _x1_error,
+        "state-2": _x2_error,
         "displacements": m.steep_share,
         "widths": m.width_error,
         "adaptation-bounded": m.growth_of_widths,
@@ -223,98 +237,106 @@ def _observer(e: Evidence) -> Numbers:
         "tracking": m.tracking_error,
     }
     numbers = {
-        name: Measured(_cases(test, e), _worst(test, e.repaired)) for name, test in tests.items()
+        name: ClaimNumbers(_worst_by_start(test, e), _worst_value(test, e.repaired))
+        for name, test in tests.items()
     }
     silent = e.printed[RESTING][0]
     numbers["tracking"] = numbers["tracking"]._replace(
         named={"moved": float(np.abs(silent.z[silent.last]).max())}
     )
-    rises = _worst(m.rise, (*e.repaired, e.sampled))
-    return numbers | _of_widths(e) | {"lyapunov": Measured(_cases(m.rise, e), rises)}
+    rises = _worst_value(m.lyapunov_rise, (*e.repaired, e.sampled))
+    return (
+        numbers
+        | _width_claims(e)
+        | {"lyapunov": ClaimNumbers(_worst_by_start(m.lyapunov_rise, e), rises)}
+    )
 
 
-def _of_widths(e: Evidence) -> Numbers:
-    """Return claims on widths that are known, and on widths that are not."""
+def _width_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on known widths and on unknown widths."""
     implied = {
-        case: _worst(m.width_error, runs)
+        case: _worst_value(m.width_error, runs)
         for case, runs in e.printed.items()
-        if _worst(m.reading_error, runs) <= EQUAL
+        if _worst_value(m.reading_error, runs) <= EQUAL
     }
     unaware = {case: m.width_error(run) for case, run in e.unaware.items()}
     beforehand = max(abs(width - D) for width in e.identified)
     return {
-        "implied": Measured(
-            implied, _worst(m.width_error, e.aware), {"silent": m.width_error(e.silent)}
+        "implied": ClaimNumbers(
+            implied, _worst_value(m.width_error, e.aware), {"silent": m.width_error(e.silent)}
         ),
-        "unknown-width": Measured(unaware, m.width_error(e.repaired[0])),
-        "predetermined": Measured(_one(beforehand), None),
+        "unknown-width": ClaimNumbers(unaware, m.width_error(e.repaired[0])),
+        "predetermined": ClaimNumbers(_single_case(beforehand), None),
     }
 
 
-def _error_of_x1(run: Run) -> float:
-    """Return rms of x^1 - x1 over the last 2 s."""
+def _x1_error(run: Run) -> float:
+    """Return the rms of x^1 - x1 over the last 2 s."""
     return m.state_error(run, 0)
 
 
-def _error_of_x2(run: Run) -> float:
-    """Return rms of x^2 - x2 over the last 2 s."""
+def _x2_error(run: Run) -> float:
+    """Return the rms of x^2 - x2 over the last 2 s."""
     return m.state_error(run, 1)
 
 
-def _robust(e: Evidence) -> Numbers:
-    """Return claims on bounded signals and on robustness."""
+def _robustness_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on bounded signals and on robustness."""
     off_nominal = (*e.noisy.repaired, *e.mismatched.repaired, *e.disturbed.repaired)
-    bounded = _worst(_diverges, (*e.repaired, e.sampled, *off_nominal))
-    diverging = _cases(_diverges, e)
+    bounded = _worst_value(_divergence_flag, (*e.repaired, e.sampled, *off_nominal))
+    diverging = _worst_by_start(_divergence_flag, e)
     return {
-        "bounded": Measured(diverging, bounded),
-        "unstable": Measured(_one(1.0 - max(diverging.values())), None),
-        "global": _pair(m.width_error, e.far),
-        "robust-noise": _pair(m.width_error, e.noisy),
-        "robust-model": _pair(m.width_error, e.mismatched),
-        "robust-disturbance": _pair(m.width_error, e.disturbed),
+        "bounded": ClaimNumbers(diverging, bounded),
+        "unstable": ClaimNumbers(_single_case(1.0 - max(diverging.values())), None),
+        "global": _measure_pair(m.width_error, e.far),
+        "robust-noise": _measure_pair(m.width_error, e.noisy),
+        "robust-model": _measure_pair(m.width_error, e.mismatched),
+        "robust-disturbance": _measure_pair(m.width_error, e.disturbed),
     }
 
 
-def _diverges(run: Run) -> float:
-    """Return 1 where a run diverges, else 0."""
+def _divergence_flag(run: Run) -> float:
+    """Return 1 if a run diverges, else 0."""
     return float(run.divergence_time is not None)
 
 
-def _remedies(e: Evidence) -> Numbers:
-    """What the paper says would help: a tanh term, a filter, identification."""
+def _remedy_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the proposed remedies: a tanh term, a filter, identification."""
     without, with_term = (m.tracking_error(run) for run in e.held)
     in_noise, in_gust = (m.width_error(run) for run in e.filtered)
     filtered = {
-        "with noise on y": in_noise / _worst(m.width_error, e.noisy.repaired),
-        "with a disturbance": in_gust / _worst(m.width_error, e.disturbed.repaired),
+        "with noise on y": in_noise / _worst_value(m.width_error, e.noisy.repaired),
+        "with a disturbance": in_gust / _worst_value(m.width_error, e.disturbed.repaired),
     }
     beforehand = max(abs(width - D) for width in e.identified)
     return {
-        "tanh-term": Measured({}, with_term / without),
-        "filtering": Measured(filtered, None),
-        "identification": Measured(_one(beforehand / m.width_error(e.logged)), None),
+        "tanh-term": ClaimNumbers({}, with_term / without),
+        "filtering": ClaimNumbers(filtered, None),
+        "identification": ClaimNumbers(_single_case(beforehand / m.width_error(e.logged)), None),
     }
 
 
-def _paper(e: Evidence) -> Numbers:
-    """Return claims on cost and on what the paper says it compared."""
+def _paper_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on cost and on the announced comparisons."""
     return {
-        "practical": Measured(
-            _one(operations(printed_example(5.0))), operations(repaired_example(5.0))
+        "practical": ClaimNumbers(
+            _single_case(observer_operations(example_as_printed(5.0))),
+            observer_operations(example_as_repaired(5.0)),
         ),
-        "too-slow": Measured(_one(m.rate(e.slow)), m.rate(e.repaired[0])),
-        "beta": _missing("beta"),
-        "compared": _missing("fuzzy", "neural", "sliding mode"),
-        "manipulator": _missing("manipulator"),
-        "effort": _missing("control effort"),
+        "too-slow": ClaimNumbers(
+            _single_case(m.width_convergence_rate(e.slow)), m.width_convergence_rate(e.repaired[0])
+        ),
+        "beta": _missing_words("beta"),
+        "compared": _missing_words("fuzzy", "neural", "sliding mode"),
+        "manipulator": _missing_words("manipulator"),
+        "effort": _missing_words("control effort"),
     }
 
 
-def _missing(*words: str) -> Measured:
-    """How many of these words no caption and no equation holds; nothing can repair that."""
+def _missing_words(*words: str) -> ClaimNumbers:
+    """Count the words that no caption and no equation contains. No repair can supply them."""
     shown = "\n".join([*FIGURES.values(), *(equation.what for equation in EQUATIONS)])
-    return Measured(_one(float(sum(word not in shown for word in words))), None)
+    return ClaimNumbers(_single_case(float(sum(word not in shown for word in words))), None)
 
 
 OTHERS: Final[dict[str, dict[str, Any]]] = {
@@ -327,15 +349,17 @@ OTHERS: Final[dict[str, dict[str, Any]]] = {
 SIMPLE: Final = 1000.0  # operations that a practical step may take
 
 
-def _others() -> Numbers:
-    """Return claims on what others do: how much a step of theirs takes, and whether it chatters."""
-    example = repaired_example(5.0)
+def _comparison_claims() -> Numbers:
+    """Compute the numbers of the claims on other methods: operations and chattering."""
+    example = example_as_repaired(5.0)
     steps = {}
     for name, table in OTHERS.items():
         observer = OBSERVERS.decode_options(table)
-        steps[name] = SIMPLE / operations(msgspec.structs.replace(example, observer=observer))
+        steps[name] = SIMPLE / observer_operations(
+            msgspec.structs.replace(example, observer=observer)
+        )
     calm = {"with the sign": calm_share(np.sign), "with tanh(k_s s)": calm_share(_smooth_sign)}
-    return {"others-too-complex": Measured(steps, None), "chattering": Measured(calm, None)}
+    return {"others-too-complex": ClaimNumbers(steps, None), "chattering": ClaimNumbers(calm, None)}
 
 
 def _smooth_sign(s: float) -> float:
@@ -344,7 +368,7 @@ def _smooth_sign(s: float) -> float:
 
 
 def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float = 1e-3) -> float:
-    """Return share of the steps in which u of a sliding mode does not jump by half of its gain.
+    """Return the share of steps without a jump of a sliding mode's u by half its gain [1].
 
     The plant (39) is held at 0 from x = (1, 0): s = 2 x1 + x2, u = x1 - gain switch(s), the state
     is measured, u is held for a step, and the last 2 s of 5 s count.
@@ -354,7 +378,7 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
         gain: of the switched part
         step: of sampling [s]
     """
-    Ad, Bd, _ = zoh(matrices(printed_example(1.0).plant), step)
+    Ad, Bd, _ = zoh(matrices(example_as_printed(1.0).plant), step)
     x, inputs = np.array([1.0, 0.0]), []
     for _ in range(round(5.0 / step)):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))
@@ -363,8 +387,8 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
     return float((jumps < gain / 2).mean())
 
 
-def operations(scenario: Scenario) -> float:
-    """Return arithmetic operations of one step of a scenario's observer alone."""
+def observer_operations(scenario: Scenario) -> float:
+    """Count the arithmetic operations of one step of a scenario's observer alone."""
     model = system(scenario.plant)
     sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
     observer = graph_of(scenario.observer.build(model, sensor))

@@ -17,7 +17,7 @@ from tools import script_of_docs
 from undeadzone.registry import CONTROLLERS, OBSERVERS
 from undeadzone.scenario.reader import read
 from undeadzone_arena.contest.leaderboard import FRAME
-from undeadzone_arena.contest.methods import fitting
+from undeadzone_arena.contest.methods import methods_for_scenarios
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -68,7 +68,7 @@ def test_pictures_are_of_what_there_is_today() -> None:
                 titles[path.name] = str(picture.info.get("Title", picture.info.get("comment", "")))
     assert all(f"figures/{name})" in pages for name in titles)
     gears, zones = (read(ROOT / f"examples/{name}.toml") for name in ("two_link_gears", "two_link"))
-    entered = {*FRAME, *fitting([read(ROOT / "examples/load_cell_limited.toml")])}
+    entered = {*FRAME, *methods_for_scenarios([read(ROOT / "examples/load_cell_limited.toml")])}
     assert titles["two_link_gears.png"] == f"{gears.title}: the tip"
     assert titles["two_link.gif"] == str(zones.title.encode())
     assert titles["leaderboard.png"].startswith(f"{len(entered)} methods, 1 scenario")

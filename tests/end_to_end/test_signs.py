@@ -120,7 +120,7 @@ def test_boxes_grow_by_what_their_modes_drive_in_each_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of upper triangular S and no rotation: |S_ij| r_j above the diagonal, S_ii r_i on it."""
-    monkeypatch.setattr(interval_step, "added_radius", lambda q, phi, z: np.zeros(3))
+    monkeypatch.setattr(interval_step, "radius_increase", lambda q, phi, z: np.zeros(3))
     setup: Any = SimpleNamespace(pairs=[], model=SimpleNamespace(n=3))
     S = np.array([[-1.0, 4.0, -0.5], [0.0, -2.0, 3.0], [0.0, 0.0, -5.0]])
     r = np.array([0.1, 0.2, 0.3])

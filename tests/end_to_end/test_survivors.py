@@ -41,13 +41,13 @@ from undeadzone.observers.filtering.prior import _require_noise as claimed_noise
 from undeadzone.observers.filtering.unknown_inputs import span
 from undeadzone.plants.system import sample_plant
 from undeadzone_arena.observers.parts import learned_residual
-from undeadzone_arena.observers.parts.boxes import cut
+from undeadzone_arena.observers.parts.boxes import cut_box
 from undeadzone_arena.observers.parts.joint_claims import (
     CROWD,
-    Defaults,
-    JointClaims,
-    glitch_chance,
-    joint_prior,
+    JointAssumptions,
+    JointDefaults,
+    build_joint_prior,
+    glitch_probability,
 )
 
 ZONE = resolve(Sensor(right=1.0, left=1.0), 1, 0.01)
@@ -136,7 +136,9 @@ def test_the_chance_of_a_glitch_is_that_of_bayes() -> None:
     e, std, share, reach = np.array([0.3, 2.0]), np.array([0.5, 0.4]), 0.1, 5.0
     doubt: Any = SimpleNamespace(glitch=np.log(share / (1 - share)), reach=np.full(2, reach))
     wrong, right = share / (reach + TAIL * std), (1 - share) * norm.pdf(e, scale=std)
-    np.testing.assert_allclose(glitch_chance(doubt, e, std), wrong / (wrong + right), rtol=1e-12)
+    np.testing.assert_allclose(
+        glitch_probability(doubt, e, std), wrong / (wrong + right), rtol=1e-12
+    )
 
 
 def test_unknown_friction_is_taken_off_what_drives() -> None:
@@ -328,8 +330,8 @@ def test_the_noise_of_crowded_readings_grows_with_their_root(times: int) -> None
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
     model = sample_plant(plant, np.pi / 2 / (times * CROWD))
     sensor = resolve(Sensor(right=1.0, left=1.0), 1, 1e-2)
-    claims, defaults = JointClaims(right=[0.0, 2.0]), Defaults(0.1, 0.0, 1.0)
-    found = joint_prior(claims, model, sensor, defaults)
+    claims, defaults = JointAssumptions(right=[0.0, 2.0]), JointDefaults(0.1, 0.0, 1.0)
+    found = build_joint_prior(claims, model, sensor, defaults)
     np.testing.assert_allclose(found.prior.R, 0.04 * times, rtol=1e-9)
 
 
@@ -349,7 +351,7 @@ def test_an_end_of_a_box_moves_as_far_as_the_bounds_say(sign: float) -> None:
     def of(lo: float, hi: float) -> tuple[float, float]:
         low, high = sorted((sign * lo, sign * hi))
         zero, one = ca.SX.zeros(1), ca.SX.ones(1)
-        x, radius = cut(zero, one, ca.SX.eye(1), ca.SX.ones(1, 1), low, high)
+        x, radius = cut_box(zero, one, ca.SX.eye(1), ca.SX.ones(1, 1), low, high)
         return float(x), float(radius)
 
     assert of(0.5, 9.0) == pytest.approx((0.75 * sign, 0.25))
@@ -359,7 +361,7 @@ def test_an_end_of_a_box_moves_as_far_as_the_bounds_say(sign: float) -> None:
 def test_an_end_of_a_box_moves_as_far_as_other_entries_let_it() -> None:
     """z = x_0 + 2 x_1 >= 2 in the unit box: x_0 may be anything from 0, x_1 from 1/2."""
     none, row = ca.SX.zeros(2), ca.SX([[1.0, 2.0]])
-    x, radius = cut(none, ca.SX.ones(2), ca.SX.eye(2), row, 2.0, 9.0)
+    x, radius = cut_box(none, ca.SX.ones(2), ca.SX.eye(2), row, 2.0, 9.0)
     low = ca.DM(x - radius).full().ravel()
     np.testing.assert_allclose(low, [0.0, 0.5])
     np.testing.assert_allclose(ca.DM(x + radius).full().ravel(), [1.0, 1.0])
@@ -371,8 +373,10 @@ def test_the_state_moves_with_weights_that_reach_their_bounds() -> None:
     q: Any = SimpleNamespace(limit=ca.SX([3.0, 5.0]))
     sensitivity = np.arange(1.0, 9.0).reshape(2, 4)
     W = np.array([4.0, -1.0, 2.0, 7.0])  # two of each output; limits 3, 3, 5, 5
-    state = learned_residual.State(ca.SX([10.0, 20.0]), ca.SX(W), ca.SX(sensitivity), ca.SX(0))
-    after = learned_residual.into_bounds(setup, q, state)
+    state = learned_residual.LearnedState(
+        ca.SX([10.0, 20.0]), ca.SX(W), ca.SX(sensitivity), ca.SX(0)
+    )
+    after = learned_residual.project_weights(setup, q, state)
     moved = np.array([-1.0, 1.0, 0.0, -2.0])
     np.testing.assert_allclose(ca.DM(after.W).full().ravel(), W + moved)
     expected = np.array([10.0, 20.0]) + sensitivity @ moved

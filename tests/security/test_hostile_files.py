@@ -33,7 +33,7 @@ from undeadzone.util.files import read_bytes, require_folder
 from undeadzone.util.shown import text as text_of
 from undeadzone.util.text import UNPRINTABLE, printable
 from undeadzone.util.text import json_line as escaped_json
-from undeadzone_export.source import _plain as commented
+from undeadzone_export.source import _to_comment_line as commented
 from undeadzone_identify.logs.log import read_log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

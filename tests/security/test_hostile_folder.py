@@ -20,8 +20,8 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
-from undeadzone_arena.contest.processes import SAFE, pool
-from undeadzone_export.exported_step import identifier
+from undeadzone_arena.contest.processes import SAFE, process_pool
+from undeadzone_export.exported_step import to_identifier
 from undeadzone_export.exporting import export
 
 
@@ -54,7 +54,7 @@ def test_no_process_of_a_contest_runs_modules_of_the_working_folder(folder: Path
 
 def test_a_pool_leaves_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(SAFE, raising=False)
-    with pool(1) as workers:
+    with process_pool(1) as workers:
         assert workers.submit(abs, -2).result() == 2
         assert os.environ[SAFE] == "1"
     assert SAFE not in os.environ
@@ -88,7 +88,7 @@ def test_a_notebook_keeps_its_settings(folder: Path) -> None:
 @pytest.mark.parametrize("title", ["math", "lambda", "Stdint"])
 def test_a_title_names_no_module_header_or_word(title: str, tmp_path: Path) -> None:
     """It gets a letter in front; as a name that is asked for it is refused."""
-    assert identifier(title) == f"n{title.lower()}"
+    assert to_identifier(title) == f"n{title.lower()}"
     scenario = parse(SHORT.replace('"short"', f'"{title}"'))
     export(scenario, "arduino", tmp_path / "lib")
     assert not list((tmp_path / "lib").rglob(f"{title.lower()}.*"))
@@ -99,8 +99,8 @@ def test_a_title_names_no_module_header_or_word(title: str, tmp_path: Path) -> N
 
 def test_a_cut_title_may_end_as_a_word() -> None:
     """Names are cut at 24 characters, and what remains may be one that is taken."""
-    assert identifier(identifier("math" + "_" * 30 + "x")[:24]) == "math_x"
-    assert identifier("math!") == "nmath"
+    assert to_identifier(to_identifier("math" + "_" * 30 + "x")[:24]) == "math_x"
+    assert to_identifier("math!") == "nmath"
 
 
 def element(content: bytes) -> bytes:

@@ -36,16 +36,26 @@ from undeadzone_arena.contest import leaderboard
 from undeadzone_arena.contest import tune as tuning
 from undeadzone_arena.contest import tuned_file as tuned
 from undeadzone_arena.contest.contest import arena, run_contest
-from undeadzone_arena.contest.entry import enter_method, numbers
-from undeadzone_arena.contest.leaderboard import CAP, bound_regret, intervals, regrets
-from undeadzone_arena.contest.methods import METHODS, catalogue, fitting, middle
-from undeadzone_arena.contest.metric import Result, Worth
-from undeadzone_arena.contest.page import arena_page, figures
-from undeadzone_arena.contest.prior_knowledge import declaration, situation
-from undeadzone_arena.contest.scenario_sets import Kind, from_files, scenarios
-from undeadzone_arena.contest.traces import traced
-from undeadzone_arena.contest.trials import score, trial
-from undeadzone_arena.contest.words import in_words
+from undeadzone_arena.contest.entry import enter_method, read_knob_numbers
+from undeadzone_arena.contest.leaderboard import (
+    CAP,
+    compress_regret,
+    compute_regrets,
+    regret_intervals,
+)
+from undeadzone_arena.contest.methods import (
+    METHODS,
+    method_registry,
+    methods_for_scenarios,
+    middle_knobs,
+)
+from undeadzone_arena.contest.metric import Result, RunMetrics
+from undeadzone_arena.contest.page import arena_figures, arena_page
+from undeadzone_arena.contest.prior_knowledge import build_setting, scenario_assumptions
+from undeadzone_arena.contest.scenario_sets import Kind, arena_scenarios, scenarios_from_files
+from undeadzone_arena.contest.traces import trace_runs
+from undeadzone_arena.contest.trials import run_trial, score_methods
+from undeadzone_arena.contest.words import leaderboard_blocks
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}
@@ -98,7 +108,9 @@ def result(
         "cost": 1e-6,
     }
     found = (
-        None if tracking is None else Worth(**worth | more, tracking=tracking, diverged=diverged)
+        None
+        if tracking is None
+        else RunMetrics(**worth | more, tracking=tracking, diverged=diverged)
     )
     return Result(method=method, scenario=scenario, seed=seed, worth=found)
 
@@ -195,7 +207,7 @@ def test_impossible_sensors_are_refused(key: str, value: float, words: str) -> N
 
 
 def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> None:
-    tuning_on, held_out = scenarios("tuning"), scenarios("held_out")
+    tuning_on, held_out = arena_scenarios("tuning"), arena_scenarios("held_out")
     assert len(tuning_on) >= 10
     assert {
         "nominal",
@@ -240,10 +252,10 @@ def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> Non
 
 
 def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
-    held_out = scenarios("plays") | scenarios("both_ends")
-    tuning_on = scenarios("plays_tuning") | scenarios("both_ends_tuning")
-    assert {each.sensor.kind for each in scenarios("plays").values()} == {"play"}
-    assert all(each.actuator is not None for each in scenarios("both_ends").values())
+    held_out = arena_scenarios("plays") | arena_scenarios("both_ends")
+    tuning_on = arena_scenarios("plays_tuning") | arena_scenarios("both_ends_tuning")
+    assert {each.sensor.kind for each in arena_scenarios("plays").values()} == {"play"}
+    assert all(each.actuator is not None for each in arena_scenarios("both_ends").values())
     assert any(each.sensor.range is not None for each in held_out.values())
     assert any(each.sensor.quantum for each in held_out.values())
     assert any(each.sensor.load_friction for each in held_out.values())
@@ -266,16 +278,16 @@ def test_plays_and_both_ends_declare_what_covers_the_truth() -> None:
 
 def test_methods_for_actuators_are_entered_where_there_is_one() -> None:
     needing = {name for name, method in METHODS.items() if method.compensator}
-    assert needing == set(fitting(scenarios("both_ends").values())) - set(
-        fitting(scenarios("held_out").values())
+    assert needing == set(methods_for_scenarios(arena_scenarios("both_ends").values())) - set(
+        methods_for_scenarios(arena_scenarios("held_out").values())
     )
 
 
 def test_who_estimates_both_ends_beats_who_ignores_one() -> None:
     """On the valve and its tank; what knows the actuator is ahead of all."""
-    of = {"valve": scenarios("both_ends")["valve_both_ends"]}
+    of = {"valve": arena_scenarios("both_ends")["valve_both_ends"]}
     names = ["kalman", "actuator_inverse_blind", "robust_adaptive_blind"]
-    found = {each.method: each.worth for each in score(names, of, (0,), processes=1)}
+    found = {each.method: each.worth for each in score_methods(names, of, (0,), processes=1)}
     J = {name: worth.tracking for name, worth in found.items() if worth is not None}
     assert J["informed"] < J["full_state"] < 1.5 * J["kalman"]
     assert J["kalman"] < 0.5 * min(J[name] for name in names[1:])
@@ -286,7 +298,7 @@ def test_no_contestant_is_told_the_truth(name: str) -> None:
     """Other widths and another plant behind the same model leave its options as they are."""
 
     def options(scenario: Scenario) -> str:
-        found = enter_method(METHODS[name], situation(scenario))
+        found = enter_method(METHODS[name], build_setting(scenario))
         return repr(
             [
                 msgspec.to_builtins(part, enc_hook=lambda number: number.tolist())
@@ -315,23 +327,23 @@ def test_no_contestant_is_told_the_truth(name: str) -> None:
 
 
 def test_without_a_declaration_the_observer_of_the_scenario_says_what_is_known() -> None:
-    assert declaration(small()).tolerance == 0.05
-    certified = declaration(
+    assert scenario_assumptions(small()).tolerance == 0.05
+    certified = scenario_assumptions(
         small(
             declared=None,
             observer={"method": "certified", "L": [1.0, 1.5], "gamma": 1.0, "width_max": 2.5},
         )
     )
     assert np.array_equal(certified.right, [0.0, 2.5])
-    censored = declaration(
+    censored = scenario_assumptions(
         small(declared=None, observer={"method": "censored", "right": [0.2, 1.9], "bias": 0.3})
     )
     assert np.array_equal(censored.right, [0.2, 1.9])
     assert censored.bias == 0.3
     assert (
-        declaration(small(declared=None, observer={"method": "luenberger", "L": [1.0, 1.0]})).right[
-            1
-        ]
+        scenario_assumptions(
+            small(declared=None, observer={"method": "luenberger", "L": [1.0, 1.0]})
+        ).right[1]
         > 1.2
     )
 
@@ -341,10 +353,10 @@ def test_without_a_declaration_the_observer_of_the_scenario_says_what_is_known()
 
 @pytest.fixture(scope="module")
 def everyone() -> list[Result]:
-    return score(list(catalogue()), {"small": small()}, (0,), numbers={}, processes=1)
+    return score_methods(list(method_registry()), {"small": small()}, (0,), numbers={}, processes=1)
 
 
-@pytest.mark.parametrize("name", sorted(catalogue()))
+@pytest.mark.parametrize("name", sorted(method_registry()))
 def test_every_method_runs_or_says_why_not(name: str, everyone: list[Result]) -> None:
     (found,) = [each for each in everyone if each.method == name]
     if found.worth is None:
@@ -358,17 +370,17 @@ def test_every_method_runs_or_says_why_not(name: str, everyone: list[Result]) ->
 
 
 def test_every_observer_is_in_the_arena() -> None:
-    assert set(OBSERVERS.every()) <= {method.observer for method in catalogue().values()}
+    assert set(OBSERVERS.every()) <= {method.observer for method in method_registry().values()}
 
 
 def test_a_run_is_worth_what_its_signals_say() -> None:
-    ground = situation(
+    ground = build_setting(
         small(
             sensor={"right": 1.2, "left": 0.7, "noise": 0.02, "drift": 0.1},
             simulation={**SHORT, "duration": 10.0},
         )
     )
-    worth = trial("ekf", METHODS["ekf"], "small", ground, [5])[0].worth
+    worth = run_trial("ekf", METHODS["ekf"], "small", ground, [5])[0].worth
     scenario = enter_method(METHODS["ekf"], ground)
     run = simulate(
         msgspec.structs.replace(
@@ -396,10 +408,10 @@ def test_a_run_is_worth_what_its_signals_say() -> None:
 
 
 def test_unknown_bias_leaves_no_error_of_the_centre_to_report() -> None:
-    ground = situation(
+    ground = build_setting(
         small(disturbance={"kind": "step", "amplitude": 0.5}, simulation={**SHORT, "duration": 6.0})
     )
-    worth = trial("kalman", METHODS["kalman"], "small", ground, [0])[0].worth
+    worth = run_trial("kalman", METHODS["kalman"], "small", ground, [0])[0].worth
     assert worth is not None
     assert worth.width is not None
     assert worth.centre is None
@@ -409,7 +421,7 @@ def test_processes_give_what_one_process_gives() -> None:
     grounds = {f"{noise}": small(sensor={"noise": noise}) for noise in (0.01, 0.1)}
     names = ["luenberger", "ekf"]
     alone, together = (
-        score(names, grounds, (0, 1), numbers={}, processes=count) for count in (1, 2)
+        score_methods(names, grounds, (0, 1), numbers={}, processes=count) for count in (1, 2)
     )
 
     def plain(results: list[Result]) -> list[Any]:
@@ -449,12 +461,12 @@ def test_regret_by_hand() -> None:
             results.append(result("lost", scenario, seed, 1e3, diverged=lost, zone=scale))
             picky = 0.1 * scale if scenario == "a" else None
             results.append(result("picky", scenario, seed, picky, zone=scale))
-    found = regrets(results)
+    found = compute_regrets(results)
     assert np.allclose(found["good"], [[0.1, 0.2], [0.1, 0.2]])
     large = CAP - (CAP / 2) ** 2 / (1e3 - 0.1)
     assert np.allclose(found["lost"], [[large, large], [CAP, CAP]], rtol=1e-15)
     assert np.isnan(found["picky"]).tolist() == [[False, False], [True, True]]
-    rows = {row.method: row for row in leaderboard.leaderboard(results, leaderboard.FRAME)}
+    rows = {row.method: row for row in leaderboard.rank_methods(results, leaderboard.FRAME)}
     assert list(rows) == ["informed", "full_state", "good", "picky", "luenberger", "lost"]
     assert rows["good"].median_regret == pytest.approx(0.15)
     assert rows["good"].coverage == 0.5
@@ -486,16 +498,16 @@ def test_the_smaller_error_ranks_ahead_whatever_the_lines_do(
     for name, value, gone in zip(leaderboard.FRAME, lines, lost, strict=True):
         results.append(result(name, "a", 0, value, diverged=gone, zone=zone))
     results.append(result("gone", "a", 0, 1e300, diverged=True, zone=zone))
-    found = regrets(results)
+    found = compute_regrets(results)
     assert -CAP < found["best"] < found["other"] < found["gone"] == CAP
-    ranked = [row.method for row in leaderboard.leaderboard(results, leaderboard.FRAME)]
+    ranked = [row.method for row in leaderboard.rank_methods(results, leaderboard.FRAME)]
     own = [name for name in ranked if name not in leaderboard.FRAME]
     assert own == ["best", "other", "gone"]
 
 
 def test_regrets_are_themselves_while_they_are_small() -> None:
     values = np.array([-7.0, -5.0, 0.0, 0.3, 5.0, 5.001, 50.0, np.inf])
-    found = bound_regret(values)
+    found = compress_regret(values)
     assert np.array_equal(found[1:5], values[1:5])
     assert (np.diff(found) > 0).all()
     assert found[-1] == CAP
@@ -504,10 +516,10 @@ def test_regrets_are_themselves_while_they_are_small() -> None:
 def test_no_line_is_better_than_knowing_everything() -> None:
     """`informed` runs the true plant without its disturbance, whatever the model believes."""
     gusty = {"kind": "sine", "amplitude": 3.0, "frequency": 0.4}
-    ground = situation(small(disturbance=gusty))
+    ground = build_setting(small(disturbance=gusty))
     J = {}
     for name in ("informed", "full_state", "luenberger", "printed", "fuzzy_feedback_blind"):
-        worth = trial(name, METHODS[name], "small", ground, [3])[0].worth
+        worth = run_trial(name, METHODS[name], "small", ground, [3])[0].worth
         assert worth is not None
         J[name] = worth.tracking
     assert min(J, key=lambda name: J[name]) == "informed"
@@ -520,12 +532,12 @@ def test_intervals_hold_the_median_as_often_as_they_say() -> None:
     held = 0
     for k in range(100):
         scenario = np.exp(rng.normal(size=(20, 1)))
-        median, worst = intervals(scenario * (1 + 0.05 * rng.normal(size=(20, 3))), seed=k)
+        median, worst = regret_intervals(scenario * (1 + 0.05 * rng.normal(size=(20, 3))), seed=k)
         held += median.low <= 1.0 <= median.high
         assert median.low <= median.value <= median.high
         assert worst.low <= worst.value * (1 + 1e-12)
     assert 88 <= held <= 100
-    alike, worst = intervals(np.repeat(np.arange(5.0)[:, None], 3, axis=1))
+    alike, worst = regret_intervals(np.repeat(np.arange(5.0)[:, None], 3, axis=1))
     assert worst == (4.0, 4.0, 4.0)
     assert (alike.low, alike.value, alike.high) == (0.0, 2.0, 4.0)
 
@@ -544,29 +556,29 @@ def test_every_method_gets_the_same_budget_and_the_search_finds_the_least() -> N
             seen.append(given)
             return float(sum(np.log(given[address] / best[address]) ** 2 for address in best))
 
-        found = tuning.best(METHODS[name], cost, 60, 0)
+        found = tuning.best_candidate(METHODS[name], cost, 60, 0)
         assert len(seen) == found.candidates == 60
-        assert seen[0] == middle(METHODS[name])
+        assert seen[0] == middle_knobs(METHODS[name])
         assert found.regret == min(map(cost, seen[:60])) < 0.15 * found.before
         assert all(knob.low <= found.knobs[address] <= knob.high for address, knob in knobs.items())
-        assert found == tuning.best(METHODS[name], cost, 60, 0)
+        assert found == tuning.best_candidate(METHODS[name], cost, 60, 0)
 
 
 def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone_off() -> None:
-    ground = {"small": situation(small())}
+    ground = {"small": build_setting(small())}
     frame = [
         each
         for name in leaderboard.FRAME
-        for each in trial(name, METHODS[name], "small", ground["small"], [7])
+        for each in run_trial(name, METHODS[name], "small", ground["small"], [7])
     ]
     assert tuning.mean_regret(METHODS["informed"], ground, frame, [7], {}) == 0
     assert 0 < tuning.mean_regret(METHODS["full_state"], ground, frame, [7], {}) < 0.3
     assert 0.7 < tuning.mean_regret(METHODS["luenberger"], ground, frame, [7], {}) < 1.3
-    jump = {"small": situation(small(sensor={"kind": "jump", "noise": 0.02}))}
+    jump = {"small": build_setting(small(sensor={"kind": "jump", "noise": 0.02}))}
     frame = [
         each
         for name in leaderboard.FRAME
-        for each in trial(name, METHODS[name], "small", jump["small"], [7])
+        for each in run_trial(name, METHODS[name], "small", jump["small"], [7])
     ]
     assert tuning.mean_regret(METHODS["kalman"], jump, frame, [7], {}) == CAP
 
@@ -575,9 +587,9 @@ def test_the_line_that_knows_everything_has_regret_0_and_the_naive_one_is_a_zone
     ("file", "kind"), [("tuned.toml", "tuning"), ("tuned_both_ends.toml", "both_ends_tuning")]
 )
 def test_the_stored_numbers_are_those_of_the_knobs(file: str, kind: Kind) -> None:
-    stored = tuned.load(ROOT / "src" / "undeadzone_arena" / "contest" / file)
-    assert set(stored.scenarios) == set(scenarios(kind))
-    assert set(numbers()) == {name for name, method in METHODS.items() if method.knobs}
+    stored = tuned.load_tuned(ROOT / "src" / "undeadzone_arena" / "contest" / file)
+    assert set(stored.scenarios) == set(arena_scenarios(kind))
+    assert set(read_knob_numbers()) == {name for name, method in METHODS.items() if method.knobs}
     assert stored.budget == 60
     for name, found in stored.methods.items():
         assert found.candidates == stored.budget
@@ -592,16 +604,16 @@ def test_the_stored_numbers_are_those_of_the_knobs(file: str, kind: Kind) -> Non
 def test_tuned_numbers_are_kept_and_bad_files_named(tmp_path: Path) -> None:
     path, found = (
         tmp_path / "tuned.toml",
-        tuned.Found(regret=0.1, before=0.2, candidates=3, knobs={"observer.L": 0.1 + 0.2}),
+        tuned.TunedMethod(regret=0.1, before=0.2, candidates=3, knobs={"observer.L": 0.1 + 0.2}),
     )
     first = tuned.Tuned(budget=3, seeds=[1], search=0, scenarios=["a"], methods={"one": found})
-    tuned.save(first, path)
-    tuned.save(msgspec.structs.replace(first, methods={"two": found}), path)
-    assert tuned.load(path).methods == {"one": found, "two": found}
+    tuned.save_tuned(first, path)
+    tuned.save_tuned(msgspec.structs.replace(first, methods={"two": found}), path)
+    assert tuned.load_tuned(path).methods == {"one": found, "two": found}
     path.write_text("budget = 'no'")
     for name in ("tuned.toml", "absent.toml"):
         with pytest.raises(FileError, match=name):
-            numbers(tmp_path / name)
+            read_knob_numbers(tmp_path / name)
 
 
 # --- The command and the page
@@ -690,7 +702,7 @@ def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
     other.parent.mkdir()
     shutil.copy(mine, other)
     with pytest.raises(InputError, match="the same file name"):
-        from_files([mine, other])
+        scenarios_from_files([mine, other])
     other = other.with_name("other.toml")
     other.write_text(mine.read_text().replace("step =", "step = -1 #"))
     with pytest.raises(InputError, match=r"^other: simulation\.step: must be greater than 0"):
@@ -717,7 +729,7 @@ def test_gears_are_refused_by_their_name() -> None:
     """Else a width of 0 was blamed, which nobody wrote."""
     geared = read(ROOT / "examples" / "two_link_gears.toml")
     with pytest.raises(InputError, match=r"arm\.gears: the arena has no gears with gaps"):
-        situation(geared)
+        build_setting(geared)
 
 
 def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
@@ -734,7 +746,7 @@ def test_tune_writes_what_the_arena_reads(mine: Path, tmp_path: Path) -> None:
         tmp_path,
     )
     assert "oracle" in done.stdout
-    found = tuned.load(tmp_path / "tuned.toml")
+    found = tuned.load_tuned(tmp_path / "tuned.toml")
     assert list(found.methods) == ["oracle"]
     assert found.methods["oracle"].candidates == found.budget == 5
     assert found.scenarios == ["mine"]
@@ -762,8 +774,8 @@ def test_the_page_shows_the_numbers_of_the_contest() -> None:
         {},
         1,
     )
-    runs = traced(contest, "small")
-    drawn_ = figures(contest, runs)
+    runs = trace_runs(contest, "small")
+    drawn_ = arena_figures(contest, runs)
     assert set(drawn_) == {"leaderboard", "scenarios", "trajectories", "cost"}
     table = drawn_["scenarios"].axes[0]
     shown = [text.get_text() for text in table.texts]
@@ -811,6 +823,8 @@ def test_a_method_that_does_not_apply_says_why() -> None:
     row: Any = leaderboard.Row
     refused = [row(**others | {"method": name, "reference": False}) for name in "abcd"]
     reasons = {row.method: f"{row.method} needs poles" for row in refused}
-    told = in_words(refused[:1], 1, 1, reasons)
+    told = leaderboard_blocks(refused[:1], 1, 1, reasons)
     assert "not applicable: a: a needs poles" in told
-    assert "not applicable (--json says why): a, b, c, d" in in_words(refused, 1, 1, reasons)
+    assert "not applicable (--json says why): a, b, c, d" in leaderboard_blocks(
+        refused, 1, 1, reasons
+    )

@@ -43,9 +43,14 @@ from undeadzone_arena import (
     TaylorFeedback,
     TaylorResidual,
 )
-from undeadzone_arena.approximators import Basis, gaussians, jumps, monomials
+from undeadzone_arena.approximators import (
+    Basis,
+    build_gaussians,
+    build_jump_functions,
+    build_monomials,
+)
 from undeadzone_arena.controllers.learned_feedback import error_weights, relative_degree
-from undeadzone_arena.gain_defaults import injection
+from undeadzone_arena.gain_defaults import injection_gain
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])
@@ -109,7 +114,7 @@ def values(basis: Basis, v: Floats) -> Floats:
 def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool) -> None:
     rng = np.random.default_rng(seed)
     reach, v = rng.uniform(0.5, 5, k), rng.normal(size=k) * 2
-    functions = values(gaussians("key", reach, 4, 0.7, normalised), v)
+    functions = values(build_gaussians("key", reach, 4, 0.7, normalised), v)
     at = np.clip(v / reach, -1, 1) if normalised else v / reach
     axes = np.meshgrid(*[np.linspace(-1, 1, 4)] * k, indexing="ij")
     centres = np.stack(axes, axis=-1).reshape(-1, k)
@@ -120,7 +125,7 @@ def test_gaussians_are_products_over_a_grid(seed: int, k: int, normalised: bool)
 
 
 def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
-    basis = monomials("key", np.array([2.0, 4.0]), 3)
+    basis = build_monomials("key", np.array([2.0, 4.0]), 3)
     assert basis.size == math.comb(5, 3)
     expected = []
     for i in range(4):
@@ -134,7 +139,7 @@ def test_monomials_are_all_of_them_and_held_at_the_edge_of_the_box() -> None:
 
 
 def test_jump_functions_jump_on_their_side_only() -> None:
-    basis = jumps("key", 3)
+    basis = build_jump_functions("key", 3)
     rise = 1 - np.exp(-0.5)
     assert values(basis, np.array([0.5, 1.0])) == pytest.approx([1, rise, rise**2, 0, 0, 0])
     assert values(basis, np.array([-0.5, -1.0])) == pytest.approx([0, 0, 0, -1, -rise, -(rise**2)])
@@ -145,15 +150,18 @@ def test_jump_functions_jump_on_their_side_only() -> None:
     ("make", "words"),
     [
         (
-            lambda: gaussians("key", np.ones(1), 1, 0.7, True),
+            lambda: build_gaussians("key", np.ones(1), 1, 0.7, True),
             "key: a grid needs at least 2 centres per axis, found 1",
         ),
         (
-            lambda: gaussians("key", np.ones(4), 5, 0.7, True),
+            lambda: build_gaussians("key", np.ones(4), 5, 0.7, True),
             "key: the basis would have 625 functions, at most 200",
         ),
-        (lambda: monomials("key", np.ones(1), 0), "key: the degree must be at least 1, found 0"),
-        (lambda: jumps("key", 0), "key: expected at least 1 function, found 0"),
+        (
+            lambda: build_monomials("key", np.ones(1), 0),
+            "key: the degree must be at least 1, found 0",
+        ),
+        (lambda: build_jump_functions("key", 0), "key: expected at least 1 function, found 0"),
     ],
 )
 def test_wrong_bases(make: Callable[[], Basis], words: str) -> None:
@@ -188,20 +196,22 @@ def test_slow_poles_are_mirrored() -> None:
 
 def test_one_of_L_poles_speed() -> None:
     L = np.array([1.0, 2.0])
-    assert injection(sample_plant(PAPER_PLANT, 0.1), L, None, None, 1.0).ravel() == pytest.approx(
-        L * 0.1
+    assert injection_gain(
+        sample_plant(PAPER_PLANT, 0.1), L, None, None, 1.0
+    ).ravel() == pytest.approx(L * 0.1)
+    assert injection_gain(PAPER_PLANT, None, [-4.0, -10.0], None, 1.0).ravel() == pytest.approx(
+        [12, 15]
     )
-    assert injection(PAPER_PLANT, None, [-4.0, -10.0], None, 1.0).ravel() == pytest.approx([12, 15])
     assert (
-        injection(PAPER_PLANT, None, None, 7.0, 1.0)
-        == injection(PAPER_PLANT, None, None, None, 7.0)
+        injection_gain(PAPER_PLANT, None, None, 7.0, 1.0)
+        == injection_gain(PAPER_PLANT, None, None, None, 7.0)
     ).all()
     with pytest.raises(
         InputError, match=r"observer: give one of L, poles, speed; found L and speed"
     ):
-        injection(PAPER_PLANT, L, None, 3.0, 1.0)
+        injection_gain(PAPER_PLANT, L, None, 3.0, 1.0)
     with pytest.raises(InputError, match=r"observer.speed: must be greater than 0"):
-        injection(PAPER_PLANT, None, None, 0.0, 1.0)
+        injection_gain(PAPER_PLANT, None, None, 0.0, 1.0)
 
 
 # --- The adaptive inverse in Tao and Kokotovic's own form: x^ = xi + Phi d^, eta - zeta d^
@@ -651,7 +661,7 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     controller = TaylorFeedback(
         reach=reach, degree=2, speed=speed, bandwidth=c, gain=gain, leak=leak
     ).build(model)
-    basis = monomials("key", reach, 2)
+    basis = build_monomials("key", reach, 2)
     x, W, z = np.array([0.7, -1.0]), np.linspace(-1, 1, 6), 0.4
     r, x_ref, u_ff = 0.5, np.array([0.5, 0.2]), 1.5
     p, params = tree.symbols(controller.params, "p")

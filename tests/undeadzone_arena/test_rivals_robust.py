@@ -41,11 +41,11 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import Interval, SlidingMode, SuperTwisting, WalcottZak
 from undeadzone_arena.observers.parts import interval_step
-from undeadzone_arena.observers.parts.boxes import Bounds, Boxes, cut
-from undeadzone_arena.observers.parts.interval_step import coupling
-from undeadzone_arena.observers.parts.modal_form import modes, turned
+from undeadzone_arena.observers.parts.boxes import Bounds, Boxes, cut_box
+from undeadzone_arena.observers.parts.interval_step import coupling_mask
+from undeadzone_arena.observers.parts.modal_form import build_modes, mode_rotation
 from undeadzone_arena.observers.super_twisting import differentiator_gains
-from undeadzone_arena.observers.walcott_zak import Law, sliding
+from undeadzone_arena.observers.walcott_zak import SlidingLaw, sliding_term
 
 seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]
@@ -244,13 +244,13 @@ def test_boxes_shrink_as_fast_as_the_poles_allow(
     if defective:
         change = rng.normal(size=(n, n)) + 3 * np.eye(n)
         F = np.linalg.solve(change, (np.eye(n) * rng.choice([-0.5, 0.5]) + np.eye(n, k=1)) @ change)
-    form = modes(F, 10.0 ** rng.uniform(-1, 1, n), 0.1 if in_samples else None)
+    form = build_modes(F, 10.0 ** rng.uniform(-1, 1, n), 0.1 if in_samples else None)
     rounding = 1e-8 * max(1.0, float(np.linalg.norm(F))) * np.linalg.cond(form.T)
     assert np.linalg.norm(form.T @ form.S @ form.inverse - F) < rounding
     angle = rng.uniform(0, 6, len(form.pairs))
     turn = form.turn if in_samples else 0.0
-    now = ca.DM(turned(form.pairs, n, ca.SX(angle))).full()
-    ahead = ca.DM(turned(form.pairs, n, ca.SX(angle + turn))).full()
+    now = ca.DM(mode_rotation(form.pairs, n, ca.SX(angle))).full()
+    ahead = ca.DM(mode_rotation(form.pairs, n, ca.SX(angle + turn))).full()
     seen = ahead.T @ form.S @ now
     expected = np.linalg.eigvals(F)
     tolerance = 0.05 if defective else 1e-6  # multiple poles are known to the n-th root of rounding
@@ -780,7 +780,7 @@ def test_canonical_coordinates_of_a_chain_are_its_states() -> None:
 
 
 def test_modes_drive_others_but_not_themselves() -> None:
-    assert (coupling([1], 4) == np.triu(_beside([1], 4), 1)).all()
+    assert (coupling_mask([1], 4) == np.triu(_beside([1], 4), 1)).all()
 
 
 def test_a_box_is_cut_to_what_its_output_allows() -> None:
@@ -794,7 +794,7 @@ def test_a_box_is_cut_to_what_its_output_allows() -> None:
     kept = points[z >= low]
 
     def cut_to(low: float, high: float) -> tuple[Floats, Floats]:
-        middle, size = cut(ca.SX(x), ca.SX(radius), ca.SX(frame), ca.SX(c), low, high)
+        middle, size = cut_box(ca.SX(x), ca.SX(radius), ca.SX(frame), ca.SX(c), low, high)
         return ca.DM(middle).full()[:, 0], ca.DM(size).full()[:, 0]
 
     middle, size = cut_to(low, low + 5.0)
@@ -807,9 +807,11 @@ def test_a_box_is_cut_to_what_its_output_allows() -> None:
 @pytest.mark.parametrize("kind", ["deadzone", "jump"])
 def test_a_reading_bounds_widths_and_output(kind: str) -> None:
     """z in [1, 4], d_r in [0.5, 2], noise 0.1, y on the right: z - d_r, or z itself."""
-    shared = interval_step.Setup(PAPER_PLANT, [], kind, ends=False)
-    numbers = interval_step.Params(*[None] * 13)._replace(noise=ca.SX(0.1), slack=ca.SX(0.1))
-    on = interval_step.Sides(*map(ca.SX, (1, 0, 1, 0, 1, 0)))
+    shared = interval_step.IntervalSetup(PAPER_PLANT, [], kind, ends=False)
+    numbers = interval_step.IntervalParams(*[None] * 13)._replace(
+        noise=ca.SX(0.1), slack=ca.SX(0.1)
+    )
+    on = interval_step.SureSides(*map(ca.SX, (1, 0, 1, 0, 1, 0)))
     before = Bounds(ca.SX(0.5), ca.SX(2.0))
     boxes, z, y = Boxes(None, None, before, before), Bounds(ca.SX(1.0), ca.SX(4.0)), ca.SX(2.6)
     right, left = interval_step.width_bounds(shared, numbers, boxes, z, y, on)
@@ -832,6 +834,6 @@ def test_gains_of_the_differentiator_are_levants(r: int, expected: list[float]) 
 
 @pytest.mark.parametrize(("e", "expected"), [(0.25, 1.5), (5.0, 3.0), (-5.0, -3.0)])
 def test_the_sliding_term_saturates(e: float, expected: float) -> None:
-    numbers = Law(np.array([[1.0], [2.0]]), np.array([3.0]), np.array([0.5]))
-    term = ca.DM(sliding(numbers, ca.SX(e))).full()[:, 0]
+    numbers = SlidingLaw(np.array([[1.0], [2.0]]), np.array([3.0]), np.array([0.5]))
+    term = ca.DM(sliding_term(numbers, ca.SX(e))).full()[:, 0]
     assert term == pytest.approx([expected, 2 * expected])

@@ -37,10 +37,10 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
 from undeadzone_arena.observers import moving_horizon, particle
-from undeadzone_arena.observers.particle import reweighted, systematic
+from undeadzone_arena.observers.particle import systematic_indices, update_particle_weights
 from undeadzone_arena.observers.parts import window as horizon
-from undeadzone_arena.observers.parts.joint_claims import joint_prior
-from undeadzone_arena.observers.parts.window import Affine, Weights, Window
+from undeadzone_arena.observers.parts.joint_claims import build_joint_prior
+from undeadzone_arena.observers.parts.window import Affine, HorizonWeights, Window
 
 seeds = st.integers(0, 2**32 - 1)
 TS = 0.05
@@ -252,7 +252,9 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
 def test_the_factor_stands_covariances_without_full_rank(seed: int, size: int, rank: int) -> None:
     root = np.random.default_rng(seed).normal(size=(size, rank))
     column, upper = ca.SX.sym("P", size * (size + 1) // 2), ca.Sparsity.upper(size)
-    factor = ca.Function("factor", [column], [unscented.factor(from_upper_entries(column, upper))])
+    factor = ca.Function(
+        "factor", [column], [unscented.cholesky_factor(from_upper_entries(column, upper))]
+    )
     cov = root @ root.T
     factored = factor(to_upper_entries(ca.DM(cov), upper) if size > 1 else cov[0, 0]).full()
     assert np.isfinite(factored).all()
@@ -298,7 +300,7 @@ def test_systematic_resampling_copies_each_particle_as_often_as_it_weighs(
     seed: int, count: int, offset: float
 ) -> None:
     weights = np.random.default_rng(seed).dirichlet(np.full(count, 0.3))
-    copies = np.bincount(systematic(weights, offset), minlength=count)
+    copies = np.bincount(systematic_indices(weights, offset), minlength=count)
     assert copies.sum() == count
     assert (np.abs(copies - count * weights) < 1 + 1e-9).all()
 
@@ -450,7 +452,7 @@ def test_with_active_constraints_moving_horizon_is_what_scipy_finds(seed: int, s
         [[3.0, 3.0], np.full(2, 0.7 / np.sqrt(12)), np.full(history.size - 4, 5.0)]
     )
     mean = np.concatenate([np.zeros(2), [0.85, 0.85], np.zeros(history.size - 4)])
-    gate = float(joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
+    gate = float(build_joint_prior(options, MODEL, zone(), moving_horizon.DEFAULTS).prior.gate[0])
     bends: list[float] = []
 
     def cost(v: Floats) -> tuple[float, Floats]:
@@ -757,15 +759,15 @@ def test_particles_are_weighed_by_their_likelihood() -> None:
     weights, e = np.array([0.2, 0.3, 0.5]), np.array([[0.5, 1.0, -2.0], [0.0, 1.5, 0.3]])
     never = np.full(2, -np.inf)
     expected = weights * np.exp(-(e**2).sum(axis=0) / 2)
-    assert reweighted(weights, e, never) == pytest.approx(expected / expected.sum())
-    assert (reweighted(weights, np.full((2, 3), np.nan), never) == weights).all()
+    assert update_particle_weights(weights, e, never) == pytest.approx(expected / expected.sum())
+    assert (update_particle_weights(weights, np.full((2, 3), np.nan), never) == weights).all()
 
 
 def test_particles_of_which_too_few_count_are_drawn_anew() -> None:
     x, widths = np.arange(4.0)[None], np.ones((2, 4))
-    many = particle.State(x, widths, np.array([0.3, 0.3, 0.3, 0.1]), 1, 0)
-    assert particle.resampled(many) is many
-    few = particle.resampled(many._replace(weights=np.array([0.0, 0.98, 0.01, 0.01])))
+    many = particle.ParticleState(x, widths, np.array([0.3, 0.3, 0.3, 0.1]), 1, 0)
+    assert particle.resample_particles(many) is many
+    few = particle.resample_particles(many._replace(weights=np.array([0.0, 0.98, 0.01, 0.01])))
     assert (few.weights == 0.25).all()
     assert (few.x == 1.0).sum() >= 3
 
@@ -775,7 +777,7 @@ def test_the_covariance_after_a_reading_adds_information() -> None:
     root, h, R = rng.normal(size=(4, 4)), rng.normal(size=4), 0.3
     cov = root @ root.T
     expected = np.linalg.inv(np.linalg.inv(cov) + np.outer(h, h) / R)
-    assert horizon.read_covariance(cov, h, R) == pytest.approx(expected)
+    assert horizon.covariance_after_reading(cov, h, R) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("side", "expected"), [(1.0, 1.5), (-1.0, 2.7), (0.0, 2.0)])
@@ -805,7 +807,7 @@ def random_window() -> Window:
 def test_a_window_moves_as_its_motions_say() -> None:
     """x of each node from that of the oldest and the disturbances, and z beyond the edges."""
     window = random_window()
-    v = np.random.default_rng(6).normal(size=horizon.size(window)[0])
+    v = np.random.default_rng(6).normal(size=horizon.programme_size(window)[0])
     oldest = horizon.oldest_node(window)
     assert pytest.approx(window.cov[0]) == oldest.M @ oldest.M.T
     X = oldest.M @ v + oldest.b
@@ -814,10 +816,10 @@ def test_a_window_moves_as_its_motions_say() -> None:
     for j in range(2):
         x = window.F[j] @ x + window.f[j] + window.G[j, :, 0] * v[4 + j]
         expected.append(x)
-    xs, newest = horizon.trajectory(window, Affine(oldest.M[:2], oldest.b[:2]))
+    xs, newest = horizon.node_trajectory(window, Affine(oldest.M[:2], oldest.b[:2]))
     assert xs.M @ v + xs.b == pytest.approx(np.array(expected))
     assert newest.M @ v + newest.b == pytest.approx(x)
-    right, left = horizon.beyond_edges(window, xs, Affine(oldest.M[2:], oldest.b[2:]))
+    right, left = horizon.excess_over_breakpoints(window, xs, Affine(oldest.M[2:], oldest.b[2:]))
     z = np.einsum("ki,ki->k", window.C[:, 0], expected) + window.offset[:, 0]
     assert right.M @ v + right.b == pytest.approx(z - X[2])
     assert left.M @ v + left.b == pytest.approx(z + X[3])
@@ -826,8 +828,8 @@ def test_a_window_moves_as_its_motions_say() -> None:
 def test_readings_are_errors_and_silence_is_a_constraint() -> None:
     window, rng = random_window(), np.random.default_rng(7)
     ranges = np.array([[0.5, 2.0], [0.4, 1.0]])
-    weights = Weights(np.array([0.1]), np.array([0.2]), np.array([0.05]), ranges)
-    unknowns, rows = horizon.size(window)
+    weights = HorizonWeights(np.array([0.1]), np.array([0.2]), np.array([0.05]), ranges)
+    unknowns, rows = horizon.programme_size(window)
     v = rng.normal(size=unknowns)
     right, left, d = (
         Affine(rng.normal(size=(size, unknowns)), rng.normal(size=size)) for size in (3, 3, 2)
@@ -835,7 +837,7 @@ def test_readings_are_errors_and_silence_is_a_constraint() -> None:
     M, b = horizon.reading_errors(window, weights, right, left)
     beyond = (right.M @ v + right.b)[0], (left.M @ v + left.b)[2]
     assert M @ v - b == pytest.approx((beyond - window.y[[0, 2], 0]) / 0.1)
-    A, low, high = horizon.constraints(window, weights, right, left, d)
+    A, low, high = horizon.qp_constraints(window, weights, right, left, d)
     assert A.shape == (rows, unknowns)
     outside = 0.2 * v[-3:]  # z of a silent sensor, beyond its zone
     assert (A @ v)[:3] == pytest.approx(right.M @ v - outside)

@@ -15,14 +15,14 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone_export import accuracy, exported_step, selftest_vectors
-from undeadzone_export.code import code
-from undeadzone_export.exported_step import Step
+from undeadzone_export.code import build_code
+from undeadzone_export.exported_step import ExportedStep
 
 FILTERS = ("kalman", "extended", "censored")
 FLAGS = ("consistent", "refused", "restarts", "side")
 
 
-def broken(step: Step, scenario: Scenario) -> Floats:
+def broken(step: ExportedStep, scenario: Scenario) -> Floats:
     """A run with readings beyond both ends, none for a while, and at last a wire that broke."""
     rows = selftest_vectors.record_inputs(resolve_scenario(scenario), step)
     rows = np.vstack([rows, np.repeat(rows[-1:], 400, axis=0)])
@@ -37,9 +37,11 @@ def test_float_refuses_what_double_refuses(method: str, tmp_path: Path) -> None:
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "range": [-0.8, 1.2]}
     observer = {"method": method} | OBSERVERS[method][1]
     scenario = small("sampled", sensor=sensor, observer=observer)
-    step = exported_step.build(resolve_scenario(scenario))
+    step = exported_step.build_step(resolve_scenario(scenario))
     rows, places = broken(step, scenario), accuracy.places_of(step.outputs)
-    single, double = (accuracy.Compiled(code(step, kind), tmp_path)(rows) for kind in (True, False))
+    single, double = (
+        accuracy.CompiledStep(build_code(step, kind), tmp_path)(rows) for kind in (True, False)
+    )
     for flag in FLAGS:
         np.testing.assert_array_equal(single[:, places[flag]], double[:, places[flag]], flag)
     assert double[-1, places["refused"]] > 10
@@ -61,11 +63,11 @@ def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any], tmp_pat
     """Along a random stream, missing readings among it."""
     observer = {"method": "kalman", "right": [0.05, 1.0]}
     scenario = small("sampled", sensor=sensor, observer=observer)
-    step = exported_step.build(resolve_scenario(scenario))
+    step = exported_step.build_step(resolve_scenario(scenario))
     random = np.random.default_rng(7)
     rows = 0.1 * np.cumsum(random.standard_normal((500, 2)), axis=0)
     rows[random.random(500) < 0.05, 0] = np.nan
-    shown = accuracy.Compiled(code(step, False), tmp_path)(rows)
+    shown = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
     shown = shown[:, accuracy.places_of(step.outputs)["side"]]
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
     _, sides = online.update_many(rows[:, :1], rows[:, 1:])

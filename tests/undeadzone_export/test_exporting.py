@@ -28,9 +28,9 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import accuracy, compiler, exported_step, exporting, selftest_vectors
-from undeadzone_export.code import code
+from undeadzone_export.code import build_code
 from undeadzone_export.source import Labels
-from undeadzone_export.source import source as printed_source
+from undeadzone_export.source import build_source as printed_source
 
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno"]
 WARNINGS = [
@@ -115,7 +115,7 @@ def test_auto_is_exported_as_what_it_chooses() -> None:
     hashes = set()
     for method in ("auto", "censored"):
         scenario = small("sampled", observer={"method": method, "right": [0.1, 1.0]})
-        hashes.add(code(exported_step.build(resolve_scenario(scenario)), True).hash)
+        hashes.add(build_code(exported_step.build_step(resolve_scenario(scenario)), True).hash)
     assert len(hashes) == 1
 
 
@@ -172,10 +172,10 @@ def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_
 def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
     scenario = certified()
     problem = resolve_scenario(scenario)
-    step = exported_step.build(problem)
+    step = exported_step.build_step(problem)
     rows = selftest_vectors.record_inputs(problem, step)
     rows[37, 0] = np.nan
-    values = accuracy.Compiled(code(step, False), tmp_path)(rows)
+    values = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
     places = accuracy.places_of(step.outputs)
     for k, row in enumerate(rows):
@@ -187,22 +187,22 @@ def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
 
 def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
-    step = exported_step.build(problem)
-    printed = code(step, False)
+    step = exported_step.build_step(problem)
+    printed = build_code(step, False)
     rows = selftest_vectors.record_inputs(problem, step)[:200]
-    runner = accuracy.Compiled(printed, tmp_path)
+    runner = accuracy.CompiledStep(printed, tmp_path)
     whole = runner(rows)
-    runner.begin()
+    runner.reset_memory()
     runner(rows[:120])
     stored = runner.state.copy()
     head = "int go_on(void *state, const void *stored, const char *hash)"
     body = "{ return run_float64_resume(state, stored, hash); }"
     text = f'#include "run_float64.h"\n{head};\n{head}\n{body}\n'
     (tmp_path / "resume.c").write_text(text)
-    library = compiler.shared_library([tmp_path / "resume.c"], tmp_path / "resume.so")
+    library = compiler.compile_library([tmp_path / "resume.c"], tmp_path / "resume.so")
     resume = ctypes.CDLL(str(library)).go_on
     places = [array.ctypes.data_as(ctypes.c_void_p) for array in (runner.state, stored)]
-    runner.begin()
+    runner.reset_memory()
     start = runner.state.copy()
     for wrong in ("", printed.hash[:-1], printed.hash + "0", "0" * 16):
         assert resume(*places, wrong.encode()) == 0
@@ -213,22 +213,22 @@ def test_a_stored_state_goes_on_with_the_same_bits(tmp_path: Path) -> None:
 
 def test_observer_and_controller_give_the_input_of_the_loop(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
-    step = exported_step.build(problem, "observer+controller")
+    step = exported_step.build_step(problem, "observer+controller")
     rows = selftest_vectors.record_inputs(problem, step)
-    alone = exported_step.build(problem)
+    alone = exported_step.build_step(problem)
     expected = selftest_vectors.record_inputs(problem, alone)[:, 1]
-    values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
+    values = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)[:, 0]
     assert np.abs(values - expected).max() < 1e-12 * np.abs(expected).max()
 
 
 def test_a_drive_limit_limits_u(tmp_path: Path) -> None:
     problem = resolve_scenario(certified())
     limited = problem._replace(plant=problem.plant._replace(limit=np.array([0.5])))
-    step = exported_step.build(limited, "observer+controller")
+    step = exported_step.build_step(limited, "observer+controller")
     rows = selftest_vectors.record_inputs(
-        problem, exported_step.build(problem, "observer+controller")
+        problem, exported_step.build_step(problem, "observer+controller")
     )
-    values = accuracy.Compiled(code(step, False), tmp_path)(rows)[:, 0]
+    values = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)[:, 0]
     assert np.abs(values).max() == 0.5
 
 
@@ -241,10 +241,14 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
     assert "leaves what was proved" in text
     assert done.has_passed
     problem = resolve_scenario(certified(sensor={"threshold": 0.3}))
-    step = exported_step.build(resolve_scenario(certified()), tunable=("sensor.threshold",))
+    step = exported_step.build_step(resolve_scenario(certified()), tunable=("sensor.threshold",))
     rows = selftest_vectors.record_inputs(problem, step)
-    expected = accuracy.Compiled(code(exported_step.build(problem), False), tmp_path)(rows)
-    tuned = accuracy.Compiled(code(step._replace(defaults=np.array([0.3])), False), tmp_path / "fw")
+    expected = accuracy.CompiledStep(
+        build_code(exported_step.build_step(problem), False), tmp_path
+    )(rows)
+    tuned = accuracy.CompiledStep(
+        build_code(step._replace(defaults=np.array([0.3])), False), tmp_path / "fw"
+    )
     assert (tuned(rows) == expected).all()
 
 
@@ -334,13 +338,13 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
-    step = exported_step.build(resolve_scenario(scenario))
-    assert exporting.replacements_for_float(code(step, False)) == [
+    step = exported_step.build_step(resolve_scenario(scenario))
+    assert exporting.constants_beyond_float(build_code(step, False)) == [
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
     ]
-    texts = {node.text for node in required_nodes(itertools.chain(*code(step, True).results))}
+    texts = {node.text for node in required_nodes(itertools.chain(*build_code(step, True).results))}
     assert "nan" not in texts
 
 
@@ -360,11 +364,11 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     """A width that moves by less than float's last digit at each sample stands still in float."""
     slow = {"method": "certified", "L": [1.0, 1.5], "gamma": 1e-3, "widths0": [3.99, 3.99]}
     scenario = scene(simulation={"time": "sampled", "step": 1e-5, "duration": 0.01}, observer=slow)
-    step = exported_step.build(resolve_scenario(scenario))
+    step = exported_step.build_step(resolve_scenario(scenario))
     rows = np.tile([5.0, 0.0], (100_000, 1))
-    printed = code(step, True)
+    printed = build_code(step, True)
     text = printed_source(printed, Labels("o", "slow", "observer"))
-    result = accuracy.measure(code(step, False), printed, text, rows)
+    result = accuracy.measure_accuracy(build_code(step, False), printed, text, rows)
     assert len(result.refusals) == 1
     assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
 
@@ -382,7 +386,7 @@ def test_a_refusal_keeps_the_files_and_exits_with_1(
 def test_without_a_compiler_float_counts_as_unmeasured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiler, "compiler", lambda: None)
+    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     done = uz.export(certified(), out=tmp_path / "fw", name="joint")
     assert not done.has_passed
     assert "was not measured" in done.report["refusals"][0]
@@ -551,11 +555,11 @@ def test_exported_C_has_the_bits_of_lanes_and_of_a_live_step(observer: str, tmp_
     problem = resolve_scenario(
         small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
     )
-    step = exported_step.build(problem)
-    printed = code(step, False)
+    step = exported_step.build_step(problem)
+    printed = build_code(step, False)
     rows = selftest_vectors.record_inputs(problem, step)
     rows[50:60, 0] = np.nan
-    in_c = accuracy.Compiled(printed, tmp_path)(rows)
+    in_c = accuracy.CompiledStep(printed, tmp_path)(rows)
     function = step.function
     kernel = lanes.build_kernel(function, portable=True, width=8)
     states = np.tile(step.start, (8, 1))
@@ -595,7 +599,7 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
 def test_long_code_stores_each_state_behind_its_last_use() -> None:
     """And reads it ahead of its first, so that little is alive at a time."""
     scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
-    printed = code(exported_step.build(resolve_scenario(scenario)), single=True)
+    printed = build_code(exported_step.build_step(resolve_scenario(scenario)), single=True)
     text = printed_source(printed, Labels("o", "long", "observer")).code
     body = text[text.index("void o_step(") :].split("\n}\n")[0]
     lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]

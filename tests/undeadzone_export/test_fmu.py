@@ -401,7 +401,7 @@ def test_the_same_scenario_gives_the_same_FMU(
 def test_without_a_compiler_nothing_is_computed_or_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiler, "compiler", lambda: None)
+    monkeypatch.setattr(compiler, "find_compiler", lambda: None)
     monkeypatch.setattr(exporting, "resolve_scenario", lambda _: pytest.fail("computed"))
     for version in VERSIONS:
         with pytest.raises(InputError, match="no C compiler"):

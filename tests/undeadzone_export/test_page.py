@@ -26,7 +26,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.report import html
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
-from undeadzone_export.page.build import build
+from undeadzone_export.page.build import build_live_page
 
 ROOT = Path(__file__).parents[2]
 LIVE = ROOT / "examples" / "live.toml"
@@ -113,7 +113,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 def shown(page: Browser, scenario: Scenario, folder: Path, link: str = "") -> None:
     """Open the page of a scenario."""
     file = folder / "page.html"
-    file.write_text(build(scenario).text, encoding="utf-8")
+    file.write_text(build_live_page(scenario).text, encoding="utf-8")
     page.open(file.as_uri() + link)
 
 
@@ -347,7 +347,7 @@ def parts(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def test_the_shipped_page_is_the_one_that_the_command_makes() -> None:
-    made, shipped = build(uz.read(LIVE)).text, SHIPPED.read_text(encoding="utf-8")
+    made, shipped = build_live_page(uz.read(LIVE)).text, SHIPPED.read_text(encoding="utf-8")
     (frame, data), (old_frame, old) = parts(made), parts(shipped)
     assert frame == old_frame
     assert data.pop("wasm") == old.pop("wasm")
@@ -370,7 +370,7 @@ def numbers_of(value: Any) -> list[float]:
 
 def test_the_same_scenario_gives_the_same_bytes() -> None:
     scenario = scene(simulation=SAMPLED)
-    assert build(scenario).text == build(scenario).text
+    assert build_live_page(scenario).text == build_live_page(scenario).text
 
 
 def test_its_policy_allows_its_own_script_alone() -> None:
@@ -409,7 +409,7 @@ def test_its_policy_allows_its_own_script_alone() -> None:
 )
 def test_what_the_page_cannot_show_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        build(scene(**changes))
+        build_live_page(scene(**changes))
 
 
 def test_the_command_writes_one_file_and_replaces_its_own_only(tmp_path: Path) -> None:
@@ -445,18 +445,18 @@ def test_a_remainder_has_no_instruction() -> None:
 
 def test_sliders_without_meaning_are_left_out() -> None:
     blind = scene(simulation=SAMPLED, observer={"method": "luenberger", "poles": [-3.0, -4.0]})
-    data = parts(build(blind).text)[1]
+    data = parts(build_live_page(blind).text)[1]
     assert "gamma" not in [slider["key"] for slider in data["sliders"]]
     assert not data["learns"]
     several = msgspec.structs.replace(blind, reference=uz.Step(amplitude=2.0, time=0.1))
-    keys = [slider["key"] for slider in parts(build(several).text)[1]["sliders"]]
+    keys = [slider["key"] for slider in parts(build_live_page(several).text)[1]["sliders"]]
     assert "speed" not in keys
 
 
 def test_the_flat_ends_of_a_range_are_explained() -> None:
     """Only where there are some."""
     for sensor, explained in (({}, False), ({"range": [-3.0, 3.0]}, True)):
-        text = build(scene(simulation=SAMPLED, sensor=sensor)).text
+        text = build_live_page(scene(simulation=SAMPLED, sensor=sensor)).text
         assert ("stays flat" in text) == explained
 
 

@@ -29,14 +29,14 @@ from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import exported_step, exporting, plc, plcopen
-from undeadzone_export.code import Code, code
+from undeadzone_export.code import Code, build_code
 from undeadzone_export.selftest_vectors import (
-    choose_vectors,
+    choose_samples,
     continue_scenario,
     record_inputs,
-    reference,
+    reference_vectors,
 )
-from undeadzone_export.source import Labels, source
+from undeadzone_export.source import Labels, build_source
 
 SAMPLES = 10_000
 FLAGS = ["-std=c99", "-ffp-contract=off", "-fno-math-errno", "-w", "-O0"]
@@ -65,23 +65,23 @@ class Made(NamedTuple):
     c: dict[str, str]
     blocks: str
     test: str
-    units: list[plc.Unit]
+    units: list[plc.PlcUnit]
 
 
 def made(scenario: Scenario, single: bool, part: str = "observer", **options: Any) -> Made:
     """An export, without its folder."""
     problem = resolve_scenario(scenario)
-    step = exported_step.build(problem, part, **options)
-    printed = code(step, single)
+    step = exported_step.build_step(problem, part, **options)
+    printed = build_code(step, single)
     rows = record_inputs(problem, step)
     exported = plc.export_plc(
-        printed, LABELS, reference(printed, choose_vectors(rows, step.readings))
+        printed, LABELS, reference_vectors(printed, choose_samples(rows, step.readings))
     )
     return Made(
         printed,
-        source(printed, LABELS).files(),
-        plcopen.text_of(exported.units, LABELS, printed),
-        plcopen.text_of([exported.test], LABELS, printed),
+        build_source(printed, LABELS).texts_by_name(),
+        plcopen.st_text(exported.units, LABELS, printed),
+        plcopen.st_text([exported.test], LABELS, printed),
         exported.units,
     )
 
@@ -106,7 +106,7 @@ def run_of(plant: str = "") -> Any:
     changes = {"plant": TWO_OUTPUTS, "observer": {"method": "certified", "gamma": 5.0}}
     scenario = small("sampled", **changes) if plant == "two" else observer("certified")
     problem = continue_scenario(scenario, SAMPLES)
-    return corrupted(record_inputs(problem, exported_step.build(problem)), 7)
+    return corrupted(record_inputs(problem, exported_step.build_step(problem)), 7)
 
 
 DOMAINS = {"log1p": "x > -1", "pow": "x > 0", "acosh": "x >= 1", "atanh": "x > -1 && x < 1"}
@@ -277,7 +277,7 @@ def test_real_has_floats_bits_where_expressions_are_wider(
 def test_readings_that_are_marked_missing_stop_no_plc(method: str, tmp_path: Path) -> None:
     """No operation is invalid and none divides by zero, so that no exception is raised."""
     problem = resolve_scenario(observer(method))
-    rows = record_inputs(problem, exported_step.build(problem))
+    rows = record_inputs(problem, exported_step.build_step(problem))
     rows[::10, 0] = 3e38  # what `missing` makes of a reading
     each = made(observer(method), True)
     text = f"#include <fenv.h>\n{Reader(each.blocks).c()}"
@@ -307,7 +307,7 @@ def selftested(text: str, folder: Path, cycles: int) -> tuple[int, ...]:
 @PRECISIONS
 def test_the_self_test_passes_and_notices_every_sign(single: bool, tmp_path: Path) -> None:
     each = made(observer("certified"), single)
-    samples = len(choose_vectors(np.zeros((200, 2)), 1))
+    samples = len(choose_samples(np.zeros((200, 2)), 1))
     assert selftested(each.blocks + each.test, tmp_path, samples - 1)[:2] == (0, 0)
     assert selftested(each.blocks + each.test, tmp_path, samples + 5) == (1, 1, 0)
     signs = [match.start() + 1 for match in re.finditer(r" [+-] ", each.blocks)]
@@ -354,7 +354,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     style = Style(kind, "o", ST)
     units = [plc.function_unit(name, style) for name in portable_maths.OWN.functions]
     labels, printed = LABELS, made(observer("certified"), single).code
-    text = Reader(plcopen.text_of(units, labels, printed)).c()
+    text = Reader(plcopen.st_text(units, labels, printed)).c()
     theirs = "\n".join(elementary_texts(names, set(names), Style(kind, "c")))
     calls = []
     for name in names:
@@ -466,7 +466,7 @@ def test_the_reader_refuses_what_the_standard_does_not_know(before: str, after: 
 
 
 def test_no_two_names_differ_by_capitals_alone() -> None:
-    assert exported_step.distinct(["W_0", "w_0", "x_0", "W_0"], str.lower) == [
+    assert exported_step.make_distinct(["W_0", "w_0", "x_0", "W_0"], str.lower) == [
         "W_0",
         "w_0_2",
         "x_0",

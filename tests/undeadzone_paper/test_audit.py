@@ -29,7 +29,13 @@ from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper, measures, write
-from undeadzone_paper.claims import Claim, Text, about, count_verdicts, texts
+from undeadzone_paper.claims import (
+    Claim,
+    ClaimText,
+    claims_on_equation,
+    read_claim_texts,
+    verdict_counts_text,
+)
 from undeadzone_paper.equations import EQUATIONS, FIGURES
 from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SIGNED
 from undeadzone_paper.example import (
@@ -38,19 +44,19 @@ from undeadzone_paper.example import (
     L_PRINTED,
     READINGS,
     D,
-    printed_example,
-    repaired_example,
+    example_as_printed,
+    example_as_repaired,
 )
-from undeadzone_paper.figures import mathtext
+from undeadzone_paper.figures import to_mathtext
 from undeadzone_paper.observer import Printed
-from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain
+from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain_by_name
 from undeadzone_paper.trials import (
     calm_share,
-    measure,
-    operations,
+    destabilising_alpha,
+    measure_claims,
+    observer_operations,
     pole_error,
-    rightmost,
-    unstable_from,
+    rightmost_pole,
 )
 
 HOME = Path(undeadzone_paper.__file__).with_name("claims.toml")
@@ -75,7 +81,7 @@ def five(paper: Paper) -> Run:
 def test_measured_facts_agree_with_their_closed_forms(paper: Paper) -> None:
     assert len(paper.facts) > 30
     for fact in paper.facts:
-        assert fact.error < 2e-5, fact
+        assert fact.relative_error < 2e-5, fact
 
 
 def test_facts_hold_the_numbers_that_the_theory_states(paper: Paper) -> None:
@@ -141,7 +147,7 @@ def test_repaired_V_never_rises_beyond_the_stated_integration_error(paper: Paper
 def test_rate_agrees_with_the_fall_of_V(five: Run) -> None:
     half = five.t.size // 2
     of_V = np.log(five.V[half] / five.V[-1]) / 2 / (five.t[-1] - five.t[half])
-    assert measures.rate(five) == pytest.approx(of_V, rel=0.01)
+    assert measures.width_convergence_rate(five) == pytest.approx(of_V, rel=0.01)
 
 
 def test_repaired_is_the_example_that_ships(five: Run) -> None:
@@ -200,10 +206,10 @@ def _alone(outcome: Outcome) -> Scenario:
     v = outcome.variant
     model = system(READINGS[v.plant].plant)
     x1, width = STARTS[v.start]
-    L = gain(v.L, model)
+    L = gain_by_name(v.L, model)
     law = PD(L=L, alpha=ALPHA).build(model).params
     return msgspec.structs.replace(
-        printed_example(5.0),
+        example_as_printed(5.0),
         plant=msgspec.structs.replace(READINGS[v.plant].plant, x0=[x1, 0.0]),
         observer=Printed(
             L=L,
@@ -219,15 +225,15 @@ def _alone(outcome: Outcome) -> Scenario:
 
 
 def test_each_claim_has_one_text_and_one_measurement(paper: Paper) -> None:
-    ids = [text.id for text in texts()]
+    ids = [text.id for text in read_claim_texts()]
     assert len(set(ids)) == len(ids)
-    assert set(measure(paper.evidence)) == set(ids)
+    assert set(measure_claims(paper.evidence)) == set(ids)
     assert [claim.text.id for claim in paper.claims] == ids
 
 
 def test_the_home_of_the_claims_has_no_verdict() -> None:
     """It has the paper's words, what is tested, a limit; no key, no reason says how it ends."""
-    allowed = set(Text._fields) - {"id"}
+    allowed = set(ClaimText._fields) - {"id"}
     for key, entry in tomllib.loads(HOME.read_text(encoding="utf-8")).items():
         assert set(entry) <= allowed, key
         assert entry["words"], key
@@ -270,14 +276,14 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
-    assert count_verdicts(paper.claims).startswith(
+    assert verdict_counts_text(paper.claims).startswith(
         f"Of {len(paper.claims)} claims {verdicts['holds']} hold as printed"
     )
 
 
 def test_equations_name_the_claims_that_judge_them(paper: Paper) -> None:
-    assert about(34, texts()) == ["riccati-gain", "lyapunov"]
-    assert about(40, texts()) == ["observer-poles"]
+    assert claims_on_equation(34, read_claim_texts()) == ["riccati-gain", "lyapunov"]
+    assert claims_on_equation(40, read_claim_texts()) == ["observer-poles"]
     equations = {entry["number"]: entry for entry in paper.summary()["equations"]}
     assert equations[7]["claims"] == ["indicators"]
     assert equations[28]["status"] == "corrected"  # chi_bar in it is that of (21)
@@ -295,12 +301,10 @@ def test_equations_name_the_claims_that_judge_them(paper: Paper) -> None:
 def test_verdict_follows_from_numbers_and_limit(
     values: tuple[float, ...], repaired_value: float, verdict: str
 ) -> None:
-    text = texts()[0]._replace(limit=1.0)
+    text = read_claim_texts()[0]._replace(limit=1.0)
     claim = Claim(text, {f"case {i}": value for i, value in enumerate(values)}, repaired_value)
     assert claim.verdict == verdict == claim.summary()["verdict"]
-    assert ("diverges" in claim.measured_in_words) == bool(
-        np.isinf([*values, repaired_value]).any()
-    )
+    assert ("diverges" in claim.numbers_text) == bool(np.isinf([*values, repaired_value]).any())
     json.dumps(claim.summary(), allow_nan=False)
 
 
@@ -327,12 +331,12 @@ def test_the_authors_own_doubt_is_quoted(paper: Paper) -> None:
 
 
 def test_with_40_every_alpha_stabilises_and_with_the_wanted_poles_only_those_below_nine() -> None:
-    plant = matrices(printed_example(1.0).plant)
+    plant = matrices(example_as_printed(1.0).plant)
     drifts = [plant.A - np.reshape(L, (2, 1)) @ plant.C for L in (L_PRINTED, L_POLES)]
     for alpha in np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 31):
-        assert rightmost(plant, drifts[0], alpha) < 0.0
-        assert (rightmost(plant, drifts[1], alpha) < 0.0) == (alpha < 8.95), alpha
-    assert unstable_from(plant, drifts[1]) == pytest.approx(8.95, abs=0.01)
+        assert rightmost_pole(plant, drifts[0], alpha) < 0.0
+        assert (rightmost_pole(plant, drifts[1], alpha) < 0.0) == (alpha < 8.95), alpha
+    assert destabilising_alpha(plant, drifts[1]) == pytest.approx(8.95, abs=0.01)
 
 
 def test_a_sliding_mode_chatters_by_its_sign_alone() -> None:
@@ -341,7 +345,7 @@ def test_a_sliding_mode_chatters_by_its_sign_alone() -> None:
 
 
 def test_the_printed_riccati_gain_stabilises_and_that_of_the_poles_does_not() -> None:
-    plant = matrices(printed_example(1.0).plant)
+    plant = matrices(example_as_printed(1.0).plant)
     for L, pole in ((L_PRINTED, -2.44), (L_POLES, 0.024)):
         K = paper_riccati(plant.A - np.reshape(L, (2, 1)) @ plant.C, plant.B, ALPHA, np.eye(2)).K
         poles = np.linalg.eigvals(plant.A - plant.B @ K).real
@@ -371,25 +375,25 @@ def test_measures_see_what_they_should(five: Run) -> None:
     assert measures.width_error(biased) == 0.25
     assert measures.state_error(biased, 1) == pytest.approx(0.5)
     dying = dataclasses.replace(five, d_hat=1.0 + np.exp(-0.3 * five.t)[:, None] * [1.0, -0.5])
-    assert measures.rate(dying) == pytest.approx(0.3, rel=1e-3)
+    assert measures.width_convergence_rate(dying) == pytest.approx(0.3, rel=1e-3)
     gone = dataclasses.replace(five, d_hat=five.d_hat * 1e30)
     assert np.isinf(measures.width_error(gone))
     blown = dataclasses.replace(five, d_hat=np.exp(five.t)[:, None] * [1.0, 1.0])
     assert measures.growth_of_widths(blown) > 100.0
     assert measures.growth_of_widths(dying) <= 1.0
-    assert np.isinf(measures.rise(gone))
+    assert np.isinf(measures.lyapunov_rise(gone))
     assert np.isinf(measures.steep_share(gone))
 
 
 def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
-    linear = matrices(printed_example(1.0).plant)
+    linear = matrices(example_as_printed(1.0).plant)
     assert pole_error(linear, L_POLES) < 1e-12
     assert pole_error(linear, L_PRINTED) > 1.0
 
 
 def test_operations_of_observers_are_counted() -> None:
-    assert 0 < operations(printed_example(5.0)) < 1000
-    assert 0 < operations(repaired_example(5.0)) < 1000
+    assert 0 < observer_operations(example_as_printed(5.0)) < 1000
+    assert 0 < observer_operations(example_as_repaired(5.0)) < 1000
 
 
 @pytest.mark.parametrize(
@@ -402,7 +406,7 @@ def test_operations_of_observers_are_counted() -> None:
     ],
 )
 def test_symbols_in_titles(words: str, symbols: str) -> None:
-    assert mathtext(words) == symbols
+    assert to_mathtext(words) == symbols
 
 
 def test_every_equation_is_placed_where_something_is() -> None:

@@ -120,7 +120,7 @@ def reduce_exponent(m: Maths, x: Any) -> Any:
 
 
 def clip_exponent(m: Maths, x: Any) -> Any:
-    """Return an argument of exp, clipped to the range in which exp is finite and positive."""
+    """Return an argument of exp, clipped where exp becomes infinite or 0."""
     x = m.select(x > m.c.most, m.c.most, x)
     return m.select(x < m.c.least, m.c.least, x)
 

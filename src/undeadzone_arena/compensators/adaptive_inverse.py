@@ -1,4 +1,4 @@
-"""The adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994)."""
+"""Adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GAIN = 30.0  # of the normalised gradient [1/s] where none is given
 class AdaptiveZoneInverse(
     Coasts, frozen=True, kw_only=True, tag_field="method", tag="adaptive_inverse"
 ):
-    """The exact inverse with widths of its own, that learn by the normalised gradient.
+    """Exact inverse with its own widths, which adapt by the normalised gradient.
 
     What enters the plant is linear in the widths b on the side of u, so that z = C (xi + Phi b)
     with xi' = A xi + B m u and Phi' = A Phi - B m chi; b moves against the error of the observer's
@@ -42,7 +42,7 @@ class AdaptiveZoneInverse(
     width_max: Array | None = None
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """Return the compensator for a model."""
+        """Build the compensator for a model."""
         if model.Ts is None:
             raise InputError(
                 "compensator.method: 'adaptive_inverse' needs samples; set simulation.time = "
@@ -62,7 +62,7 @@ class AdaptiveZoneInverse(
             most = positive("compensator.width_max", self.width_max, m, "one per input")
         gain = scalar("compensator.gain", self.gain, above=0.0) * model.Ts
         drive = resolve_actuator(Plain(), m) if belief is None else belief.drive
-        params = Params(
+        params = ZoneInverseParams(
             A=model.linear.A,
             B=model.linear.B,
             C=model.linear.C,
@@ -72,13 +72,14 @@ class AdaptiveZoneInverse(
             coasts=numbers,
         )
 
-        def init(q: Params) -> State:
-            return State(np.zeros(n), np.zeros((n, 2 * m)), np.tile(start, 2), first)
+        def init(q: ZoneInverseParams) -> ZoneInverseState:
+            """Return the state at t = 0."""
+            return ZoneInverseState(np.zeros(n), np.zeros((n, 2 * m)), np.tile(start, 2), first)
 
-        return Compensator(params, init, partial(adaptive_step, m))
+        return Compensator(params, init, partial(adaptive_inverse_step, m))
 
 
-class Params(NamedTuple):
+class ZoneInverseParams(NamedTuple):
     """Numbers of the compensator.
 
     Attributes:
@@ -98,8 +99,8 @@ class Params(NamedTuple):
     coasts: Any
 
 
-class State(NamedTuple):
-    """xi (n), Phi (n x 2m), the widths (2m), and the state of coasting."""
+class ZoneInverseState(NamedTuple):
+    """State: xi (n), Phi (n x 2m), the widths (2m), and the state of coasting."""
 
     xi: Any
     Phi: Any
@@ -107,10 +108,13 @@ class State(NamedTuple):
     coasts: Any
 
 
-def adaptive_step(
-    m: int, q: Params, s: State, v: Any, estimate: Estimate, reading: Reading
-) -> tuple[State, Any]:
-    """Return learn from the reading, then invert."""
+def adaptive_inverse_step(
+    m: int, q: ZoneInverseParams, s: ZoneInverseState, v: Any, estimate: Estimate, reading: Reading
+) -> tuple[ZoneInverseState, Any]:
+    """Update the widths by the reading.
+
+    Return the next state and the actuator's input (m) [u].
+    """
     zeta = q.C @ s.Phi
     error = estimate.z_inverse - q.C @ (s.xi + s.Phi @ s.widths)
     error = ca.if_else(present(reading.y), error, 0.0)
@@ -123,4 +127,4 @@ def adaptive_step(
     right, left = slope * (u > 0), slope * (u < 0)
     xi = q.A @ s.xi + q.B @ (slope * u)
     Phi = q.A @ s.Phi + q.B @ ca.horzcat(-ca.diag(right), ca.diag(left))
-    return State(xi, Phi, widths, coasts), u
+    return ZoneInverseState(xi, Phi, widths, coasts), u

@@ -1,4 +1,4 @@
-"""A contest: results, the places that they give, and what both rest on, for a file or a page."""
+"""Contest: results, ranks, and the data that both depend on, for a file or a page."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ from undeadzone.util.arrays import finite
 from undeadzone.util.files import write_text
 from undeadzone.util.progress import in_notebook
 from undeadzone.util.shown import Block
-from undeadzone_arena.contest.entry import enter_method, numbers
+from undeadzone_arena.contest.entry import enter_method, read_knob_numbers
 from undeadzone_arena.contest.leaderboard import (
     CAP,
     NAIVE,
     RESAMPLES,
     ZERO,
     Row,
-    contestants,
-    leaderboard,
-    regrets,
+    compute_regrets,
+    rank_methods,
+    select_contestants,
 )
 from undeadzone_arena.contest.methods import (
     NOTHING,
     RECOMMENDED,
     Method,
     Numbers,
-    catalogue,
-    of_options,
-    require,
+    method_from_options,
+    method_registry,
+    require_method,
 )
 from undeadzone_arena.contest.metric import TAIL, Result
-from undeadzone_arena.contest.prior_knowledge import situation
-from undeadzone_arena.contest.scenario_sets import scenarios as held_out
-from undeadzone_arena.contest.trials import problem_of, score, signals
-from undeadzone_arena.contest.words import in_words
+from undeadzone_arena.contest.prior_knowledge import build_setting
+from undeadzone_arena.contest.scenario_sets import arena_scenarios as held_out
+from undeadzone_arena.contest.trials import result_dependencies, score_methods, trial_signals
+from undeadzone_arena.contest.words import leaderboard_blocks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ TIMED: Final = ("leaderboard", "results")  # tables of the summary, with a cost 
 
 
 class Contest(NamedTuple):
-    """A contest of methods on scenarios.
+    """Contest of methods on scenarios.
 
     Attributes:
         scenarios: by name.
@@ -87,12 +87,11 @@ class Contest(NamedTuple):
 
     @property
     def contestants(self) -> list[Row]:
-        """Return the rows that are no lines to compare with, and could be entered somewhere."""
-        return contestants(self.rows)
+        """Return the rows of contestants (no reference lines) that some scenario accepted."""
+        return select_contestants(self.rows)
 
     def scenario(self, method: str, title: str) -> Scenario:
-        """Return a scenario with a method in the place of its observer, its knobs as they were
-        here.
+        """Return a scenario with a method as its observer, with the knobs of this contest.
 
         Args:
             method: name in the catalogue, or of one's own.
@@ -102,26 +101,26 @@ class Contest(NamedTuple):
             InputError: or a subclass, where the method is not applicable.
         """
         numbers = self.numbers.get(method, NOTHING)
-        known = {**catalogue(), **self.own}
-        return enter_method(known[method], situation(self.scenarios[title]), numbers)
+        known = {**method_registry(), **self.own}
+        return enter_method(known[method], build_setting(self.scenarios[title]), numbers)
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
-        """Return a run again, with the first seed, and all its signals.
+        """Repeat a run with the first seed; return the problem and all signals.
 
         Args:
             method: name in the catalogue.
             title: name of the scenario.
         """
         problem = resolve_scenario(self.scenario(method, title))
-        return problem, signals(problem, self.seeds[0])
+        return problem, trial_signals(problem, self.seeds[0])
 
     @property
     def drawn(self) -> tuple[str, str, str]:
-        """What draws it for `uz.plot`."""
+        """Return module and functions that draw the contest for `uz.plot`."""
         return "undeadzone_arena.contest.page", "first", "panel"
 
     def summary(self) -> dict[str, Any]:
-        """Return everything, ready for JSON; null where there is no number."""
+        """Return all numbers, ready for JSON, with null for a missing number."""
         titles = {name: scenario.title for name, scenario in self.scenarios.items()}
         return dict(
             finite(
@@ -138,7 +137,7 @@ class Contest(NamedTuple):
 
     def _flat_results(self) -> list[dict[str, Any]]:
         """Return the results with their regrets, each as one dictionary."""
-        regret = regrets(self.results)
+        regret = compute_regrets(self.results)
         places = {title: i for i, title in enumerate(self.scenarios)}
         flat = []
         for result in self.results:
@@ -162,16 +161,16 @@ class Contest(NamedTuple):
         return shown.in_text(self)
 
     def _repr_html_(self) -> str:
-        """Return the same and a figure, for a notebook."""
+        """Return leaderboard and figure for a notebook."""
         return shown.in_notebook(self)
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone arena` prints."""
         reasons = {result.method: result.reason or "" for result in reversed(self.results)}
-        return in_words(self.rows, len(self.scenarios), len(self.seeds), reasons)
+        return leaderboard_blocks(self.rows, len(self.scenarios), len(self.seeds), reasons)
 
     def plot(self, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-        """Draw it.
+        """Draw the contest.
 
         Args:
             path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
@@ -180,7 +179,7 @@ class Contest(NamedTuple):
         return shown.plot(self, path, ax)
 
     def save(self, path: Path) -> list[Path]:
-        """Write the summary as JSON; measured times into a file of their own, `costs.json` beside.
+        """Write the summary as JSON, and the measured times as `costs.json` beside it.
 
         So two contests over the same scenarios and seeds have the same results, to the last byte.
 
@@ -189,11 +188,11 @@ class Contest(NamedTuple):
         """
         summary = self.summary()
         costs = {key: [row.pop("cost", None) for row in summary[key]] for key in TIMED}
-        return [_json_file(summary, path), _json_file(costs, path.with_name("costs.json"))]
+        return [_write_json(summary, path), _write_json(costs, path.with_name("costs.json"))]
 
 
-def _json_file(value: Any, path: Path) -> Path:
-    """Return a value written as JSON. Raises FileError."""
+def _write_json(value: Any, path: Path) -> Path:
+    """Write a value as JSON. Raises FileError."""
     return write_text(json.dumps(value, indent=1, allow_nan=False), path)
 
 
@@ -206,7 +205,7 @@ def arena(
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Contest:
-    """Return let methods run against each other, your own among them (docs/arena.md).
+    """Run methods against each other, a user's own included (docs/arena.md).
 
     Args:
         scenarios: by name, or in a list, whose titles name them; None: those that the arena holds
@@ -230,16 +229,16 @@ def arena(
         grounds = scenarios
     else:
         grounds = {scenario.title: scenario for scenario in scenarios}
-    own = {name: of_options(options) for name, options in (also or {}).items()}
-    known = catalogue()
+    own = {name: method_from_options(options) for name, options in (also or {}).items()}
+    known = method_registry()
     for name in own:
         if name in known:
             raise InputError(f"also: {name!r} is in the catalogue; give your method another name")
     names = RECOMMENDED if methods is None and own else methods
     entries: Sequence[str] | Mapping[str, Method] | None = names
     if own:
-        entries = {name: known[require(name)] for name in names or ()} | own
-    return run_contest(entries, grounds, seeds, numbers(), processes, progress)
+        entries = {name: known[require_method(name)] for name in names or ()} | own
+    return run_contest(entries, grounds, seeds, read_knob_numbers(), processes, progress)
 
 
 def run_contest(
@@ -252,7 +251,7 @@ def run_contest(
     keep: Path | None = None,
     resume: bool = False,
 ) -> Contest:
-    """Return let methods run against each other on scenarios.
+    """Run methods against each other on scenarios.
 
     Args:
         methods: names in the catalogue, or methods by name; None: all.
@@ -269,15 +268,21 @@ def run_contest(
     """
     with in_notebook(progress, "arena", None) as advance:
         compete = functools.partial(
-            score, methods, scenarios, seeds, numbers=numbers, processes=processes, progress=advance
+            score_methods,
+            methods,
+            scenarios,
+            seeds,
+            numbers=numbers,
+            processes=processes,
+            progress=advance,
         )
         if keep is None:
             results = compete()
         else:
-            kept = Answers(keep, problem_of(scenarios, seeds, numbers), "results", resume)
+            kept = Answers(keep, result_dependencies(scenarios, seeds, numbers), "results", resume)
             with kept.hold_file():
                 results = compete(kept=kept)
-    references = {name for name, method in catalogue().items() if method.reference}
-    rows = leaderboard(results, references)
+    references = {name for name, method in method_registry().items() if method.reference}
+    rows = rank_methods(results, references)
     own = methods if isinstance(methods, Mapping) else NOTHING
     return Contest(scenarios, tuple(seeds), numbers, results, rows, own)

@@ -1,4 +1,4 @@
-"""How much work a contest is: told before it starts."""
+"""Amount of work of a contest, printed before it starts."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Final
 
 from undeadzone.scenario.schema import Scenario
 from undeadzone_arena.contest.leaderboard import NAIVE
-from undeadzone_arena.contest.methods import catalogue
-from undeadzone_arena.contest.prior_knowledge import Setting, situations
-from undeadzone_arena.contest.trials import processes_for, trial
+from undeadzone_arena.contest.methods import method_registry
+from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
+from undeadzone_arena.contest.trials import process_count, run_trial
 
 # Times a run of the naive observer: `python -m benchmarks arena_effort`.
 HEAVY: Final[Mapping[str, float]] = {
@@ -24,14 +24,14 @@ HEAVY: Final[Mapping[str, float]] = {
 USUAL: Final = 2.0  # of all others
 
 
-def in_words(
+def effort_text(
     names: Sequence[str],
     grounds: Mapping[str, Scenario],
     runs: int,
     what: str,
     processes: int | None,
 ) -> str:
-    """How many runs there are, and about how many minutes they take. Raises InputError.
+    """Describe the number of runs and their approximate time in minutes. Raises InputError.
 
     Args:
         names: of the methods.
@@ -41,31 +41,32 @@ def in_words(
         processes: at once; None: one per processor.
     """
     total = len(names) * len(grounds) * runs
-    at_once = processes_for(len(names) * len(grounds), processes)
+    at_once = process_count(len(names) * len(grounds), processes)
     work = sum(HEAVY.get(name, USUAL) for name in names) * runs
-    minutes = work * sum(map(_naive, situations(grounds).values())) / at_once / 60
+    minutes = work * sum(map(_naive_run_time, build_settings(grounds).values())) / at_once / 60
     return (
-        f"{_count_runs(len(names), 'method')} x {_count_runs(len(grounds), 'scenario')} x "
-        f"{_count_runs(runs, what)} = {_count_runs(total, 'run')}; {_about(minutes)} on "
-        f"{_count_runs(at_once, 'process', 'processes')}"
+        f"{_number_with_noun(len(names), 'method')} x "
+        f"{_number_with_noun(len(grounds), 'scenario')} x "
+        f"{_number_with_noun(runs, what)} = {_number_with_noun(total, 'run')}; "
+        f"{_rough_time_text(minutes)} on {_number_with_noun(at_once, 'process', 'processes')}"
     )
 
 
-def _naive(setting: Setting) -> float:
-    """Return the time that a run of the naive observer takes [s]."""
+def _naive_run_time(setting: Setting) -> float:
+    """Measure the time of a run of the naive observer [s]."""
     began = time.perf_counter()
-    trial(NAIVE, catalogue()[NAIVE], "", setting, [setting.scenario.simulation.seed])
+    run_trial(NAIVE, method_registry()[NAIVE], "", setting, [setting.scenario.simulation.seed])
     return time.perf_counter() - began
 
 
-def _about(minutes: float) -> str:
-    """Return a time to one digit."""
+def _rough_time_text(minutes: float) -> str:
+    """Return a time to one digit as text."""
     if minutes < 1:
         return "less than a minute"
     number, unit = (minutes, "min") if minutes < 90 else (minutes / 60, "h")
     return f"about {float(f'{number:.1g}'):g} {unit}"
 
 
-def _count_runs(number: int, one: str, many: str = "") -> str:
-    """Return 1 run, 2 runs."""
+def _number_with_noun(number: int, one: str, many: str = "") -> str:
+    """Return a number with its noun: 1 run, 2 runs."""
     return f"{number:,} {one if number == 1 else many or f'{one}s'}"

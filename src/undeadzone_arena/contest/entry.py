@@ -1,4 +1,4 @@
-"""A method entered into a scenario: in the place of its observer, with what it may know."""
+"""Entry of a method into a scenario: in place of its observer, with its prior information."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from undeadzone.observers import FullState
 from undeadzone.observers.filtering.actuator import ESTIMATORS
 from undeadzone.scenario.problem import describe_actuator
 from undeadzone.scenario.schema import Model, Scenario
-from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle
-from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge, Setting, situation
-from undeadzone_arena.contest.tuned_file import load
+from undeadzone_arena.contest.methods import NOTHING, Knobs, Method, Numbers, Options, middle_knobs
+from undeadzone_arena.contest.prior_knowledge import UNITS, PriorKnowledge, Setting, build_setting
+from undeadzone_arena.contest.tuned_file import load_tuned
 
 OWN = ("tuned.toml", "tuned_both_ends.toml")  # of --tune, and of --tune --set both_ends
 
 
-def numbers(path: Path | None = None) -> Numbers:
-    """Return the numbers of the knobs, by method, as `undeadzone arena --tune` found them.
+def read_knob_numbers(path: Path | None = None) -> Numbers:
+    """Read the numbers of the knobs, by method, that `undeadzone arena --tune` found.
 
     Args:
         path: of a file of one's own; None: those that come with the package.
@@ -36,13 +36,13 @@ def numbers(path: Path | None = None) -> Numbers:
         found: dict[str, Knobs] = {}
         for name in OWN:
             with as_file(files("undeadzone_arena.contest") / name) as own:
-                found |= numbers(own)
+                found |= read_knob_numbers(own)
         return found
-    return {name: entry.knobs for name, entry in load(path).methods.items()}
+    return {name: entry.knobs for name, entry in load_tuned(path).methods.items()}
 
 
 def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> Scenario:
-    """Return the scenario with a method in the place of its observer.
+    """Return the scenario with a method in place of its observer.
 
     The method takes the place of the controller too if it has its own.
 
@@ -56,13 +56,13 @@ def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> S
         InputError: or a subclass.
     """
     if method.continuous and ground.scenario.simulation.time == "sampled":
-        ground = _in_continuous_time(method, ground)
+        ground = _to_continuous_time(method, ground)
     scenario, prior = ground
     if method.compensator and scenario.actuator is None:
         raise InputError(
             "actuator: this method is for a dead zone of an actuator, and there is none"
         )
-    values = middle(method)
+    values = middle_knobs(method)
     for address, value in numbers.items():
         if address in method.knobs:
             values[address] = value
@@ -73,21 +73,21 @@ def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> S
     derived = method.derived(prior, knobs) if method.derived else NOTHING
     options = {**knobs, **method.fixed, **derived}
     parts = {
-        "observer": _options(method.observer, "observer", prior, options),
-        "model": _model(method, scenario, prior),
+        "observer": _part_options(method.observer, "observer", prior, options),
+        "model": _method_model(method, scenario, prior),
     }
     if method.controller:
-        parts["controller"] = _options(method.controller, "controller", prior, options)
+        parts["controller"] = _part_options(method.controller, "controller", prior, options)
     if method.compensator:
-        parts["compensator"] = _options(method.compensator, "compensator", prior, options)
+        parts["compensator"] = _part_options(method.compensator, "compensator", prior, options)
     if method.informed:
         # A known disturbance of the input is cancelled there: what is left is a run without it.
         parts |= {"model": None, "disturbance": None}
     return msgspec.structs.replace(scenario, **parts)
 
 
-def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model | None:
-    """Return the scenario's model with what a method believes of the actuator.
+def _method_model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model | None:
+    """Return the scenario's model with the method's assumptions on the actuator.
 
     A line to compare with knows it. A method that estimates widths gets their ranges, another one
     the middle of these.
@@ -103,18 +103,18 @@ def _model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> Model |
     return msgspec.structs.replace(model, actuator=plain)
 
 
-def _in_continuous_time(method: Method, ground: Setting) -> Setting:
-    """Return the same scenario in continuous time, and what is known of it."""
+def _to_continuous_time(method: Method, ground: Setting) -> Setting:
+    """Convert a setting to continuous time."""
     parts = {
         "simulation": msgspec.structs.replace(ground.scenario.simulation, time="continuous"),
-        "model": _model(method, *ground),
+        "model": _method_model(method, *ground),
         "observer": FullState(),  # one that is there in continuous time
         "declared": ground.known.declared,
     }
-    return situation(msgspec.structs.replace(ground.scenario, **parts))
+    return build_setting(msgspec.structs.replace(ground.scenario, **parts))
 
 
-def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, Any]) -> Any:
+def _part_options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, Any]) -> Any:
     """Return the options of a part.
 
     They are what is known, by the names that the part has for it, then what has its address.
@@ -130,7 +130,7 @@ def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, 
     """
     names = {field.name for field in msgspec.structs.fields(kind)}
     prefix = f"{part}."
-    known = _claims(part, names, prior)
+    known = _options_from_prior(part, names, prior)
     chosen = {name: value for name, value in known.items() if name in names}
     for address, value in options.items():
         if address.startswith(prefix):
@@ -144,10 +144,10 @@ def _options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, 
     return kind(**chosen)
 
 
-def _claims(part: str, names: set[str], prior: PriorKnowledge) -> Options:
-    """What is known, by the names that options have for it."""
+def _options_from_prior(part: str, names: set[str], prior: PriorKnowledge) -> Options:
+    """Return the prior information, by the names of the options."""
     if part == "compensator":
-        return _actuator_claims(prior.actuator)
+        return _actuator_options(prior.actuator)
     p = prior.model.p
     every = msgspec.structs.asdict(prior.declared)
     claims = {name: value for name, value in every.items() if value is not None}
@@ -163,8 +163,8 @@ def _claims(part: str, names: set[str], prior: PriorKnowledge) -> Options:
     }
 
 
-def _actuator_claims(belief: Belief | None) -> Options:
-    """What is known of an actuator, by the names that options of a compensator have for it."""
+def _actuator_options(belief: Belief | None) -> Options:
+    """Return the prior information on an actuator, by the names of a compensator's options."""
     if belief is None:
         return {}
     widths = np.stack([belief.drive.right, belief.drive.left])

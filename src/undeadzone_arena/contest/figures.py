@@ -1,4 +1,4 @@
-"""Figures of the arena: places, regret by scenario, runs seen from inside, cost against error."""
+"""Figures of the arena: ranks, regret by scenario, example runs, cost against error."""
 
 from __future__ import annotations
 
@@ -22,20 +22,22 @@ SHOWN: Final = 4.0  # [s] at the end of a run
 COLOURS: Final = (ink.ESTIMATE, ink.READING, ink.PRINTED, ink.OTHER)
 
 
-def places(rows: Sequence[Row], title: str) -> Figure:
-    """Return median and worst regret of every method with their intervals, the best on top."""
+def plot_ranking(rows: Sequence[Row], title: str) -> Figure:
+    """Plot median and worst regret of every method with their intervals, the best on top."""
     figure, panels = sheet([["all"]], title, height=0.24 * len(rows) + 1.2)
-    leaderboard(panels["all"], rows)
+    plot_leaderboard(panels["all"], rows)
     return figure
 
 
-def leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
-    """Median and worst regret of every method with their intervals, the best on top."""
+def plot_leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
+    """Plot median and worst regret of every method with their intervals, the best on top."""
     at = np.arange(len(rows))[::-1]  # heights of the methods
     medians = [row.median_regret for row in rows]
     worst = [row.worst_regret for row in rows]
-    _place(axes, at, medians, [row.median_interval for row in rows], "median", ink.ESTIMATE, "o")
-    _place(axes, at, worst, [row.worst_interval for row in rows], "worst", ink.PRINTED, "s")
+    _plot_regrets(
+        axes, at, medians, [row.median_interval for row in rows], "median", ink.ESTIMATE, "o"
+    )
+    _plot_regrets(axes, at, worst, [row.worst_interval for row in rows], "worst", ink.PRINTED, "s")
     for x, words in ((1.0, "half a zone"), (CAP, "diverged")):
         axes.axvline(x, color=ink.ZONE, linewidth=0.9, linestyle=(0, (4, 2)))
         axes.text(x, len(rows) - 0.4, words, color=ink.ZONE, fontsize=8, ha="center", va="bottom")
@@ -51,7 +53,7 @@ def leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 
-def _place(
+def _plot_regrets(
     axes: Axes,
     at: np.ndarray,
     regret: list[float],
@@ -60,7 +62,7 @@ def _place(
     colour: str,
     marker: str,
 ) -> None:
-    """A marker for the regret of each method, on a bar for its interval."""
+    """Plot a marker for the regret of each method, on a bar for its interval."""
     low, high = np.clip(np.array(intervals).T, LEAST, CAP)
     axes.hlines(at, low, high, color=colour, alpha=0.45, linewidth=4)
     shown = np.clip(np.array(regret), LEAST, CAP)
@@ -68,8 +70,10 @@ def _place(
     axes.plot(shown, at, marker, color=colour, markersize=4.5, label=words)
 
 
-def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence[str]) -> Figure:
-    """Return regret of every method on every scenario; a dash where it is not applicable.
+def plot_regret_map(
+    rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence[str]
+) -> Figure:
+    """Plot the regret of every method on every scenario, with a dash if not applicable.
 
     Args:
         rows: the methods in order
@@ -87,7 +91,9 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     for (i, j), value in np.ndenumerate(table):
         dark = shown[i, j] < 0.03 or shown[i, j] > 3
         colour = "white" if dark else ink.TRUTH
-        axes.text(j, i, cell(value), ha="center", va="center", fontsize=6.5, color=colour)
+        axes.text(
+            j, i, regret_cell_text(value), ha="center", va="center", fontsize=6.5, color=colour
+        )
     axes.set_xticks(
         range(len(scenarios)),
         [plain(title) for title in scenarios],
@@ -103,8 +109,8 @@ def heat(rows: Sequence[Row], regrets: Mapping[str, Floats], scenarios: Sequence
     return figure
 
 
-def cell(value: float) -> str:
-    """Return a regret in three places: 12, 1.2, .12 or −.12; a dash where it is not finite."""
+def regret_cell_text(value: float) -> str:
+    """Return a regret in short form: 12, 1.2, .12 or −.12, or a dash if not finite."""
     if not np.isfinite(value):
         return "–"
     if value >= 9.95:
@@ -114,26 +120,24 @@ def cell(value: float) -> str:
     return f"{value:.2f}".replace("0.", ".", 1).replace("-", "−")
 
 
-def traces(runs: Sequence[Trace]) -> Figure:
-    """Return the hidden output under each method in the last seconds, and |z - r| over the whole
-    run.
-    """
+def plot_traces(runs: Sequence[Trace]) -> Figure:
+    """Plot the hidden output in the last seconds for each method, and |z - r| over the run."""
     rows = [[trace.method] * 2 for trace in runs] + [["errors"] * 2]
     figure, panels = sheet(rows, f"{runs[0].scenario}: the hidden output", height=2.1)
     for trace in runs:
-        _trace(panels[trace.method], trace)
+        _plot_trace(panels[trace.method], trace)
     axes = panels["errors"]
     axes.set_yscale("log")
     for trace, colour in zip(runs, COLOURS, strict=False):
-        size = envelope(np.abs(trace.z - trace.r))
+        size = span_envelope(np.abs(trace.z - trace.r))
         axes.plot(trace.t, size, color=colour, label=trace.method)
     axes.set_ylim(top=min(axes.get_ylim()[1], 20 * np.abs(runs[0].r).max()))
     finish(axes, "|z − r|, the largest within half a second", "|z − r|", legend=4)
     return figure
 
 
-def _trace(axes: Axes, trace: Trace) -> None:
-    """Reference, output and estimate of one method in the last seconds."""
+def _plot_trace(axes: Axes, trace: Trace) -> None:
+    """Plot reference, output and estimate of one method in the last seconds."""
     tail = trace.t > trace.t[-1] - SHOWN
     t, r, z, z_hat = trace.t[tail], trace.r[tail], trace.z[tail], trace.z_hat[tail]
     shade_zone(axes, *trace.widths)
@@ -146,14 +150,14 @@ def _trace(axes: Axes, trace: Trace) -> None:
     finish(axes, trace.method, "z", "", legend=4)
 
 
-def envelope(size: Floats, parts: int = 40) -> Floats:
+def span_envelope(size: Floats, parts: int = 40) -> Floats:
     """Return the largest value within each of `parts` spans, at every sample."""
     spans = np.array_split(np.nan_to_num(size, nan=np.inf), min(parts, size.size))
     return np.concatenate([np.full(span.size, max(span.max(), 1e-6)) for span in spans])
 
 
-def costs(rows: Sequence[Row]) -> Figure:
-    """Return median regret against the cost of a step; the methods are numbered by their places."""
+def plot_costs(rows: Sequence[Row]) -> Figure:
+    """Plot median regret against the cost of a step. The methods are numbered by their ranks."""
     height = max(4.6, 0.155 * len(rows) + 0.6)
     figure, panels = sheet([["all"] * 3 + ["names"]], "Cost against error", height=height)
     axes, names = panels["all"], panels["names"]

@@ -1,4 +1,4 @@
-"""From results to ranks: regret in zones, median and worst, with bootstrap intervals."""
+"""Ranks from results: regret in zones, median and worst, with bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.statistics.intervals import LEVEL, Interval
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.metric import Result, Worth
+from undeadzone_arena.contest.metric import Result, RunMetrics
 
 ZERO: Final = "informed"  # the line of regret 0
 NAIVE: Final = "luenberger"  # what is left where a method is not applicable
@@ -22,7 +22,7 @@ MEDIANS: Final = ("width", "centre", "effort", "slew")  # of which a row gives t
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """A method's place.
+    """Row of the leaderboard: the numbers of one method.
 
     Regrets are means over seeds. Intervals are those of 95 % confidence. Errors are those of the
     runs that did not diverge; None where no run has one.
@@ -73,13 +73,13 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     cost: float | None
 
 
-def contestants(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that are no lines to compare with, and could be entered somewhere."""
+def select_contestants(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows of contestants (no reference lines) that some scenario accepted."""
     return [row for row in rows if not row.reference and row.not_applicable < 1]
 
 
-def regrets(results: Sequence[Result]) -> dict[str, Floats]:
-    """Return regret (scenarios x seeds) by method; NaN where refused.
+def compute_regrets(results: Sequence[Result]) -> dict[str, Floats]:
+    """Compute the regret (scenarios x seeds) [zones] of each method, NaN where it was refused.
 
     It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
     two runs that do not diverge the one with the smaller J has the smaller regret, whatever the
@@ -97,12 +97,11 @@ def regrets(results: Sequence[Result]) -> dict[str, Floats]:
             J[result.method][place] = np.inf if result.worth.diverged else result.worth.tracking
             zone[place] = result.worth.zone
     least = np.where(np.isfinite(J[ZERO]), J[ZERO], 0.0)
-    return {name: bound_regret((own - least) / zone) for name, own in J.items()}
+    return {name: compress_regret((own - least) / zone) for name, own in J.items()}
 
 
-def bound_regret(regret: Floats) -> Floats:
-    """Return a regret as it is up to half of `CAP` on either side, beyond rising ever more slowly
-    to it.
+def compress_regret(regret: Floats) -> Floats:
+    """Return a regret unchanged up to half of `CAP`, and compressed towards `CAP` beyond.
 
     The order stays, and CAP itself is left to runs that diverged.
     """
@@ -111,10 +110,10 @@ def bound_regret(regret: Floats) -> Floats:
     return np.where(np.abs(regret) <= half, regret, np.sign(regret) * (CAP - half**2 / size))
 
 
-def leaderboard(
+def rank_methods(
     results: Sequence[Result], references: Container[str] = (), seed: int = 0
 ) -> list[Row]:
-    """Return the methods by median regret, of equals by the worst.
+    """Sort the methods by median regret, and equals by the worst.
 
     Where one is not applicable the regret of the naive observer counts.
 
@@ -123,19 +122,19 @@ def leaderboard(
         references: names of the methods that are lines to compare with.
         seed: of the resampling.
     """
-    found = regrets(results)
+    found = compute_regrets(results)
     counted = {
         name: np.where(np.isnan(regret), found[NAIVE], regret) for name, regret in found.items()
     }
     scenarios = list(dict.fromkeys(result.scenario for result in results))
-    best = counted[_best(counted, references)]
-    naive = _times(results, NAIVE)
+    best = counted[_best_contestant(counted, references)]
+    naive = _step_times(results, NAIVE)
     rows = []
     for name, regret in counted.items():
         own = [result for result in results if result.method == name]
-        median, worst = intervals(regret, seed)
-        behind, _ = intervals(regret - best, seed)
-        times = _times(results, name)
+        median, worst = regret_intervals(regret, seed)
+        behind, _ = regret_intervals(regret - best, seed)
+        times = _step_times(results, name)
         ratios = [times[scenario] / naive[scenario] for scenario in times]
         rows.append(
             Row(
@@ -149,14 +148,14 @@ def leaderboard(
                 behind=behind.value,
                 behind_interval=(behind.low, behind.high),
                 cost=float(np.median(ratios)) if ratios else None,
-                **_averages(own),
+                **_average_fields(own),
             )
         )
     return sorted(rows, key=lambda row: (row.median_regret, row.worst_regret))
 
 
-def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
-    """Return the contestant of least median regret, of equals that of the least worst one."""
+def _best_contestant(counted: Mapping[str, Floats], references: Container[str]) -> str:
+    """Return the contestant of least median regret, and of equals that of least worst regret."""
     best, least = ZERO, (np.inf, np.inf)
     for name, regret in counted.items():
         each = regret.mean(axis=1)
@@ -166,8 +165,8 @@ def _best(counted: Mapping[str, Floats], references: Container[str]) -> str:
     return best
 
 
-def _averages(results: Sequence[Result]) -> dict[str, Any]:
-    """Return the entries of a row that are averages or shares of a method's runs."""
+def _average_fields(results: Sequence[Result]) -> dict[str, Any]:
+    """Return the fields of a row that are averages or shares of a method's runs."""
     done = [result.worth for result in results if result.worth is not None]
     kept = [worth for worth in done if not worth.diverged]
     settled = [worth for worth in kept if worth.settling is not None]
@@ -176,22 +175,22 @@ def _averages(results: Sequence[Result]) -> dict[str, Any]:
         "diverged": (len(done) - len(kept)) / total,
         "not_applicable": 1 - len(done) / total,
         "settled": len(settled) / total,
-        **{field: _over(kept, field, np.mean) for field in MEANS},
-        **{field: _over(kept, field, np.median) for field in MEDIANS},
+        **{field: _statistic_over_runs(kept, field, np.mean) for field in MEANS},
+        **{field: _statistic_over_runs(kept, field, np.median) for field in MEDIANS},
     }
 
 
-def _over(
-    kept: Sequence[Worth], field: str, statistic: Callable[[list[float]], Any]
+def _statistic_over_runs(
+    kept: Sequence[RunMetrics], field: str, statistic: Callable[[list[float]], Any]
 ) -> float | None:
-    """Return a statistic of a field over the runs that have it; None where none has."""
+    """Return a statistic of a field over the runs that have a value, or None if no run has."""
     every = [getattr(worth, field) for worth in kept]
     values = [value for value in every if value is not None]
     return float(statistic(values)) if values else None
 
 
-def _times(results: Sequence[Result], name: str) -> dict[str, float]:
-    """Return seconds per step by scenario: the least of the seeds, since other work only adds."""
+def _step_times(results: Sequence[Result], name: str) -> dict[str, float]:
+    """Return the seconds per step by scenario: the least of the seeds. Other load only adds."""
     times: dict[str, float] = {}
     for result in results:
         if result.method == name and result.worth is not None:
@@ -200,9 +199,10 @@ def _times(results: Sequence[Result], name: str) -> dict[str, float]:
     return times
 
 
-def intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
-    """Return median and largest over scenarios of the mean over seeds, with their bootstrap
-    intervals.
+def regret_intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]:
+    """Return median and maximum, over scenarios, of the mean over seeds, with intervals.
+
+    The intervals are from the bootstrap.
 
     Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that
     of these very scenarios: resampled ones could only leave it out.

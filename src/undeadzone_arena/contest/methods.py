@@ -1,4 +1,4 @@
-"""The contestants of the arena: a line each."""
+"""Contestants of the arena, a line each."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ NOTHING: Final[Mapping[str, Any]] = MappingProxyType({})
 
 
 class Knob(NamedTuple):
-    """A number that is tuned, on a logarithmic scale.
+    """Number that is tuned on a logarithmic scale.
 
     Attributes:
         low, high: its bounds.
@@ -69,7 +69,7 @@ class Knob(NamedTuple):
 
 
 class Method(NamedTuple):
-    """A contestant: the options of its observer and, where it has its own, its controller.
+    """Contestant: the options of its observer and, if it has its own, its controller.
 
     Attributes:
         observer: options of the observer.
@@ -94,14 +94,15 @@ class Method(NamedTuple):
     informed: bool = False
 
 
-def _by_speed(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """Return L for poles of the speed that the knob says."""
-    return {"observer.L": prior.gain(knobs["speed"])}
+def _speed_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option L for poles of the knob's speed."""
+    return {"observer.L": prior.gain_for_speed(knobs["speed"])}
 
 
-def _passive(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """Return L in a certified direction, so strong that it stays certified; for stable plants
-    only.
+def _passivity_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option L in a certified direction, as strong as the certificate allows.
+
+    For stable plants only.
     """
     linear, Ts = prior.model.linear, prior.model.Ts
     direction = passive_gain(linear, Ts)
@@ -112,24 +113,24 @@ def _passive(prior: PriorKnowledge, knobs: Knobs) -> Options:
     return {"observer.L": gain * direction}
 
 
-def _naive(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """Return L for poles somewhat faster than the closed loop's."""
-    return {"observer.L": prior.gain(NAIVE * prior.loop_rate)}
+def _naive_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option L for poles somewhat faster than those of the closed loop."""
+    return {"observer.L": prior.gain_for_speed(NAIVE * prior.loop_rate)}
 
 
-def _deaf(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """No correction."""
+def _open_loop_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option L = 0: no correction."""
     return {"observer.L": np.zeros((prior.model.n, prior.model.p))}
 
 
-def _readable(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """Return a jump sensor leaves no width to adapt."""
+def _jump_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option gamma = 0 for a jump sensor, which leaves no width to adapt."""
     return {"observer.gamma": 0.0} if prior.kind == "jump" else {}
 
 
-def _disturbance_bound(prior: PriorKnowledge, knobs: Knobs) -> Options:
-    """Return a bound of the disturbance."""
-    return {"observer.disturbance": SURELY * math.hypot(prior.disturbance_rms, prior.bias)}
+def _disturbance_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
+    """Return the option of the bound of the disturbance."""
+    return {"observer.disturbance": SURELY * math.hypot(prior.disturbance_rms, prior.bias_rms)}
 
 
 RECOMMENDED: Final = ("auto", "censored", "kalman", "certified")
@@ -169,25 +170,25 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "informed": Method(FullState, reference=True, informed=True),
         "full_state": Method(FullState, reference=True),
         "oracle": Method(
-            Oracle, {"speed": Knob(0.1, 100.0, "1/s")}, derived=_by_speed, reference=True
+            Oracle, {"speed": Knob(0.1, 100.0, "1/s")}, derived=_speed_options, reference=True
         ),
-        "open_loop": Method(Luenberger, derived=_deaf, reference=True),
-        "luenberger": Method(Luenberger, derived=_naive, reference=True),
+        "open_loop": Method(Luenberger, derived=_open_loop_options, reference=True),
+        "luenberger": Method(Luenberger, derived=_naive_options, reference=True),
         "printed": Method(
             Printed,
             {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)},
-            derived=_by_speed,
+            derived=_speed_options,
             continuous=True,
         ),
         "printed_fed": Method(
             Printed,
             {"speed": RATE, "observer.sigma": Knob(1e-3, 10.0)},
             {"observer.feed_input": True},
-            derived=_by_speed,
+            derived=_speed_options,
             continuous=True,
         ),
         "certified": Method(
-            Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, derived=_passive
+            Certified, {"gain": Knob(0.1, 1e4), "observer.gamma": GAIN}, derived=_passivity_options
         ),
         "kalman": Method(Kalman, CLAIMS),
         "censored": Method(Censored),
@@ -210,19 +211,19 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "particle_filter": Method(ParticleFilter, BLURRED),
         "moving_horizon": Method(MovingHorizon, CLAIMS),
         "interval": Method(
-            Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_disturbance_bound
+            Interval, {"observer.speed": Knob(0.1, 30.0, "1/s")}, derived=_disturbance_options
         ),
         "high_gain": Method(
             HighGain,
             {"observer.epsilon": Knob(0.01, 1.0, "s"), "observer.gamma": GAIN},
-            derived=_readable,
+            derived=_jump_options,
         ),
-        "walcott_zak": Method(WalcottZak, SLIDING, derived=_readable),
-        "super_twisting": Method(SuperTwisting, TWISTING, derived=_readable),
+        "walcott_zak": Method(WalcottZak, SLIDING, derived=_jump_options),
+        "super_twisting": Method(SuperTwisting, TWISTING, derived=_jump_options),
         "sliding_mode": Method(
             WalcottZak,
             SLIDING | {"controller.gain": Knob(0.1, 30.0, "u")},
-            derived=_readable,
+            derived=_jump_options,
             controller=SlidingMode,
         ),
         "robust_gradient": Method(
@@ -248,11 +249,13 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "rbf_feedback": Method(AdaptiveInverse, LEARNING | FEEDBACK, controller=RBFFeedback),
         "taylor_feedback": Method(AdaptiveInverse, LEARNING | FEEDBACK, controller=TaylorFeedback),
         "fuzzy_feedback_blind": Method(
-            Luenberger, FEEDBACK, derived=_naive, controller=FuzzyFeedback
+            Luenberger, FEEDBACK, derived=_naive_options, controller=FuzzyFeedback
         ),
-        "rbf_feedback_blind": Method(Luenberger, FEEDBACK, derived=_naive, controller=RBFFeedback),
+        "rbf_feedback_blind": Method(
+            Luenberger, FEEDBACK, derived=_naive_options, controller=RBFFeedback
+        ),
         "taylor_feedback_blind": Method(
-            Luenberger, FEEDBACK, derived=_naive, controller=TaylorFeedback
+            Luenberger, FEEDBACK, derived=_naive_options, controller=TaylorFeedback
         ),
         "both_adaptive_inverses": Method(
             AdaptiveInverse,
@@ -262,21 +265,25 @@ METHODS: Final[Mapping[str, Method]] = MappingProxyType(
         "actuator_inverse_blind": Method(
             Luenberger,
             {"compensator.gain": Knob(1.0, 1000.0, "1/s")},
-            derived=_naive,
+            derived=_naive_options,
             compensator=AdaptiveZoneInverse,
         ),
         "robust_adaptive": Method(
             Kalman, CLAIMS | ROBUST, controller=RobustAdaptive, compensator=NoInverse
         ),
         "robust_adaptive_blind": Method(
-            Luenberger, ROBUST, derived=_naive, controller=RobustAdaptive, compensator=NoInverse
+            Luenberger,
+            ROBUST,
+            derived=_naive_options,
+            controller=RobustAdaptive,
+            compensator=NoInverse,
         ),
     }
 )
 
 
-def catalogue() -> dict[str, Method]:
-    """Return every contestant by name.
+def method_registry() -> dict[str, Method]:
+    """Return all contestants by name.
 
     Besides METHODS, it has each observer that has no line there, with its default options.
     """
@@ -288,10 +295,8 @@ def catalogue() -> dict[str, Method]:
     return every
 
 
-def of_options(options: Any) -> Method:
-    """Return an observer of one's own as a method: what its options say is fixed, the rest is
-    declared.
-    """
+def method_from_options(options: Any) -> Method:
+    """Convert a user's options to a method: set options are fixed, the rest is declared."""
     fixed = {}
     for field in msgspec.structs.fields(options):
         value = getattr(options, field.name)
@@ -300,16 +305,19 @@ def of_options(options: Any) -> Method:
     return Method(type(options), fixed=fixed)
 
 
-def fitting(scenarios: Iterable[Scenario]) -> list[str]:
-    """Return every contestant for scenarios: those that need an actuator only where one has one."""
+def methods_for_scenarios(scenarios: Iterable[Scenario]) -> list[str]:
+    """List all contestants for scenarios.
+
+    Methods that need an actuator are left out if no scenario has one.
+    """
     actuated = any(scenario.actuator is not None for scenario in scenarios)
-    every = catalogue().items()
+    every = method_registry().items()
     return [name for name, method in every if actuated or method.compensator is None]
 
 
-def require(name: str) -> str:
-    """Return the name of a method of the catalogue. Raises InputError."""
-    known = catalogue()
+def require_method(name: str) -> str:
+    """Return the name of a registered method. Raises InputError."""
+    known = method_registry()
     if name in known:
         return name
     near = difflib.get_close_matches(name, known, 1)
@@ -317,6 +325,6 @@ def require(name: str) -> str:
     raise InputError(f"methods: there is no {name!r}; {hint}")
 
 
-def middle(method: Method) -> dict[str, float]:
-    """Return every knob in the middle of its range: what tuning starts from."""
+def middle_knobs(method: Method) -> dict[str, float]:
+    """Return all knobs in the middle of their ranges, where tuning starts."""
     return {address: math.sqrt(knob.low * knob.high) for address, knob in method.knobs.items()}

@@ -1,4 +1,4 @@
-"""What a run is worth: errors of the hidden output, of the estimates, honesty, effort and cost."""
+"""Metrics of a run: errors of hidden output and estimates, coverage, effort and cost."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SETTLED: Final = 0.1  # |z - r| within this share of the largest |r| has settled
 SURE: Final = 1.959963984540054  # standard deviations of a 95 % interval
 
 
-class Worth(msgspec.Struct, frozen=True, kw_only=True):
-    """What one run is worth; errors are root mean squares over its last fifth.
+class RunMetrics(msgspec.Struct, frozen=True, kw_only=True):
+    """Metrics of one run. Errors are root mean squares over its last fifth.
 
     Attributes:
         tracking: z - r of the tracked outputs, the true z [z].
@@ -58,7 +58,7 @@ class Worth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one method on one scenario with one seed.
+    """Result of a method on a scenario with a seed.
 
     Attributes:
         method: its name.
@@ -71,12 +71,12 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
     method: str
     scenario: str
     seed: int
-    worth: Worth | None
+    worth: RunMetrics | None
     reason: str | None = None
 
 
-def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
-    """Return the worth of a run.
+def measure_run(problem: Problem, out: Outputs, truth: Floats, cost: float) -> RunMetrics:
+    """Compute the metrics of a run.
 
     Args:
         problem: what was simulated.
@@ -90,37 +90,37 @@ def worth(problem: Problem, out: Outputs, truth: Floats, cost: float) -> Worth:
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
         diverged = _has_diverged(problem, out)
-        width, centre = (None, None) if diverged else _widths(problem, out, truth)
-        return Worth(
-            tracking=rms(error[tail]),
-            estimation=rms((out.z - out.estimate.z)[tail]),
+        width, centre = (None, None) if diverged else _relative_width_errors(problem, out, truth)
+        return RunMetrics(
+            tracking=rms_of_entries(error[tail]),
+            estimation=rms_of_entries((out.z - out.estimate.z)[tail]),
             width=width,
             centre=centre,
-            coverage=None if diverged else _coverage(out, truth),
-            settling=_settling(t, error, r, tail.start),
-            effort=rms(out.u),
-            slew=rms(np.diff(out.u, axis=0)),
+            coverage=None if diverged else _width_coverage(out, truth),
+            settling=_settling_time(t, error, r, tail.start),
+            effort=rms_of_entries(out.u),
+            slew=rms_of_entries(np.diff(out.u, axis=0)),
             cost=cost,
             diverged=diverged,
-            zone=float(truth.sum(axis=0).mean()) / 2 or rms(r) or 1.0,
+            zone=float(truth.sum(axis=0).mean()) / 2 or rms_of_entries(r) or 1.0,
         )
 
 
-def rms(values: Floats) -> float:
-    """Return root mean square of all entries."""
+def rms_of_entries(values: Floats) -> float:
+    """Return the root mean square of all entries."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _has_diverged(problem: Problem, out: Outputs) -> bool:
-    """Return whether a signal left `LIMIT` times its scale or was no number."""
+    """Return whether a signal left `LIMIT` times its scale or was not a number."""
     estimate = out.estimate
     outputs = [out.z, estimate.z, estimate.right, estimate.left]
     worst = shares(plant_scales(problem), [out.x, estimate.x], outputs, out.u)
     return not bool((worst < LIMIT).all())
 
 
-def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
-    """From when on the error stays small [s]; None if it does not before the tail begins."""
+def _settling_time(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
+    """Return the time from which the error stays small [s], or None if after the tail's start."""
     small = np.abs(error).max(axis=1) <= SETTLED * np.abs(r).max()
     outside = np.flatnonzero(~small)
     if not outside.size:
@@ -128,8 +128,10 @@ def _settling(t: Floats, error: Floats, r: Floats, tail: int) -> float | None:
     return float(t[outside[-1] + 1]) if outside[-1] < tail else None
 
 
-def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None, float | None]:
-    """Return the errors of width and centre at the end, relative, where they can be known."""
+def _relative_width_errors(
+    problem: Problem, out: Outputs, truth: Floats
+) -> tuple[float | None, float | None]:
+    """Return the final errors of d_r + d_l and of d_r - d_l, relative, None if unidentifiable."""
     estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
@@ -145,18 +147,16 @@ def _widths(problem: Problem, out: Outputs, truth: Floats) -> tuple[float | None
     centre = np.abs(off[0] - off[1]) / size  # both halved
     width_known = np.array([verdict.width for verdict in judged])
     centre_known = np.array([verdict.centre for verdict in judged])
-    return _mean(width[width_known]), _mean(centre[centre_known])
+    return _mean_or_none(width[width_known]), _mean_or_none(centre[centre_known])
 
 
-def _mean(values: Floats) -> float | None:
-    """Return the mean; None of nothing."""
+def _mean_or_none(values: Floats) -> float | None:
+    """Return the mean, or None for no values."""
     return float(values.mean()) if values.size else None
 
 
-def _coverage(out: Outputs, truth: Floats) -> float | None:
-    """Return the share of claimed 95 % intervals of widths that hold the truth at the end (2 x
-    p).
-    """
+def _width_coverage(out: Outputs, truth: Floats) -> float | None:
+    """Return the share of 95 % intervals of widths that contain the truth at the end (2 x p)."""
     estimate = out.estimate
     if not estimate.right_std.size:
         return None

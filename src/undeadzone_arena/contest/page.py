@@ -1,4 +1,4 @@
-"""The page of the arena: who leads, where each method fails, what it costs, and by which rules."""
+"""Page of the arena: ranking, failures, costs and rules."""
 
 from __future__ import annotations
 
@@ -21,8 +21,14 @@ from undeadzone.report.html import (
 )
 from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.contest import Contest
-from undeadzone_arena.contest.figures import costs, heat, leaderboard, places, traces
-from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, regrets
+from undeadzone_arena.contest.figures import (
+    plot_costs,
+    plot_leaderboard,
+    plot_ranking,
+    plot_regret_map,
+    plot_traces,
+)
+from undeadzone_arena.contest.leaderboard import CAP, NAIVE, ZERO, Row, compute_regrets
 from undeadzone_arena.contest.metric import TAIL
 from undeadzone_arena.contest.traces import Trace
 
@@ -96,45 +102,47 @@ def write_arena(
     Returns:
         The paths of the files.
     """
-    drawn = figures(contest, runs)
+    drawn = arena_figures(contest, runs)
     return write_page(drawn, folder, lambda images: arena_page(contest, images, origin))
 
 
-def figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
-    """Return the figures by name; runs: of some methods, as `traces.traced` gives them."""
+def arena_figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
+    """Build the figures by name. `runs` are those that `traces.trace_runs` returns."""
     drawn = {
         "leaderboard": first(contest),
-        "scenarios": heat(contest.rows, regrets(contest.results), list(contest.scenarios)),
+        "scenarios": plot_regret_map(
+            contest.rows, compute_regrets(contest.results), list(contest.scenarios)
+        ),
     }
     if runs:
-        drawn["trajectories"] = traces(runs)
-    drawn["cost"] = costs(contest.rows)
+        drawn["trajectories"] = plot_traces(runs)
+    drawn["cost"] = plot_costs(contest.rows)
     return drawn
 
 
 def first(contest: Contest) -> Figure:
-    """Return median and worst regret of every method."""
-    return places(contest.rows, size_in_words(contest))
+    """Plot median and worst regret of every method."""
+    return plot_ranking(contest.rows, contest_size_text(contest))
 
 
 def panel(axes: Axes, contest: Contest) -> None:
-    """The same on axes of one's own."""
-    leaderboard(axes, contest.rows)
+    """Plot median and worst regret of every method on given axes."""
+    plot_leaderboard(axes, contest.rows)
 
 
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
-    """Return the page; images: SVGs by the names of `figures`; else see `write_arena`."""
+    """Return the HTML of the page. `images` are SVGs by the names of `arena_figures`."""
     shown = pictures(images, CAPTIONS)
     every = fold_section(
-        "All numbers", table(HEAD, map(_cells, contest.rows)), paragraph(NOTE, "note")
+        "All numbers", table(HEAD, map(_html_cells, contest.rows)), paragraph(NOTE, "note")
     )
-    ranked = [_first(contest), *pick(shown, "leaderboard"), every]
-    rules = [*map(paragraph, RULES), _refusals(contest), _tuned_numbers(contest)]
+    ranked = [_top_table(contest), *pick(shown, "leaderboard"), every]
+    rules = [*map(paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
     return page(
         "The arena",
-        _verdict(contest),
+        _leader_text(contest),
         section("Leaderboard", *ranked),
-        section("Scenario by scenario", *pick(shown, "scenarios"), _settings(contest)),
+        section("Scenario by scenario", *pick(shown, "scenarios"), _scenario_table(contest)),
         section("What it looks like", *pick(shown, "trajectories")),
         section("What it costs", *pick(shown, "cost")),
         section("Rules", *rules),
@@ -142,40 +150,51 @@ def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | N
     )
 
 
-def _first(contest: Contest) -> Html:
-    """Return the best methods in a few numbers."""
+def _top_table(contest: Contest) -> Html:
+    """Return a table of the best methods in a few numbers."""
     rows = []
     for row in contest.contestants[:MOST]:
-        regret = f"{row.median_regret:.3f} {_interval(row.median_interval)}"
+        regret = f"{row.median_regret:.3f} {_interval_text(row.median_interval)}"
         rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
     return table(("method", "median regret", "worst, where"), rows)
 
 
-def _cells(row: Row) -> tuple[Any, ...]:
-    """Return the row of a method, as `HEAD` names its cells; lines to compare with are grey."""
+def _html_cells(row: Row) -> tuple[Any, ...]:
+    """Return the cells of a method's row in the order of `HEAD`, reference lines in grey."""
     name: str | Html = row.method
     if row.reference:
         name = Html(f'<span class="note">{row.method}</span>')
-    regret = (_rounded(row.median_regret), _interval(row.median_interval))
-    behind = (_rounded(row.behind), _interval(row.behind_interval))
-    worst = (_rounded(row.worst_regret), _interval(row.worst_interval), row.worst_scenario)
+    regret = (_round_to_digits(row.median_regret), _interval_text(row.median_interval))
+    behind = (_round_to_digits(row.behind), _interval_text(row.behind_interval))
+    worst = (
+        _round_to_digits(row.worst_regret),
+        _interval_text(row.worst_interval),
+        row.worst_scenario,
+    )
     errors = (row.tracking, row.estimation, row.width, row.centre)
     others = (row.coverage, row.settled, row.effort, row.cost, row.diverged, row.not_applicable)
-    return (name, *regret, *behind, *worst, *map(_rounded, errors), *map(_rounded, others))
+    return (
+        name,
+        *regret,
+        *behind,
+        *worst,
+        *map(_round_to_digits, errors),
+        *map(_round_to_digits, others),
+    )
 
 
-def _interval(ends: tuple[float, float]) -> str:
+def _interval_text(ends: tuple[float, float]) -> str:
     """Return an interval in brackets."""
     return f"[{ends[0]:.3f}, {ends[1]:.3f}]"
 
 
-def _rounded(value: float | None) -> float | None:
+def _round_to_digits(value: float | None) -> float | None:
     """Return a number to three digits."""
     return None if value is None else float(f"{value:.3g}")
 
 
-def size_in_words(contest: Contest) -> str:
-    """How many methods, scenarios and runs there are."""
+def contest_size_text(contest: Contest) -> str:
+    """Return the numbers of methods, scenarios and runs as text."""
     parts = [
         count_noun(len(contest.rows), "method"),
         count_noun(len(contest.scenarios), "scenario"),
@@ -184,17 +203,19 @@ def size_in_words(contest: Contest) -> str:
     return ", ".join(parts) + " each"
 
 
-def _verdict(contest: Contest) -> Html:
-    """Who leads, by how much, and whose worst regret is least."""
+def _leader_text(contest: Contest) -> Html:
+    """Describe the leader, its margin, and the method of least worst regret."""
     if not contest.contestants:
         return paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
-    regret = f"{first.median_regret:.3f} {_interval(first.median_interval)}"
-    text = f"{size_in_words(contest)}. Least median regret: {first.method}, {regret}"
+    regret = f"{first.median_regret:.3f} {_interval_text(first.median_interval)}"
+    text = f"{contest_size_text(contest)}. Least median regret: {first.method}, {regret}"
     text += f"; its worst is {first.worst_regret:.3f}, on {first.worst_scenario}."
     if rest:
         second = rest[0]
-        behind = f"{second.behind:.3f} behind in the median {_interval(second.behind_interval)}"
+        behind = (
+            f"{second.behind:.3f} behind in the median {_interval_text(second.behind_interval)}"
+        )
         steady = min(contest.contestants, key=lambda row: row.worst_regret)
         text += f" Next: {second.method}, {second.median_regret:.3f}"
         text += f"; on the same scenario it is {behind}."
@@ -202,8 +223,8 @@ def _verdict(contest: Contest) -> Html:
     return paragraph(text)
 
 
-def _settings(contest: Contest) -> Html:
-    """Return the scenarios: widths, noise and step."""
+def _scenario_table(contest: Contest) -> Html:
+    """Return a table of the scenarios: widths, noise and step."""
     rows = []
     for name, scenario in contest.scenarios.items():
         sensor = scenario.sensor
@@ -213,8 +234,8 @@ def _settings(contest: Contest) -> Html:
     return fold_section("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
 
 
-def _refusals(contest: Contest) -> Html:
-    """Return the scenarios to which a method does not apply, with the reasons, each once."""
+def _refusal_table(contest: Contest) -> Html:
+    """Return a table of the scenarios that refuse a method, with each reason once."""
     refused = [result for result in contest.results if result.worth is None]
     reasons = [(result.method, result.scenario, result.reason) for result in refused]
     rows = list(dict.fromkeys(reasons))
@@ -222,8 +243,8 @@ def _refusals(contest: Contest) -> Html:
     return fold_section(title, table(("method", "scenario", "why"), rows))
 
 
-def _tuned_numbers(contest: Contest) -> Html:
-    """Return the tuned numbers of every method that has some."""
+def _knob_table(contest: Contest) -> Html:
+    """Return a table of the tuned numbers of every method that has knobs."""
     rows = []
     for row in contest.rows:
         knobs = contest.numbers.get(row.method, {})

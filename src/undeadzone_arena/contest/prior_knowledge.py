@@ -1,4 +1,4 @@
-"""What a method may know of a scenario; never the truth.
+"""Prior information of a method about a scenario, without the truth.
 
 That is the model, the sensor but for its widths, and what the scenario declares.
 """
@@ -33,7 +33,7 @@ SWING: Final = 0.5
 
 
 class PriorKnowledge(NamedTuple):
-    """What a method may know of a scenario.
+    """Prior information of a method about a scenario.
 
     Attributes:
         kind: of the sensor.
@@ -55,36 +55,36 @@ class PriorKnowledge(NamedTuple):
     actuator: Belief | None = None
 
     @property
-    def width(self) -> float:
+    def largest_width(self) -> float:
         """Return the largest declared width [z]."""
         return float(self.widths.max())
 
     @property
-    def pole(self) -> float:
+    def model_pole(self) -> float:
         """Return the fastest pole of the model [1/s]."""
         return fastest_pole(self.model)
 
     @property
-    def flow(self) -> Matrices:
+    def continuous_model(self) -> Matrices:
         """Return the model in continuous time."""
         return self.model.continuous
 
     @property
-    def quarter(self) -> float:
-        """Return a quarter period of the plant; 1 s of one that only integrates [s]."""
+    def quarter_time(self) -> float:
+        """Return a quarter period of the plant, or 1 s for a chain of integrators [s]."""
         try:
-            return time_scale(self.flow)
+            return time_scale(self.continuous_model)
         except InputError:
             return 1.0
 
     @property
-    def correlation(self) -> float:
+    def disturbance_correlation(self) -> float:
         """Return the correlation time of the disturbance [s]."""
         declared = self.declared.correlation_time
-        return self.quarter if declared is None else declared
+        return self.quarter_time if declared is None else declared
 
     @property
-    def bias(self) -> float:
+    def bias_rms(self) -> float:
         """Return the rms of a constant input disturbance [u]."""
         return 0.0 if self.declared.bias is None else float(np.max(self.declared.bias))
 
@@ -93,22 +93,22 @@ class PriorKnowledge(NamedTuple):
         """Return the rms of the input disturbance [u]."""
         if self.declared.disturbance is not None:
             return float(np.max(self.declared.disturbance))
-        A, B, C = self.flow
+        A, B, C = self.continuous_model
         reached = float(
-            np.diag(C @ discrete_noise_covariance(A, B @ B.T, self.quarter)[1] @ C.T).max()
+            np.diag(C @ discrete_noise_covariance(A, B @ B.T, self.quarter_time)[1] @ C.T).max()
         )
-        return SWING * self.width / math.sqrt(2 * self.correlation * reached)
+        return SWING * self.largest_width / math.sqrt(2 * self.disturbance_correlation * reached)
 
     @property
-    def white(self) -> float:
+    def white_rms(self) -> float:
         """Return the rms of a disturbance that is new at every sample [u].
 
         It moves the state as far as bias and gusts do.
         """
-        samples = 2 * self.correlation / (self.model.Ts or self.correlation)
-        return math.hypot(self.disturbance_rms, self.bias) * math.sqrt(samples)
+        samples = 2 * self.disturbance_correlation / (self.model.Ts or self.disturbance_correlation)
+        return math.hypot(self.disturbance_rms, self.bias_rms) * math.sqrt(samples)
 
-    def gain(self, speed: float) -> Floats:
+    def gain_for_speed(self, speed: float) -> Floats:
         """Return L (n x p) [1/s] for poles of A - L C near -speed [1/s]."""
         return fast_gain(self.model.linear, speed, self.model.Ts) / (self.model.Ts or 1.0)
 
@@ -116,41 +116,41 @@ class PriorKnowledge(NamedTuple):
 UNITS: Final[Mapping[str, Callable[[PriorKnowledge], float]]] = MappingProxyType(
     {
         "1": lambda s: 1.0,
-        "1/s": lambda s: s.pole,
-        "s": lambda s: 1 / s.pole,
-        "z": lambda s: s.width,
-        "1/s^2": lambda s: s.pole**2,
-        "z/s": lambda s: s.width * s.pole,
-        "z/s^n": lambda s: s.width * s.pole ** (s.model.n / s.model.p),
-        "u": lambda s: math.hypot(s.disturbance_rms, s.bias),
-        "white u": lambda s: s.white,
+        "1/s": lambda s: s.model_pole,
+        "s": lambda s: 1 / s.model_pole,
+        "z": lambda s: s.largest_width,
+        "1/s^2": lambda s: s.model_pole**2,
+        "z/s": lambda s: s.largest_width * s.model_pole,
+        "z/s^n": lambda s: s.largest_width * s.model_pole ** (s.model.n / s.model.p),
+        "u": lambda s: math.hypot(s.disturbance_rms, s.bias_rms),
+        "white u": lambda s: s.white_rms,
     }
 )
 
 
 class Setting(NamedTuple):
-    """A scenario, and what may be known of it."""
+    """Scenario with the prior information on it."""
 
     scenario: Scenario
     known: PriorKnowledge
 
 
-def situations(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
-    """Return scenarios by title, each with what is known of it.
+def build_settings(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
+    """Build the setting of each scenario, by title. Raises InputError with the title.
 
     Raises InputError, which names one.
     """
     found = {}
     for title, scenario in scenarios.items():
         try:
-            found[title] = situation(scenario)
+            found[title] = build_setting(scenario)
         except InputError as error:
             raise type(error)(f"{title}: {error}") from None
     return found
 
 
-def situation(scenario: Scenario) -> Setting:
-    """Return a scenario with what is known of it. Raises InputError or a subclass."""
+def build_setting(scenario: Scenario) -> Setting:
+    """Build the setting of a scenario. Raises InputError or a subclass."""
     if scenario.sensor.play is not None:
         raise InputError(
             "sensor.play: the arena has no play ahead of a dead zone, which most of its methods do "
@@ -162,22 +162,22 @@ def situation(scenario: Scenario) -> Setting:
             "compare two observers by [compare]"
         )
     problem = resolve_scenario(scenario)
-    claims = declaration(scenario)
+    claims = scenario_assumptions(scenario)
     widths = ranges(claims.right, claims.left, problem.model.p)
     prior = PriorKnowledge(
         kind=scenario.sensor.kind,
         declared=claims,
         model=problem.model,
         widths=widths,
-        reach=_reach(problem, float(widths.max())),
+        reach=_reference_reach(problem, float(widths.max())),
         loop_rate=_loop_rate(problem),
         actuator=problem.belief,
     )
     return Setting(scenario, prior)
 
 
-def declaration(scenario: Scenario) -> Assumptions:
-    """What the scenario declares.
+def scenario_assumptions(scenario: Scenario) -> Assumptions:
+    """Return the assumptions that the scenario declares.
 
     Where it declares nothing, what its observer claims; else that widths lie between 0 and VAGUE
     times the largest.
@@ -197,8 +197,9 @@ def declaration(scenario: Scenario) -> Assumptions:
     return Assumptions(right=np.array([0.0, float(limit)]))
 
 
-def _reach(problem: Problem, width: float) -> Floats:
-    """Return MARGIN times the largest |r|, |r'|, ... over the tracked outputs; z wider by a width.
+def _reference_reach(problem: Problem, width: float) -> Floats:
+    """Return MARGIN times the largest |r|, |r'|, ... of the tracked outputs, z with a width
+    more.
 
     They are as many as one output has derivatives that no input moves.
     """

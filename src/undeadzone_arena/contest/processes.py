@@ -1,4 +1,4 @@
-"""Processes that compute for this one, and end when it does."""
+"""Worker processes that end with their parent."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ SAFE: Final = "PYTHONSAFEPATH"  # set: a new Python does not look into the worki
 
 
 @contextmanager
-def pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
-    """Provide processes started anew, so that nothing is inherited, and no code of the working
-    folder runs.
+def process_pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
+    """Start a pool of processes that inherit nothing and run no code of the working folder.
 
     They end with this process, also when it is killed in the middle of their work. What this
     process may import they may too: they take its path of modules before anything else is done.
@@ -31,13 +30,13 @@ def pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
         count: of them; None: one per processor.
     """
     context = multiprocessing.get_context("spawn")
-    with _safe_start(), ProcessPoolExecutor(count, context, initializer=_begin) as made:
+    with _safe_start(), ProcessPoolExecutor(count, context, initializer=_start_worker) as made:
         yield made
 
 
 @contextmanager
 def _safe_start() -> Iterator[None]:
-    """Provide Python starts safely inside: workers, and the process that tracks what they share."""
+    """Start Python safely inside this context, the resource tracker included."""
     before = os.environ.get(SAFE)
     os.environ[SAFE] = "1"
     try:
@@ -49,10 +48,10 @@ def _safe_start() -> Iterator[None]:
             os.environ[SAFE] = before
 
 
-def as_done(
+def iterate_results(
     count: int | None, function: Callable[..., Any], tasks: Mapping[int, tuple[Any, ...]]
 ) -> Iterator[tuple[int, Any]]:
-    """What a function gives for each task, with the task's number, as it comes.
+    """Yield number and result of each task in order of completion.
 
     Whoever stops in between, by Ctrl-C or SIGTERM too, waits for no task.
 
@@ -65,9 +64,9 @@ def as_done(
         ClusterError: a process died.
     """
     others = active_children()
-    with pool(count) as made:
+    with process_pool(count) as made:
         try:
-            with _starting():
+            with _defer_interrupt():
                 waiting = {made.submit(function, *task): k for k, task in tasks.items()}
             for future in as_completed(waiting):
                 yield waiting[future], future.result()
@@ -84,8 +83,8 @@ def as_done(
 
 
 @contextmanager
-def _starting() -> Iterator[None]:
-    """Provide ctrl-C waits inside, and for the processes started there until they have begun.
+def _defer_interrupt() -> Iterator[None]:
+    """Wait with Ctrl-C, inside this context, until the new processes run.
 
     It would print the traceback of each that is still importing.
     """
@@ -99,17 +98,17 @@ def _starting() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin() -> None:
-    """End this process as soon as its parent is gone, or at once if Ctrl-C came meanwhile."""
+def _start_worker() -> None:
+    """Set this process to end with its parent, or end at once if Ctrl-C came meanwhile."""
     if sys.platform != "win32":
         if signal.SIGINT in signal.sigpending():
             os._exit(1)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    threading.Thread(target=_wait_for_end, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _wait_for_end() -> None:
-    """Wait for the parent's end."""
+def _exit_with_parent() -> None:
+    """Wait for the end of the parent, then exit."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

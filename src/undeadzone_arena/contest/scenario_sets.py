@@ -1,4 +1,4 @@
-"""The scenarios of the arena: TOML files in folders, each set one to tune on and one held out.
+"""Scenarios of the arena: TOML files in folders, a tuning set and a held-out set each.
 
 Besides dead zones of a sensor there are plays, and dead zones at both ends.
 """
@@ -26,8 +26,8 @@ SETS: Final[Mapping[str, tuple[Kind, Kind]]] = MappingProxyType(
 )  # each: to tune on, held out
 
 
-def scenarios(kind: Kind) -> dict[str, Scenario]:
-    """Return the arena's own scenarios, by file name without its suffix.
+def arena_scenarios(kind: Kind) -> dict[str, Scenario]:
+    """Read the arena's own scenarios, by file name without its suffix.
 
     Each method takes the place of their observer.
     """
@@ -35,10 +35,10 @@ def scenarios(kind: Kind) -> dict[str, Scenario]:
         return {path.stem: read(path) for path in sorted(folder.glob("*.toml"))}
 
 
-def from_files(
+def scenarios_from_files(
     paths: Sequence[str | os.PathLike[str]], confine: Path | None = None
 ) -> dict[str, Scenario]:
-    """Return scenarios of one's own, by file name without its suffix. Raises FileError, InputError.
+    """Read a user's scenarios, by file name without its suffix. Raises FileError, InputError.
 
     Args:
         paths: of the files.

@@ -1,4 +1,4 @@
-"""Runs worth seeing: those of the best method, the worst, the paper's and the naive one.
+"""Example runs: those of the best method, the worst, the paper's and the naive one.
 
 They are shown on the scenario where the best does as it usually does.
 """
@@ -12,13 +12,13 @@ import numpy as np
 from undeadzone.errors import UndeadzoneError
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.contest import Contest
-from undeadzone_arena.contest.leaderboard import CAP, NAIVE, regrets
+from undeadzone_arena.contest.leaderboard import CAP, NAIVE, compute_regrets
 
 PAPER: Final = "printed"
 
 
 class Trace(NamedTuple):
-    """A run of one method: the first tracked output.
+    """Run of one method: the first tracked output.
 
     Attributes:
         method: its name.
@@ -39,19 +39,19 @@ class Trace(NamedTuple):
     widths: Floats
 
 
-def typical(contest: Contest) -> str:
-    """Return the scenario on which the regret of the best method is nearest to its median.
+def typical_scenario(contest: Contest) -> str:
+    """Return the scenario on which the best method's regret is nearest to its median.
 
     It is one of those with a dead zone if there are any. There must be a contestant.
     """
-    each = regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
+    each = compute_regrets(contest.results)[contest.contestants[0].method].mean(axis=1)
     other_sensor = [scenario.sensor.kind != "deadzone" for scenario in contest.scenarios.values()]
     distance = np.abs(each - np.nanmedian(each)) + CAP * np.array(other_sensor)
     return list(contest.scenarios)[int(np.nanargmin(distance))]
 
 
-def traced(contest: Contest, title: str | None = None) -> list[Trace]:
-    """Runs of the best, of the worst that never diverged, the paper's and the naive method.
+def trace_runs(contest: Contest, title: str | None = None) -> list[Trace]:
+    """Run the best, the worst that never diverged, the paper's and the naive method.
 
     Those that are not applicable are left out.
 
@@ -61,17 +61,17 @@ def traced(contest: Contest, title: str | None = None) -> list[Trace]:
     """
     if not contest.contestants:
         return []
-    title = typical(contest) if title is None else title
+    title = typical_scenario(contest) if title is None else title
     traces = []
-    for method in _worth_seeing(contest):
+    for method in _methods_to_trace(contest):
         try:
-            traces.append(_trace(contest, method, title))
+            traces.append(_trace_run(contest, method, title))
         except UndeadzoneError:
             continue
     return traces
 
 
-def _worth_seeing(contest: Contest) -> list[str]:
+def _methods_to_trace(contest: Contest) -> list[str]:
     """Return the methods whose runs are shown, each once."""
     contestants = contest.contestants
     kept = [row.method for row in contestants if not row.diverged and not row.not_applicable]
@@ -81,8 +81,8 @@ def _worth_seeing(contest: Contest) -> list[str]:
     return list(dict.fromkeys([kept[0], kept[-1], *paper, NAIVE]))
 
 
-def _trace(contest: Contest, method: str, title: str) -> Trace:
-    """Return a run of one method on one scenario. Raises InputError where it is not applicable."""
+def _trace_run(contest: Contest, method: str, title: str) -> Trace:
+    """Run a method on a scenario. Raises InputError if the method is not applicable."""
     problem, out = contest.replay(method, title)
     t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
     return Trace(

@@ -1,4 +1,4 @@
-"""Runs of methods on scenarios, one after the other or in processes."""
+"""Runs of methods on scenarios, in sequence or in processes."""
 
 from __future__ import annotations
 
@@ -23,26 +23,33 @@ from undeadzone.util import toml, tree
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.entry import enter_method
-from undeadzone_arena.contest.entry import numbers as built_in
+from undeadzone_arena.contest.entry import read_knob_numbers as built_in
 from undeadzone_arena.contest.leaderboard import FRAME
-from undeadzone_arena.contest.methods import NOTHING, Method, Numbers, catalogue, fitting, require
-from undeadzone_arena.contest.metric import Result, worth
-from undeadzone_arena.contest.prior_knowledge import Setting, situation
-from undeadzone_arena.contest.processes import as_done
-from undeadzone_arena.contest.scenario_sets import scenarios as scenarios_of
+from undeadzone_arena.contest.methods import (
+    NOTHING,
+    Method,
+    Numbers,
+    method_registry,
+    methods_for_scenarios,
+    require_method,
+)
+from undeadzone_arena.contest.metric import Result, measure_run
+from undeadzone_arena.contest.prior_knowledge import Setting, build_setting
+from undeadzone_arena.contest.processes import iterate_results
+from undeadzone_arena.contest.scenario_sets import arena_scenarios as scenarios_of
 
 FEW: Final = 8  # trials for which a process is worth starting
 
 
 class _TrialRun(NamedTuple):
-    """A run: its signals, true widths at the end (2 x p), and seconds per step."""
+    """Run: its signals, true widths at the end (2 x p), and seconds per step."""
 
     out: Outputs
     truth: Floats
     cost: float
 
 
-def trial(
+def run_trial(
     name: str,
     method: Method,
     title: str,
@@ -50,7 +57,7 @@ def trial(
     seeds: Sequence[int],
     numbers: Mapping[str, float] = NOTHING,
 ) -> list[Result]:
-    """Return a method on a scenario, a run per seed; that the method refuses it is a result.
+    """Run a method on a scenario with each seed. A refusal by the method is a result, too.
 
     Args:
         name: of the method.
@@ -69,18 +76,18 @@ def trial(
             for seed in seeds
         ]
     results = []
-    for seed, run in zip(seeds, _runs(problem, seeds), strict=True):
-        value = worth(problem, run.out, run.truth, run.cost)
+    for seed, run in zip(seeds, _iterate_runs(problem, seeds), strict=True):
+        value = measure_run(problem, run.out, run.truth, run.cost)
         results.append(Result(method=name, scenario=title, seed=seed, worth=value))
     return results
 
 
-def signals(problem: Problem, seed: int) -> Outputs:
+def trial_signals(problem: Problem, seed: int) -> Outputs:
     """Return the signals of one run."""
-    return next(iter(_runs(problem, [seed]))).out
+    return next(iter(_iterate_runs(problem, [seed]))).out
 
 
-def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
+def _iterate_runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
     """Yield the runs of a problem."""
     observer = problem.observer
     loop = None if observer.python is not None else close_problem(problem)
@@ -88,30 +95,30 @@ def _runs(problem: Problem, seeds: Sequence[int]) -> Iterator[_TrialRun]:
         exogenous = inputs.exogenous(problem, seed=seed)
         began = time.perf_counter()
         if observer.python is not None:
-            out = live.run_sample_by_sample(_seeded(problem, seed), exogenous)
+            out = live.run_sample_by_sample(_with_seed(problem, seed), exogenous)
         else:
             assert loop is not None
-            out = _interpreted(loop, problem, exogenous)
+            out = _run_interpreted(loop, problem, exogenous)
         truth = inputs.widths(problem, exogenous)[-1]
         yield _TrialRun(out, truth, (time.perf_counter() - began) / len(exogenous))
 
 
-def _seeded(problem: Problem, seed: int) -> Problem:
+def _with_seed(problem: Problem, seed: int) -> Problem:
     """Return the problem with another seed."""
     simulation = msgspec.structs.replace(problem.scenario.simulation, seed=seed)
     scenario = msgspec.structs.replace(problem.scenario, simulation=simulation)
     return problem._replace(scenario=scenario)
 
 
-def _interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
-    """Return the outputs of a loop on CasADi's virtual machine."""
+def _run_interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
+    """Run a loop on CasADi's virtual machine and return its outputs."""
     state = tree.pack(loop.state._replace(plant=problem.x0))
     outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
     return name_outputs(loop, outputs)
 
 
-class Job(NamedTuple):
-    """A trial to be done: all that a process is sent.
+class TrialJob(NamedTuple):
+    """Trial to run: all data that is sent to a process.
 
     Attributes:
         name: of the method.
@@ -130,7 +137,7 @@ class Job(NamedTuple):
     numbers: Mapping[str, float]
 
 
-def score(
+def score_methods(
     methods: Sequence[str] | Mapping[str, Method] | None = None,
     scenarios: Mapping[str, Scenario] | None = None,
     seeds: Sequence[int] = (0, 1, 2),
@@ -140,7 +147,7 @@ def score(
     progress: Callable[[int], None] | None = None,
     kept: Answers | None = None,
 ) -> list[Result]:
-    """Yield the results of methods on scenarios, with the lines that are always there (FRAME).
+    """Run methods on scenarios, with the reference lines (FRAME), and return the results.
 
     Args:
         methods: names in the catalogue, or methods of one's own by name, which run in this
@@ -157,17 +164,17 @@ def score(
     """
     own = methods if isinstance(methods, Mapping) else {}
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
-    names = list(dict.fromkeys([*FRAME, *_names(methods, grounds)]))
+    names = list(dict.fromkeys([*FRAME, *_resolve_names(methods, grounds)]))
     values = built_in() if numbers is None else numbers
     jobs = []
     for title, scenario in grounds.items():
         for name in names:
             knobs = dict(values.get(name, {}))
-            jobs.append(Job(name, own.get(name), title, scenario, tuple(seeds), knobs))
+            jobs.append(TrialJob(name, own.get(name), title, scenario, tuple(seeds), knobs))
 
     def compute(missing: list[int]) -> Iterator[tuple[int, list[Any]]]:
-        """Yield results as they come, in the form in which they are kept."""
-        for k, results in _done([jobs[k] for k in missing], 1 if own else processes):
+        """Yield results as they finish, in the form in which they are stored."""
+        for k, results in _iterate_jobs([jobs[k] for k in missing], 1 if own else processes):
             yield missing[k], msgspec.to_builtins(results)
             if progress is not None:
                 progress(len(results))
@@ -183,10 +190,10 @@ def score(
     return every
 
 
-def problem_of(
+def result_dependencies(
     scenarios: Mapping[str, Scenario], seeds: Sequence[int], numbers: Numbers
 ) -> dict[str, Any]:
-    """Return everything that the results of methods of the catalogue depend on."""
+    """Return all inputs on which the results of registered methods depend."""
     return {
         "scenarios": {title: toml.dumps(scenario) for title, scenario in scenarios.items()},
         "files": {title: digests(scenario) for title, scenario in scenarios.items()},
@@ -195,36 +202,43 @@ def problem_of(
     }
 
 
-def _names(
+def _resolve_names(
     methods: Sequence[str] | Mapping[str, Method] | None, grounds: Mapping[str, Scenario]
 ) -> list[str]:
-    """Return the names of methods. Raises InputError for one that is not in the catalogue."""
+    """Return the names of methods. Raises InputError for an unregistered name."""
     if methods is None:
-        return fitting(grounds.values())
+        return methods_for_scenarios(grounds.values())
     if isinstance(methods, Mapping):
         return list(methods)
-    return [require(name) for name in methods]
+    return [require_method(name) for name in methods]
 
 
-def processes_for(jobs: int, processes: int | None) -> int:
-    """How many processes work at once on so many jobs; processes: at most, None: one per CPU."""
+def process_count(jobs: int, processes: int | None) -> int:
+    """Return the number of processes for a number of jobs.
+
+    The limit is `processes`, or one per CPU.
+    """
     allowed = (os.cpu_count() or 1) if processes is None else processes
     return max(1, min(jobs // FEW, allowed))
 
 
-def _done(jobs: Sequence[Job], processes: int | None) -> Iterator[tuple[int, list[Result]]]:
-    """Yield results by number of the job, as they come.
+def _iterate_jobs(
+    jobs: Sequence[TrialJob], processes: int | None
+) -> Iterator[tuple[int, list[Result]]]:
+    """Yield results by number of the job, in order of completion.
 
     Processes are started anew, so that nothing is inherited.
     """
-    count = processes_for(len(jobs), processes)
+    count = process_count(len(jobs), processes)
     if count == 1:
-        yield from ((k, _try(job)) for k, job in enumerate(jobs))
+        yield from ((k, _run_job(job)) for k, job in enumerate(jobs))
         return
-    yield from as_done(count, _try, {k: (job,) for k, job in enumerate(jobs)})
+    yield from iterate_results(count, _run_job, {k: (job,) for k, job in enumerate(jobs)})
 
 
-def _try(job: Job) -> list[Result]:
-    """Return the results of a job."""
-    method = catalogue()[job.name] if job.method is None else job.method
-    return trial(job.name, method, job.title, situation(job.scenario), job.seeds, job.numbers)
+def _run_job(job: TrialJob) -> list[Result]:
+    """Run a job and return its results."""
+    method = method_registry()[job.name] if job.method is None else job.method
+    return run_trial(
+        job.name, method, job.title, build_setting(job.scenario), job.seeds, job.numbers
+    )

@@ -1,4 +1,4 @@
-"""Fair tuning: the same budget of candidates for every method, on the same runs of scenarios."""
+"""Fair tuning: the same budget of candidates for every method, on the same scenarios."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.leaderboard import CAP, FRAME, regrets
-from undeadzone_arena.contest.methods import Method, catalogue, middle
+from undeadzone_arena.contest.leaderboard import CAP, FRAME, compute_regrets
+from undeadzone_arena.contest.methods import Method, method_registry, middle_knobs
 from undeadzone_arena.contest.metric import Result
-from undeadzone_arena.contest.prior_knowledge import Setting, situations
-from undeadzone_arena.contest.processes import as_done
-from undeadzone_arena.contest.trials import problem_of, trial
-from undeadzone_arena.contest.tuned_file import Found, Tuned
+from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
+from undeadzone_arena.contest.processes import iterate_results
+from undeadzone_arena.contest.trials import result_dependencies, run_trial
+from undeadzone_arena.contest.tuned_file import Tuned, TunedMethod
 
 BUDGET: Final = 60  # candidates of a method
 SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
 SPREAD: Final = 0.25  # first steps of the search, as a share of a range
 
 
-def tune(
+def tune_methods(
     names: Sequence[str],
     grounds: Mapping[str, Scenario],
     budget: int = BUDGET,
@@ -38,7 +38,7 @@ def tune(
     keep: Path | None = None,
     resume: bool = False,
 ) -> Tuned:
-    """Yield the numbers of each method's knobs that make its mean regret small.
+    """Tune the knobs of each method for a small mean regret.
 
     Args:
         names: of the methods.
@@ -54,16 +54,16 @@ def tune(
     Raises:
         InputError: or a subclass.
     """
-    known = catalogue()
-    frame = _frame(grounds, seeds)
+    known = method_registry()
+    frame = _frame_results(grounds, seeds)
     adjustable = [name for name in dict.fromkeys(names) if known[name].knobs]
 
     def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
-        """What is found of methods, as it comes."""
+        """Yield the tuned numbers of methods as they finish."""
         count = os.cpu_count() if processes is None else processes
         rest = dict(grounds), frame, budget, tuple(seeds), search
         tasks = {k: (adjustable[k], *rest) for k in missing}
-        for k, found in as_done(count, _search, tasks):
+        for k, found in iterate_results(count, _tune_method, tasks):
             yield k, msgspec.to_builtins(found)
             if progress is not None:
                 progress(1)
@@ -72,49 +72,50 @@ def tune(
         by_number = dict(compute(list(range(len(adjustable)))))
         plain = [by_number[k] for k in range(len(adjustable))]
     else:
-        problem = problem_of(grounds, seeds, {}) | {"budget": budget, "search": search}
+        problem = result_dependencies(grounds, seeds, {}) | {"budget": budget, "search": search}
         kept = Answers(keep, problem, "methods", resume)
         with kept.hold_file():
             plain = kept.of(adjustable, compute)
-    methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, Found])
+    methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, TunedMethod])
     return Tuned(
         budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods
     )
 
 
-def _frame(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
-    """Return the results of the lines that are always there."""
-    settings = situations(grounds)
-    known = catalogue()
+def _frame_results(grounds: Mapping[str, Scenario], seeds: Sequence[int]) -> list[Result]:
+    """Run the reference lines that are always shown and return their results."""
+    settings = build_settings(grounds)
+    known = method_registry()
     results: list[Result] = []
     for name in FRAME:
         for title, setting in settings.items():
-            results += trial(name, known[name], title, setting, seeds)
+            results += run_trial(name, known[name], title, setting, seeds)
     return results
 
 
-def _search(
+def _tune_method(
     name: str,
     scenarios: Mapping[str, Scenario],
     frame: list[Result],
     budget: int,
     seeds: Sequence[int],
     search: int,
-) -> Found:
-    """Return the numbers of one method's knobs, found in a process of its own."""
-    grounds = situations(scenarios)
-    method = catalogue()[name]
+) -> TunedMethod:
+    """Tune the knobs of one method, in its own process."""
+    grounds = build_settings(scenarios)
+    method = method_registry()[name]
 
     def cost(numbers: Mapping[str, float]) -> float:
+        """Return the mean regret of knobs."""
         return mean_regret(method, grounds, frame, seeds, numbers)
 
-    return best(method, cost, budget, search)
+    return best_candidate(method, cost, budget, search)
 
 
-def best(
+def best_candidate(
     method: Method, cost: Callable[[Mapping[str, float]], float], budget: int, search: int
-) -> Found:
-    """Return the cheapest of `budget` candidates.
+) -> TunedMethod:
+    """Return the candidate of least cost out of `budget`.
 
     They come from an evolution that begins in the middle of the ranges, on logarithmic scales; from
     a grid for a single knob.
@@ -125,13 +126,13 @@ def best(
         budget: how many candidates.
         search: seed of the evolution.
     """
-    centre = middle(method)
+    centre = middle_knobs(method)
     tried: list[tuple[float, dict[str, float]]] = [(cost(centre), centre)]
 
     def costs(shares: Floats) -> Floats:
-        """Of candidates (b, d) as shares of the ranges; inf for those beyond the budget."""
+        """Return the costs of candidates (b, d) given as shares, inf beyond the budget."""
         for row in shares[: budget - len(tried)]:
-            numbers = _numbers(method, row)
+            numbers = _knobs_at_shares(method, row)
             tried.append((cost(numbers), numbers))
         fresh = [value for value, _ in tried[-len(shares) :]]
         return np.array(fresh + [np.inf] * (len(shares) - len(fresh)))
@@ -146,10 +147,10 @@ def best(
             costs, np.zeros(d), np.ones(d), search, size, rounds, np.full(d, 0.5), SPREAD
         )
     regret, numbers = min(tried, key=lambda each: each[0])
-    return Found(regret=regret, before=tried[0][0], candidates=len(tried), knobs=numbers)
+    return TunedMethod(regret=regret, before=tried[0][0], candidates=len(tried), knobs=numbers)
 
 
-def _numbers(method: Method, shares: Floats) -> dict[str, float]:
+def _knobs_at_shares(method: Method, shares: Floats) -> dict[str, float]:
     """Return the numbers of a method's knobs at shares of their ranges, on logarithmic scales."""
     knobs = zip(method.knobs.items(), shares, strict=True)
     return {
@@ -165,7 +166,7 @@ def mean_regret(
     seeds: Sequence[int],
     numbers: Mapping[str, float],
 ) -> float:
-    """Return the mean regret of a method over scenarios and seeds.
+    """Return the mean regret of a method over scenarios and seeds [zones].
 
     It counts CAP where the method is not applicable with these numbers, lest it be tuned to refuse
     what is hard.
@@ -179,6 +180,6 @@ def mean_regret(
     """
     own: list[Result] = []
     for title, ground in grounds.items():
-        own += trial("own", method, title, ground, seeds, numbers)
-    regret = regrets([*frame, *own])["own"]
+        own += run_trial("own", method, title, ground, seeds, numbers)
+    regret = compute_regrets([*frame, *own])["own"]
     return float(np.where(np.isnan(regret), CAP, regret).mean())

@@ -1,4 +1,4 @@
-"""The numbers that tuning found, and how, as a TOML file."""
+"""TOML file of the tuned numbers and the settings of the tuning."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ HEAD = (
 )
 
 
-class Found(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What tuning found of one method.
+class TunedMethod(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Tuned numbers of one method.
 
     Attributes:
         regret: mean over the tuning scenarios.
@@ -34,7 +34,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What tuning found of all methods, and how.
+    """Tuned numbers of all methods, and the settings of the tuning.
 
     Attributes:
         budget: candidates of each method.
@@ -48,22 +48,22 @@ class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     seeds: list[int]
     search: int
     scenarios: list[str]
-    methods: dict[str, Found]
+    methods: dict[str, TunedMethod]
 
 
-def save(tuned: Tuned, path: Path) -> Path:
-    """Write the numbers. Raises FileError.
+def save_tuned(tuned: Tuned, path: Path) -> Path:
+    """Write the tuned numbers. Raises FileError.
 
     Of methods that were not tuned now, those already in the file stay, unless someone edited it.
     """
-    kept = load(path).methods if is_own(path) else {}
+    kept = load_tuned(path).methods if is_own(path) else {}
     methods = dict(sorted((kept | tuned.methods).items()))
     text = HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods))
     return write_text(mark_toml(text), path)
 
 
-def load(path: Path) -> Tuned:
-    """What `save` wrote. Raises FileError."""
+def load_tuned(path: Path) -> Tuned:
+    """Read a file that `save_tuned` wrote. Raises FileError."""
     try:
         return msgspec.toml.decode(read_bytes(path), type=Tuned)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A contest in words: its leaderboard."""
+"""Leaderboard of a contest as text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Final
 from undeadzone.results.sheet import number
 from undeadzone.util.shown import Block
 from undeadzone.util.text import count_noun
-from undeadzone_arena.contest.leaderboard import Row, contestants
+from undeadzone_arena.contest.leaderboard import Row, select_contestants
 
 FEW: Final = 3  # methods whose refusal is told in full
 HEAD: Final = (
@@ -25,10 +25,10 @@ HEAD: Final = (
 )
 
 
-def in_words(
+def leaderboard_blocks(
     rows: Sequence[Row], scenarios: int, seeds: int, reasons: Mapping[str, str]
 ) -> list[Block]:
-    """Return a leaderboard, as blocks of text and a table.
+    """Return a leaderboard as blocks of text and a table.
 
     Args:
         rows: the leaderboard.
@@ -36,12 +36,12 @@ def in_words(
         seeds: runs of each method on each scenario.
         reasons: why a method does not apply, by its name.
     """
-    places = {row.method: f"{place}" for place, row in enumerate(contestants(rows), 1)}
+    places = {row.method: f"{place}" for place, row in enumerate(select_contestants(rows), 1)}
     refused = [row.method for row in rows if row.not_applicable == 1]
     table: list[tuple[str, ...]] = [HEAD]
     for row in rows:
         if row.method not in refused:
-            table.append(_cells(places.get(row.method, "-"), row))
+            table.append(_text_cells(places.get(row.method, "-"), row))
     blocks: list[Block] = [table]
     if len(refused) <= FEW:
         blocks += [f"not applicable: {name}: {reasons[name]}" for name in refused]
@@ -52,27 +52,27 @@ def in_words(
     return blocks
 
 
-def _cells(place: str, row: Row) -> tuple[str, ...]:
+def _text_cells(place: str, row: Row) -> tuple[str, ...]:
     """Return a row of the leaderboard as text."""
     return (
         place,
         row.method,
-        _regret(row.median_regret, row.median_interval),
-        _regret(row.behind, row.behind_interval),
-        _regret(row.worst_regret, row.worst_interval),
+        _regret_text(row.median_regret, row.median_interval),
+        _regret_text(row.behind, row.behind_interval),
+        _regret_text(row.worst_regret, row.worst_interval),
         row.worst_scenario,
-        _share(row.diverged),
-        _share(row.not_applicable),
+        _percent_text(row.diverged),
+        _percent_text(row.not_applicable),
         number(row.tracking, ".3g", ""),
         number(row.coverage, ".2f", ""),
     )
 
 
-def _regret(value: float, interval: tuple[float, float]) -> str:
-    """Return a regret and its interval."""
+def _regret_text(value: float, interval: tuple[float, float]) -> str:
+    """Return a regret and its interval as text."""
     return f"{value:.3f} [{interval[0]:.3f}, {interval[1]:.3f}]"
 
 
-def _share(value: float) -> str:
-    """Return a share in percent; nothing where there is none."""
+def _percent_text(value: float) -> str:
+    """Return a share in percent, empty for 0."""
     return f"{100 * value:.0f} %" if value else ""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from undeadzone.interfaces import Controller
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import scalar
-from undeadzone_arena.approximators import gaussians
-from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, approximating
+from undeadzone_arena.approximators import build_gaussians
+from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, build_learned_feedback
 
 
 class FuzzyFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="fuzzy_feedback"):
@@ -25,10 +25,10 @@ class FuzzyFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="fuzzy_feedb
     overlap: float = 0.7
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a linear model of one input and one output."""
+        """Build the controller for a linear model with a single input and a single output."""
         overlap = scalar("controller.overlap", self.overlap, above=0.0)
-        return approximating(
+        return build_learned_feedback(
             model,
             self,
-            lambda reach: gaussians("controller.rules", reach, self.rules, overlap, True),
+            lambda reach: build_gaussians("controller.rules", reach, self.rules, overlap, True),
         )

@@ -1,4 +1,4 @@
-"""PD with gravity compensation is the simplest law that brings an arm to rest where it should."""
+"""PD law with gravity compensation: the simplest law that brings an arm to rest at its target."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
     at: Literal["reference", "estimate"] = "reference"
 
     def build(self, model: System) -> Controller:
-        """Return the controller for the model of an arm, continuous or sampled."""
+        """Build the controller for the model of an arm, continuous or sampled."""
         flat = model.flat
         if flat is None:
             raise InputError(
@@ -40,20 +40,23 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
                 "'state_feedback' or 'lqr'"
             )
         m, half = model.m, model.n // 2
-        K = self._gain(model)
+        K = self._joint_gain(model)
         if model.Ts is not None:
-            _require_fine_step(model, K)
+            _require_no_alternation(model, K)
         at_rest = ca.SX.zeros(m, flat.order)
 
-        def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+        def step(p: GravityPDParams, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            """Return the unchanged state and the torque u (m)."""
             x = target.x_ref if self.at == "reference" else estimate.x
             _, gravity = flat.solve(p.model, ca.horzcat(x[half - m : half], at_rest))
             return s, p.K @ (target.x_ref - estimate.x) + gravity
 
-        return Controller(Params(model.params, K), lambda p: None, step, K=K)
+        return Controller(GravityPDParams(model.params, K), lambda p: None, step, K=K)
 
-    def _gain(self, model: System) -> Floats:
-        """Return K (m x n) of x = [motors; links; their speeds]. Raises InputError, ShapeError.
+    def _joint_gain(self, model: System) -> Floats:
+        """Return K (m x n) of x = [motors; links; their speeds].
+
+        Raises InputError, ShapeError.
 
         Motors and links are one in a rigid arm.
         """
@@ -66,15 +69,15 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         return K
 
 
-class Params(NamedTuple):
-    """The arm's parameters, K (m x n)."""
+class GravityPDParams(NamedTuple):
+    """Parameters of the arm, and K (m x n)."""
 
     model: Any
     K: Floats
 
 
-def _require_fine_step(model: System, K: Floats) -> None:
-    """Raise StepError where the sampled loop grows with alternating sign.
+def _require_no_alternation(model: System, K: Floats) -> None:
+    """Raise StepError if the sampled loop grows with alternating sign.
 
     No loop does that is sampled finely.
     """

@@ -1,4 +1,4 @@
-"""Output feedback that knows only the order and the input gain of the plant learns the rest.
+"""Output feedback with an approximator: the order and the input gain of the plant are known.
 
 The rest is W'phi(x^).
 """
@@ -22,11 +22,11 @@ from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, list_numbers, positive
 from undeadzone_arena.approximators import Basis
-from undeadzone_arena.gain_defaults import in_poles
+from undeadzone_arena.gain_defaults import rate_or_default
 
 
 class FeedbackOptions(Options, frozen=True, kw_only=True):
-    """Options of every output feedback that learns.
+    """Options of all output feedbacks with an approximator.
 
     Attributes:
         reach: |z|, |z'|, ... up to which the functions hold, one per derivative below the relative
@@ -44,7 +44,7 @@ class FeedbackOptions(Options, frozen=True, kw_only=True):
     leak: float | None = None
 
 
-class Params(NamedTuple):
+class FeedbackParams(NamedTuple):
     """Numbers of the controller.
 
     Attributes:
@@ -73,15 +73,15 @@ class Params(NamedTuple):
     leak: Any
 
 
-class State(NamedTuple):
-    """Estimates of z and its derivatives (r), the weights (N)."""
+class FeedbackState(NamedTuple):
+    """Estimates of z and its derivatives (r), and the weights (N)."""
 
     x: Any
     W: Any
 
 
-class Rates(NamedTuple):
-    """Poles of the observer and of the error [1/s], gain [1/s^2] and leak [1/s] of the weights."""
+class FeedbackRates(NamedTuple):
+    """Poles of observer and error [1/s], gain [1/s^2] and leak [1/s] of the weights."""
 
     speed: float
     bandwidth: float
@@ -89,10 +89,10 @@ class Rates(NamedTuple):
     leak: float
 
 
-def approximating(
+def build_learned_feedback(
     model: System, options: FeedbackOptions, basis_on: Callable[[Floats], Basis]
 ) -> Controller:
-    """Return the controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
+    """Build the controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
 
     x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^
     less r and its derivatives; b u = r^(r) - W'phi - L_r e - feedback E,
@@ -114,26 +114,27 @@ def approximating(
         )
     flow = model.continuous
     r = relative_degree(flow)
-    rates = _rates(model, options)
+    rates = _rates_or_defaults(model, options)
     derivatives = f"|z| and its derivatives up to order {r - 1}"
     basis = basis_on(positive("controller.reach", options.reach, r, derivatives))
-    params = _params(flow, model.Ts, r, rates, basis.params)
+    params = _feedback_params(flow, model.Ts, r, rates, basis.params)
 
-    def init(p: Params) -> State:
-        return State(np.zeros(r), np.zeros(basis.size))
+    def init(p: FeedbackParams) -> FeedbackState:
+        """Return the state at t = 0."""
+        return FeedbackState(np.zeros(r), np.zeros(basis.size))
 
-    return Controller(params, init, partial(learned_step, basis, model.keep))
+    return Controller(params, init, partial(feedback_step, basis, model.keep))
 
 
 def relative_degree(linear: Matrices) -> int:
-    """Return r, the first derivative of the one output that the input moves.
+    """Return r, the order of the lowest derivative of the one output that the input moves.
 
     Raises StructureError if the rest is not stable by itself.
     """
     A, B, C = linear
     n = A.shape[0]
     rows = [C]
-    while len(rows) < n and _moves_nothing(rows[-1], B):
+    while len(rows) < n and _is_input_free(rows[-1], B):
         rows.append(rows[-1] @ A)
     seen = np.vstack(rows)
     b = (rows[-1] @ B).item()
@@ -148,23 +149,25 @@ def relative_degree(linear: Matrices) -> int:
     return len(rows)
 
 
-def _moves_nothing(row: Floats, B: Floats) -> bool:
-    """Return whether the input leaves a derivative of the output as it is, but for rounding."""
+def _is_input_free(row: Floats, B: Floats) -> bool:
+    """Return whether the input leaves a derivative of the output unchanged, up to rounding."""
     scale = float(np.linalg.norm(row) * np.linalg.norm(B))
     return abs((row @ B).item()) <= 1e-9 * scale
 
 
-def _rates(model: System, options: FeedbackOptions) -> Rates:
-    """Return the rates as given, else in fastest poles of the plant. Raises InputError."""
-    return Rates(
-        speed=in_poles(model, "controller.speed", options.speed, 40.0),
-        bandwidth=in_poles(model, "controller.bandwidth", options.bandwidth, 10.0),
-        gain=in_poles(model, "controller.gain", options.gain, 50.0 * fastest_pole(model)),
-        leak=in_poles(model, "controller.leak", options.leak, 0.01),
+def _rates_or_defaults(model: System, options: FeedbackOptions) -> FeedbackRates:
+    """Return the given rates, or defaults in fastest poles of the plant. Raises InputError."""
+    return FeedbackRates(
+        speed=rate_or_default(model, "controller.speed", options.speed, 40.0),
+        bandwidth=rate_or_default(model, "controller.bandwidth", options.bandwidth, 10.0),
+        gain=rate_or_default(model, "controller.gain", options.gain, 50.0 * fastest_pole(model)),
+        leak=rate_or_default(model, "controller.leak", options.leak, 0.01),
     )
 
 
-def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) -> Params:
+def _feedback_params(
+    flow: Matrices, Ts: float | None, r: int, rates: FeedbackRates, basis: Any
+) -> FeedbackParams:
     """Return the controller's numbers."""
     chain = companion(np.zeros(r))
     poles = np.full(r, -rates.speed)
@@ -176,7 +179,7 @@ def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) 
     else:
         per_step, moving = Ts, zoh(chain, Ts)
         injected = observer_gain(moving, poles, Ts)[:, 0]
-    return Params(
+    return FeedbackParams(
         basis=basis,
         chain=moving.A,
         input=moving.B[:, 0],
@@ -193,15 +196,21 @@ def _params(flow: Matrices, Ts: float | None, r: int, rates: Rates, basis: Any) 
 
 
 def error_weights(order: int, bandwidth: float) -> Floats:
-    """Return coefficients of (s + bandwidth)^order below the highest, lowest first (order)."""
+    """Return the coefficients of (s + bandwidth)^order, lowest first, without the highest."""
     return np.atleast_1d(np.poly(np.full(order, -bandwidth)))[:0:-1]
 
 
-def learned_step(
-    basis: Basis, keep: float, p: Params, s: State, estimate: Estimate, target: Target
-) -> tuple[State, Any]:
-    """Return (the state's derivative, or its next value when sampled, u); keep: 1 when sampled,
-    else 0.
+def feedback_step(
+    basis: Basis,
+    keep: float,
+    p: FeedbackParams,
+    s: FeedbackState,
+    estimate: Estimate,
+    target: Target,
+) -> tuple[FeedbackState, Any]:
+    """Return the state's derivative, or its next value when sampled, and u.
+
+    The factor `keep` is 1 when sampled, else 0.
     """
     e = estimate.z_inverse - s.x[0]
     phi = basis.phi(p.basis, s.x)
@@ -210,4 +219,4 @@ def learned_step(
     wanted = p.top.T @ target.x_ref + p.b * target.u_ff - p.L_top * e - p.feedback.T @ error
     u = (wanted - ca.dot(s.W, phi)) / p.b
     learnt = keep * s.W + p.gain * phi * (p.slide.T @ error) - p.leak * s.W
-    return State(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u
+    return FeedbackState(p.chain @ s.x + p.input * wanted + p.L * e, learnt), u

@@ -15,7 +15,7 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, positive, scalar
-from undeadzone_arena.controllers.sliding_mode import surface
+from undeadzone_arena.controllers.sliding_mode import sliding_surface
 
 STEADY = 0.5  # k in layers per step, up to which s does not chatter
 USUAL = 10.0  # rate of the surface and on it, in fastest poles of the plant
@@ -47,7 +47,7 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
     most: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a model, continuous or sampled."""
+        """Build the controller for a model, continuous or sampled."""
         n, m, Ts = model.n, model.m, model.Ts
         usual = USUAL * fastest_pole(model)
         rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
@@ -58,9 +58,9 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
         per_step = model.per_step
         width = positive("controller.layer", layer, m, "one per input") / per_step
         bound = positive("controller.most", most, m, "one per input")
-        params = Params(
+        params = RobustAdaptiveParams(
             model=model.params,
-            G=surface(model, poles),
+            G=sliding_surface(model, poles),
             keep=np.float64(-rate if Ts is None else np.exp(-rate * Ts)),
             layer=width,
             learning=positive("controller.learning", learning, m, "one per input") * per_step**2,
@@ -70,10 +70,14 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
             most=bound if Ts is None else np.minimum(bound, STEADY * width),
         )
 
-        def init(p: Params) -> State:
-            return State(np.zeros(m), np.ones(m))
+        def init(p: RobustAdaptiveParams) -> RobustAdaptiveState:
+            """Return the state at t = 0."""
+            return RobustAdaptiveState(np.zeros(m), np.ones(m))
 
-        def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+        def step(
+            p: RobustAdaptiveParams, s: RobustAdaptiveState, estimate: Estimate, target: Target
+        ) -> tuple[RobustAdaptiveState, Any]:
+            """Return the state's derivative or, when sampled, its next value, and u."""
             moved = model.move(p.model, estimate.x, target.u_ff)
             apart = moved - model.move(p.model, target.x_ref, target.u_ff)
             distance = p.G @ (estimate.x - target.x_ref)
@@ -83,13 +87,15 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
             u = s.slope * forced + p.keep * distance - s.bound * pull
             bound = model.keep * s.bound + p.learning * ca.fabs(outside)
             slope = model.keep * s.slope - p.slope * forced * outside
-            return State(ca.fmin(bound, p.most) if model.keep else bound, slope), u
+            return RobustAdaptiveState(ca.fmin(bound, p.most) if model.keep else bound, slope), u
 
         return Controller(params, init, step)
 
 
-class Params(NamedTuple):
-    """Numbers of the controller; s of a sampled model counts per step, as G B = I of its B.
+class RobustAdaptiveParams(NamedTuple):
+    """Numbers of the controller.
+
+    For a sampled model s counts per step, as G B = I uses the sampled B.
 
     Attributes:
         model: numbers of the model.
@@ -110,8 +116,8 @@ class Params(NamedTuple):
     most: Floats
 
 
-class State(NamedTuple):
-    """The learnt bound k of the zone's rest (m) [u], and phi, the inverse of its slope (m)."""
+class RobustAdaptiveState(NamedTuple):
+    """Adapted bound k of the zone's residual (m) [u], and phi, the inverse of its slope (m)."""
 
     bound: Any
     slope: Any

@@ -1,4 +1,4 @@
-"""The sliding-mode controller drives the tracking error onto a plane on which it decays.
+"""Sliding-mode controller: it drives the tracking error onto a plane on which the error decays.
 
 It does so whatever a bounded input disturbance does.
 """
@@ -42,13 +42,13 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
     boundary: Array | None = None
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a model, continuous or sampled."""
+        """Build the controller for a model, continuous or sampled."""
         n, m, Ts = model.n, model.m, model.Ts
         usual = 10 * fastest_pole(model)
         spread = np.linspace(0.8, 1.2, max(n - m, 0))
         poles = -usual * spread if self.poles is None else self.poles
         rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
-        gain, boundary = self._layer(m, rate)
+        gain, boundary = self._gain_and_boundary(m, rate)
         if Ts is not None and (gain * Ts > boundary).any():
             raise StepError(
                 f"simulation.step: {Ts:g} s is too coarse: gain / boundary = "
@@ -56,9 +56,14 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
                 "use a wider controller.boundary or a shorter step"
             )
         keep = -rate if Ts is None else np.exp(-rate * Ts)
-        params = Params(model.params, surface(model, poles), np.float64(keep), gain, boundary)
+        params = SlidingModeParams(
+            model.params, sliding_surface(model, poles), np.float64(keep), gain, boundary
+        )
 
-        def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+        def step(
+            p: SlidingModeParams, s: Any, estimate: Estimate, target: Target
+        ) -> tuple[Any, Any]:
+            """Return the unchanged state and u (m)."""
             moved = model.move(p.model, estimate.x, target.u_ff)
             apart = moved - model.move(p.model, target.x_ref, target.u_ff)
             distance = p.G @ (estimate.x - target.x_ref)
@@ -67,8 +72,8 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
 
         return Controller(params, lambda p: None, step)
 
-    def _layer(self, m: int, rate: float) -> tuple[Floats, Floats]:
-        """Return (gain, boundary) (m each). Raises InputError, ShapeError."""
+    def _gain_and_boundary(self, m: int, rate: float) -> tuple[Floats, Floats]:
+        """Return gain and boundary (m each). Raises InputError, ShapeError."""
         gain = nonnegative("controller.gain", self.gain, m, "one per input")
         if not gain.all():
             raise InputError(
@@ -81,7 +86,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         return gain, boundary
 
 
-class Params(NamedTuple):
+class SlidingModeParams(NamedTuple):
     """Numbers of the controller.
 
     Attributes:
@@ -99,7 +104,7 @@ class Params(NamedTuple):
     boundary: Floats
 
 
-def surface(model: System, poles: Array) -> Floats:
+def sliding_surface(model: System, poles: Array) -> Floats:
     """Return G (m x n) with G B = 1 such that the error on G e = 0 has given poles.
 
     Args:

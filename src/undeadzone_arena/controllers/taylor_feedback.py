@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from undeadzone.interfaces import Controller
 from undeadzone.plants.system import System
-from undeadzone_arena.approximators import monomials
-from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, approximating
+from undeadzone_arena.approximators import build_monomials
+from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, build_learned_feedback
 
 
 class TaylorFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="taylor_feedback"):
@@ -22,7 +22,7 @@ class TaylorFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="taylor_fee
     degree: int = 3
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a linear model of one input and one output."""
-        return approximating(
-            model, self, lambda reach: monomials("controller.degree", reach, self.degree)
+        """Build the controller for a linear model with a single input and a single output."""
+        return build_learned_feedback(
+            model, self, lambda reach: build_monomials("controller.degree", reach, self.degree)
         )

@@ -1,4 +1,4 @@
-"""The adaptive deadzone inverse: an observer is fed with y / m + chi_bar d^.
+"""Adaptive dead-zone inverse: an observer with y / m + chi_bar d^ as its measurement.
 
 Its widths learn from its error.
 """
@@ -17,9 +17,12 @@ from undeadzone.observers.filtering.motion_detection import with_motion_detectio
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array
-from undeadzone_arena.gain_defaults import in_poles, injection, width_hiding_speed
-from undeadzone_arena.observers.parts.adaptive_laws import gradient, least_squares
-from undeadzone_arena.observers.parts.learned_residual import Compensator, learning
+from undeadzone_arena.gain_defaults import injection_gain, rate_or_default, width_hiding_speed
+from undeadzone_arena.observers.parts.adaptive_laws import gradient_law, least_squares_law
+from undeadzone_arena.observers.parts.learned_residual import (
+    WeightedFunctions,
+    build_learning_observer,
+)
 
 
 class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"):
@@ -53,22 +56,22 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         p = model.p
         widths, limit = initial_widths_and_bound(self.widths0, self.width_max, p)
-        L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
-        gain = in_poles(model, "observer.gain", self.gain, 300.0)
+        L = injection_gain(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
+        gain = rate_or_default(model, "observer.gain", self.gain, 300.0)
         if self.law == "gradient":
-            law = gradient(model, gain, 0.0, 2)
+            law = gradient_law(model, gain, 0.0, 2)
         else:
-            law = least_squares(model, gain, self.forgetting, 2)
-        compensator = Compensator(None, indicators, 2, self.silent == "hold", np.ones(p))
-        observer = learning(
+            law = least_squares_law(model, gain, self.forgetting, 2)
+        compensator = WeightedFunctions(None, side_indicators, 2, self.silent == "hold", np.ones(p))
+        observer = build_learning_observer(
             model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
         )
         return with_motion_detection(observer, model, sensor)
 
 
-def indicators(params: Any, y: Any, side: Any, z: Any) -> Any:
-    """Return chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l]."""
+def side_indicators(params: Any, y: Any, side: Any, z: Any) -> Any:
+    """Return chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l] (2)."""
     return ca.vertcat(side > 0, -(side < 0))

@@ -1,4 +1,4 @@
-"""Extended Kalman filter on [x; d_r; d_l]: the dead zone is linearised where the estimate is.
+"""Extended Kalman filter on [x; d_r; d_l]: the dead zone is linearised at the estimate.
 
 More in docs/methods/ekf.md.
 """
@@ -23,13 +23,17 @@ from undeadzone.numerics.gaussian import (
 from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
-from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sample, Sight, joint_filter
+from undeadzone_arena.observers.parts.joint_claims import (
+    JointAssumptions,
+    JointDefaults,
+    build_joint_prior,
+)
+from undeadzone_arena.observers.parts.joint_filter import OutputSample, Sight, build_joint_filter
 
-DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
-class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
+class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
     """Extended Kalman filter on [x; d_r; d_l] (Smith, Schmidt, McGee 1962); sampled time.
 
     Joint with parameters: Cox (1964). By default noise is at least 1 % of the range, x_std five
@@ -46,23 +50,23 @@ class EKF(JointClaims, frozen=True, kw_only=True, tag="ekf"):
     pseudo: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
                 "so that 'ekf' cannot find them; use 'censored'"
             )
-        prior = joint_prior(self, model, sensor, DEFAULTS)
+        prior = build_joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted
         if self.mode == "measured":
             counted = in_units(model, even_units(model))
             correct = partial(correct_measured, counted, sensor, self.pseudo)
-        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
+        return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 
-def correct_predicted(q: Params, belief: Gaussian, sample: Sample) -> RobustUpdate:
-    """Return the correction on the branch where the estimate is."""
-    return corrected(q, belief, sample, sample.sight, sample.seen)
+def correct_predicted(q: Params, belief: Gaussian, sample: OutputSample) -> RobustUpdate:
+    """Correct on the branch of the estimate."""
+    return correct_linearised(q, belief, sample, sample.sight, sample.seen)
 
 
 def correct_measured(
@@ -71,9 +75,9 @@ def correct_measured(
     pseudo: bool,
     q: Params,
     belief: Gaussian,
-    sample: Sample,
+    sample: OutputSample,
 ) -> RobustUpdate:
-    """Return the correction on the measured branch.
+    """Correct on the measured branch.
 
     With `pseudo`, a silent sensor is read on the branch where the estimate is.
     """
@@ -83,15 +87,20 @@ def correct_measured(
     taken = ca.if_else(sample.side != 0, sample.side, estimated if pseudo else 0.0)
 
     def reading_on_branch(X: Any) -> Any:
+        """Return the noise-free reading on the branch in use."""
         z = model.output(q.model, X[:n])[i]
         on_branch = branch(z, taken, X[n + i], X[n + p + i], 1.0, sensor.kind)
         return on_branch if sensor.limits is None else no_further(on_branch, sample.y, sample.side)
 
-    return corrected(q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0))
+    return correct_linearised(
+        q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0)
+    )
 
 
-def corrected(q: Params, belief: Gaussian, sample: Sample, sight: Sight, use: Any) -> RobustUpdate:
-    """Return the correction by a reading that is linearised where the estimate is."""
+def correct_linearised(
+    q: Params, belief: Gaussian, sample: OutputSample, sight: Sight, use: Any
+) -> RobustUpdate:
+    """Correct by a reading that is linearised at the estimate."""
     expected, h = linearise(sight, belief.mean)
     e, i = ca.if_else(use, sample.y - expected, 0.0), sample.i
     return update_with_outliers(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])

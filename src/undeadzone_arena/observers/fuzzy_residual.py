@@ -1,4 +1,4 @@
-"""A fuzzy system learns what the sensor takes off z."""
+"""Fuzzy system that approximates the offset subtracted from z by the sensor."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, scalar
-from undeadzone_arena.approximators import gaussians
-from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
+from undeadzone_arena.approximators import build_gaussians
+from undeadzone_arena.observers.parts.learned_residual import (
+    LearnedOptions,
+    build_residual_observer,
+)
 
 
 class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residual"):
@@ -28,7 +31,7 @@ class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residu
     overlap: float = 0.7
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         overlap = scalar("observer.overlap", self.overlap, above=0.0)
-        basis = gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
-        return residual(model, sensor, self, self.reach, basis)
+        basis = build_gaussians("observer.rules", np.ones(1), self.rules, overlap, True)
+        return build_residual_observer(model, sensor, self, self.reach, basis)

@@ -1,4 +1,4 @@
-"""The interval observer keeps boxes that hold state and widths.
+"""Interval observer: boxes that contain state and widths.
 
 They hold whatever bounded noise and disturbance do.
 """
@@ -15,10 +15,10 @@ from undeadzone.observers.filtering.prior import FLOOR, width_ranges
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
-from undeadzone_arena.gain_defaults import injection
+from undeadzone_arena.gain_defaults import injection_gain
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
-from undeadzone_arena.observers.parts.interval_step import Params, interval
-from undeadzone_arena.observers.parts.modal_form import modes
+from undeadzone_arena.observers.parts.interval_step import IntervalParams, build_interval_observer
+from undeadzone_arena.observers.parts.modal_form import build_modes
 
 NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 
@@ -59,7 +59,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
     contraction: float | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a linear model, continuous or sampled."""
+        """Build the observer for a linear model, continuous or sampled."""
         if model.nonlinear:
             raise InputError(
                 "observer.method: 'interval' bounds linear plants only; use 'censored' for a "
@@ -67,19 +67,21 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
             )
         n, p = model.n, model.p
         ranges = width_ranges(self.right, self.left, p)
-        after, before = self._noise(sensor, p)
+        after, before = self._noise_bounds(sensor, p)
         disturbance = nonnegative(
             "observer.disturbance", self.disturbance, model.m, "one per input"
         )
         x_max = 5 * ranges.max() if self.x_max is None else self.x_max
         start = nonnegative("observer.x_max", x_max, n, "one per state")
         flow = model.continuous
-        L = self._gain(model, flow)
-        form = modes(model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts)
+        L = self._gain_or_zero(model, flow)
+        form = build_modes(
+            model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts
+        )
         rounding = FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)
         noise = after / sensor.slope + before + rounding
         radius = np.abs(form.inverse) @ start
-        params = Params(
+        params = IntervalParams(
             model=model.params,
             L=L,
             slope=sensor.slope,
@@ -87,16 +89,16 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
             inverse=form.inverse,
             S=form.S,
             turn=form.turn,
-            pace=np.float64(self._pace(model)),
+            pace=np.float64(self._contraction_rate(model)),
             disturbance=disturbance,
             noise=noise,
             sure=np.where(after > sensor.threshold, after, -FAR),
             slack=np.maximum(after, sensor.threshold) / sensor.slope + noise,
             start=Boxes(np.zeros(n), radius, Bounds(*ranges[:p].T), Bounds(*ranges[p:].T)),
         )
-        return interval(model, form.pairs, params, sensor)
+        return build_interval_observer(model, form.pairs, params, sensor)
 
-    def _noise(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
+    def _noise_bounds(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
         """Return the bounds of the noise after (p) [y] and before the sensor (p) [z]."""
         after, before = NOISE * sensor.noise, NOISE * sensor.noise_before
         if self.noise is not None:
@@ -105,15 +107,18 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
             before = nonnegative("observer.noise_before", self.noise_before, p, "one per output")
         return after, before
 
-    def _gain(self, model: System, flow: Matrices) -> Floats:
-        """Return L (n x p), per step when sampled: 0 for a stable plant if nothing is chosen."""
+    def _gain_or_zero(self, model: System, flow: Matrices) -> Floats:
+        """Return L (n x p), per step when sampled.
+
+        It is 0 for a stable plant if no option is given.
+        """
         stable = np.linalg.eigvals(flow.A).real.max() < -1e-9 * np.linalg.norm(flow.A, 2)
         if self.L is self.poles is self.speed is None and stable:
             return np.zeros((model.n, model.p))
-        return injection(model, self.L, self.poles, self.speed, 2.0)
+        return injection_gain(model, self.L, self.poles, self.speed, 2.0)
 
-    def _pace(self, model: System) -> float:
-        """How fast bounds follow what a reading tells: at once when sampled [1/s]."""
+    def _contraction_rate(self, model: System) -> float:
+        """Return the rate at which bounds follow a reading [1/s], or 1 when sampled."""
         if model.Ts is not None:
             return 1.0
         if self.contraction is None:

@@ -1,4 +1,4 @@
-"""An inverse network learns z as a function of the reading, which jumps at y = 0."""
+"""Inverse network: z as a function of the reading, discontinuous at y = 0."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, positive
-from undeadzone_arena.approximators import jumps
+from undeadzone_arena.approximators import build_jump_functions
 from undeadzone_arena.observers.parts.learned_residual import (
-    Compensator,
     LearnedOptions,
-    by_gradient,
+    WeightedFunctions,
+    build_gradient_observer,
 )
 
 
@@ -33,12 +33,13 @@ class InverseNetwork(LearnedOptions, frozen=True, kw_only=True, tag="inverse_net
     functions: int = 2
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         scale = positive("observer.scale", self.scale, model.p, "one per output")
-        basis = jumps("observer.functions", self.functions)
+        basis = build_jump_functions("observer.functions", self.functions)
 
         def psi(params: Any, y: Any, side: Any, z: Any) -> Any:
+            """Return the jump functions of one output (N) [1]."""
             return basis.phi(params, ca.vertcat(y, side))
 
-        compensator = Compensator(basis.params, psi, basis.size, True, scale)
-        return by_gradient(model, sensor, self, compensator, poles=30.0, gain=100.0)
+        compensator = WeightedFunctions(basis.params, psi, basis.size, True, scale)
+        return build_gradient_observer(model, sensor, self, compensator, poles=30.0, gain=100.0)

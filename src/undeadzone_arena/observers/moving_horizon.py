@@ -1,4 +1,4 @@
-"""Moving horizon estimation finds the likeliest motion over the last samples.
+"""Moving horizon estimation: the likeliest motion over the last samples.
 
 Edges and ranges are its constraints (docs/methods/moving_horizon.md).
 """
@@ -22,21 +22,21 @@ from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
-    Defaults,
-    JointClaims,
+    JointAssumptions,
+    JointDefaults,
     JointPrior,
-    glitch_chance,
-    joint_prior,
+    build_joint_prior,
+    glitch_probability,
     numeric_estimate,
 )
 from undeadzone_arena.observers.parts.tangents import Tangents, model_tangents
-from undeadzone_arena.observers.parts.window import Weights, Window
+from undeadzone_arena.observers.parts.window import HorizonWeights, Window
 
-DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 NODES = 40  # of a horizon, if the period is not given
 
 
-class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"):
+class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_horizon"):
     """Moving horizon estimation of [x; d_r; d_l], Rao, Rawlings, Mayne (2003); sampled time.
 
     The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
@@ -58,7 +58,7 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
     solver: Literal["daqp", "osqp"] = "daqp"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the estimator for a sampled model."""
+        """Build the estimator for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
@@ -69,8 +69,8 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
                 f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose "
                 "another of daqp, osqp"
             )
-        nodes, stride = self._grid(model)
-        prior = joint_prior(self, model, sensor, DEFAULTS, stride)
+        nodes, stride = self._horizon_grid(model)
+        prior = build_joint_prior(self, model, sensor, DEFAULTS, stride)
         rms = np.sqrt(prior.prior.R)
         slack = rms
         if self.slack is not None:
@@ -79,12 +79,17 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
             raise InputError(
                 "observer.slack: must be positive, found 0: noise alone would leave no solution"
             )
-        weights = Weights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
+        weights = HorizonWeights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
         share = glitch_share(self.glitches)
-        return moving(model, sensor, prior, weights, nodes, stride, share, self.solver)
+        return build_moving_horizon(
+            model, sensor, prior, weights, nodes, stride, share, self.solver
+        )
 
-    def _grid(self, model: System) -> tuple[int, int]:
-        """Return (intervals of the horizon, samples of an interval). Raises InputError."""
+    def _horizon_grid(self, model: System) -> tuple[int, int]:
+        """Return the intervals of the horizon and the samples of an interval.
+
+        Raises InputError.
+        """
         Ts = sample_time(model)
         if self.horizon is None:
             length = quarter_period(model)
@@ -103,8 +108,8 @@ class MovingHorizon(JointClaims, frozen=True, kw_only=True, tag="moving_horizon"
         return nodes, stride
 
 
-class State(NamedTuple):
-    """What the estimator carries from sample to sample.
+class HorizonState(NamedTuple):
+    """State of the estimator between samples.
 
     Attributes:
         window: the nodes.
@@ -125,8 +130,8 @@ class State(NamedTuple):
     share: Floats
 
 
-class Setup(NamedTuple):
-    """What the parts of one estimator share.
+class HorizonSetup(NamedTuple):
+    """Fixed parts of one estimator.
 
     Attributes:
         model: the sampled model.
@@ -144,7 +149,7 @@ class Setup(NamedTuple):
     model: System
     sensor: Zone
     prior: JointPrior
-    weights: Weights
+    weights: HorizonWeights
     stride: int
     rms: Floats
     doubt: Doubt | None
@@ -152,17 +157,17 @@ class Setup(NamedTuple):
     solve: horizon.Solver
 
 
-def moving(
+def build_moving_horizon(
     model: System,
     sensor: Zone,
     prior: JointPrior,
-    weights: Weights,
+    weights: HorizonWeights,
     nodes: int,
     stride: int,
     glitches: float,
     plugin: str,
 ) -> Observer:
-    """Return the estimator.
+    """Build the estimator.
 
     Its covariance, which weighs the past and is shown, is that of a Kalman filter on the active
     readings: what silence adds is not counted.
@@ -179,18 +184,22 @@ def moving(
     """
     rms = np.sqrt(prior.variance / stride)
     tangents = model_tangents(model)
-    start = initial_state(model, prior, tangents, nodes)
-    solve = horizon.solver(plugin, *horizon.size(start.window))
+    start = initial_horizon_state(model, prior, tangents, nodes)
+    solve = horizon.build_qp_solver(plugin, *horizon.programme_size(start.window))
     doubt = None
     if glitches > 0:
         doubt = doubt_numbers(model, sensor, prior.prior, glitches, claimed=False)
-    setup = Setup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
-    how = InPython(lambda seed: start, partial(correct, setup), partial(predict, setup))
+    setup = HorizonSetup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
+    how = InPython(
+        lambda seed: start, partial(correct_horizon, setup), partial(predict_horizon, setup)
+    )
     return in_python(how, model.p, Traits())
 
 
-def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: int) -> State:
-    """Return the state at t = 0: every node of the window knows the prior alone."""
+def initial_horizon_state(
+    model: System, prior: JointPrior, tangents: Tangents, nodes: int
+) -> HorizonState:
+    """Return the state at t = 0: every node of the window contains the prior alone."""
     n, p, m = model.n, model.p, model.m
     mean = prior.prior.mean
     cov = np.diag(prior.prior.std**2)
@@ -199,11 +208,15 @@ def initial_state(model: System, prior: JointPrior, tangents: Tangents, nodes: i
     F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
     padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
     window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
-    return State(window, mean, cov, F, f, G, 0, none)
+    return HorizonState(window, mean, cov, F, f, G, 0, none)
 
 
-def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """Return (the state, the estimate) given a reading; every `stride` samples a node is added.
+def correct_horizon(
+    setup: HorizonSetup, s: HorizonState, reading: Reading
+) -> tuple[HorizonState, Estimate]:
+    """Return the state and the estimate given a reading.
+
+    Every `stride` samples a node is added.
 
     A reading that is likelier a glitch counts as missing. Where most of late were, or the state
     left all bounds, all begins anew from the prior.
@@ -211,31 +224,33 @@ def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
     n, p = setup.model.n, setup.model.p
     if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
         nodes = len(s.window.y) - 1
-        s = initial_state(setup.model, setup.prior, setup.tangents, nodes)
+        s = initial_horizon_state(setup.model, setup.prior, setup.tangents, nodes)
     seen = np.isfinite(reading.y)
     side = np.where(seen, reading.side, 0.0)
     C, offset = setup.tangents.output(s.X[:n])
     rows = np.stack([horizon.reading_row(C, i, side[i]) for i in range(p)])
     y = np.where(seen, reading.y / setup.sensor.slope, 0.0)
     e = np.where(np.abs(side) == 1, y - rows @ s.X - offset, 0.0)
-    e_std = np.sqrt(horizon.variances(rows, s.cov) + setup.prior.prior.R)
+    e_std = np.sqrt(horizon.row_variances(rows, s.cov) + setup.prior.prior.R)
     if setup.doubt is not None:
-        refused = (np.abs(side) == 1) & (glitch_chance(setup.doubt, e, e_std) > 0.5)
+        refused = (np.abs(side) == 1) & (glitch_probability(setup.doubt, e, e_std) > 0.5)
         e = np.clip(e, -CLIP * e_std, CLIP * e_std)
         side, seen = np.where(refused, 0.0, side), seen & ~refused
-        s = s._replace(share=refused_share(setup.doubt, s.share, side, refused))
+        s = s._replace(share=update_rejection_share(setup.doubt, s.share, side, refused))
     if s.since % setup.stride == 0:
-        s = with_node(setup, s, y, side, seen)
+        s = add_horizon_node(setup, s, y, side, seen)
     C, offset = setup.tangents.output(s.X[:n])
     sums = np.hstack([np.zeros((p, n)), np.eye(p), np.eye(p)])
-    width_std = np.sqrt(horizon.variances(sums, s.cov))
+    width_std = np.sqrt(horizon.row_variances(sums, s.cov))
     std = np.sqrt(np.maximum(np.diag(s.cov), 0.0))
     z = C @ s.X[:n] + offset
     return s, numeric_estimate(s.X, z, reading, setup.sensor, e, std, width_std, e_std)
 
 
-def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> State:
-    """Return the state with a new node, and the programme solved.
+def add_horizon_node(
+    setup: HorizonSetup, s: HorizonState, y: Floats, side: Floats, seen: Floats
+) -> HorizonState:
+    """Add a node to the state and solve the programme.
 
     Args:
         setup: the estimator.
@@ -245,29 +260,29 @@ def with_node(setup: Setup, s: State, y: Floats, side: Floats, seen: Floats) -> 
         seen: whether there was a reading (p).
     """
     n, p, m = setup.model.n, setup.model.p, setup.model.m
-    cov = covariance_now(setup, s)
+    cov = covariance_at_sample(setup, s)
     C, offset = setup.tangents.output(s.X[:n])
     F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
     unknown = np.zeros((n, n)), f, G  # the motion on from this node
     newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, *unknown)
-    window = moved_on(s, newest)
-    X = horizon.estimate(window, setup.weights, setup.solve)
+    window = shift_window(s, newest)
+    X = horizon.solve_horizon(window, setup.weights, setup.solve)
     for i in range(p):
         if abs(side[i]) == 1:
-            cov = horizon.read_covariance(
+            cov = horizon.covariance_after_reading(
                 cov, horizon.reading_row(C, i, side[i]), setup.prior.prior.R[i]
             )
-    return State(window, s.X if X is None else X, cov, F, f, G, 0, s.share)
+    return HorizonState(window, s.X if X is None else X, cov, F, f, G, 0, s.share)
 
 
-def refused_share(doubt: Doubt, share: Floats, side: Floats, refused: Any) -> Floats:
-    """Return the mean share of refused readings after one more on some outputs (p)."""
+def update_rejection_share(doubt: Doubt, share: Floats, side: Floats, refused: Any) -> Floats:
+    """Return the mean share of rejected readings after one more on some outputs (p) [1]."""
     mean = doubt.forget * share + (1 - doubt.forget) * refused
     return np.where(refused | (side != 0), mean, share)
 
 
-def covariance_now(setup: Setup, s: State) -> Floats:
-    """Return the covariance of X now, from that of the newest node."""
+def covariance_at_sample(setup: HorizonSetup, s: HorizonState) -> Floats:
+    """Return the covariance of X at this sample (n + 2p x n + 2p) from the newest node's."""
     n, p = setup.model.n, setup.model.p
     T = np.eye(n + 2 * p)
     T[:n, :n] = s.F
@@ -277,9 +292,10 @@ def covariance_now(setup: Setup, s: State) -> Floats:
     return cov
 
 
-def moved_on(s: State, newest: Window) -> Window:
-    """Return the window without its oldest node and with a new one; the motion up to it is known
-    now.
+def shift_window(s: HorizonState, newest: Window) -> Window:
+    """Return the window with a new node and without its oldest.
+
+    The motion up to the new node is known.
     """
     motion = {}
     for name in ("F", "f", "G"):
@@ -291,7 +307,7 @@ def moved_on(s: State, newest: Window) -> Window:
     return Window(*parts)
 
 
-def predict(setup: Setup, s: State, u: Floats) -> State:
+def predict_horizon(setup: HorizonSetup, s: HorizonState, u: Floats) -> HorizonState:
     """Return the state at the next sample."""
     n = setup.model.n
     x, A, B = setup.tangents.move(s.X[:n], u)

@@ -17,20 +17,20 @@ from undeadzone.observers.filtering.recovery import LIMIT
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_arena.observers.parts.joint_claims import (
-    Defaults,
-    JointClaims,
+    JointAssumptions,
+    JointDefaults,
     JointPrior,
-    joint_prior,
+    build_joint_prior,
     numeric_estimate,
-    read,
+    zone_reading,
 )
 
 # A likelihood that few particles meet leaves copies of these few.
-DEFAULTS = Defaults(noise=0.1, drift=0.1, x_std=0.5)
+DEFAULTS = JointDefaults(noise=0.1, drift=0.1, x_std=0.5)
 STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise and disturbance
 
 
-class ParticleFilter(JointClaims, frozen=True, kw_only=True, tag="particle_filter"):
+class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_filter"):
     """Bootstrap filter of Gordon, Salmond, Smith (1993) on [x; d_r; d_l]; sampled time.
 
     Systematic resampling of Kitagawa (1996), when fewer than half of the particles count,
@@ -47,15 +47,17 @@ class ParticleFilter(JointClaims, frozen=True, kw_only=True, tag="particle_filte
     particles: int = 500
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Build the filter for a sampled model."""
         if not 2 <= self.particles <= 1_000_000:
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
-        prior = joint_prior(self, model, sensor, DEFAULTS)
-        return bootstrap(model, sensor, prior, self.particles, glitch_share(self.glitches))
+        prior = build_joint_prior(self, model, sensor, DEFAULTS)
+        return build_particle_filter(
+            model, sensor, prior, self.particles, glitch_share(self.glitches)
+        )
 
 
-class State(NamedTuple):
-    """M particles.
+class ParticleState(NamedTuple):
+    """State of M particles.
 
     Attributes:
         x: states (n x M).
@@ -72,8 +74,8 @@ class State(NamedTuple):
     seed: int
 
 
-class Vectorised(NamedTuple):
-    """A model on M columns of numbers.
+class VectorModel(NamedTuple):
+    """Model on M columns of numbers.
 
     Attributes:
         move: move(x, u) is x at the next sample (n x M).
@@ -84,8 +86,8 @@ class Vectorised(NamedTuple):
     output: Callable[[Floats], Floats]
 
 
-class Setup(NamedTuple):
-    """What the parts of one filter share.
+class ParticleSetup(NamedTuple):
+    """Fixed parts of one filter.
 
     Attributes:
         model: the sampled model.
@@ -101,68 +103,77 @@ class Setup(NamedTuple):
     prior: JointPrior
     particles: int
     glitches: float
-    columns: Vectorised
+    columns: VectorModel
 
 
-def bootstrap(
+def build_particle_filter(
     model: System, sensor: Zone, prior: JointPrior, count: int, glitches: float
 ) -> Observer:
-    """Return the filter with `count` particles; glitches: probability that a reading is wrong."""
-    setup = Setup(model, sensor, prior, count, glitches, vectorised(model, count))
-    how = InPython(partial(start, setup), partial(correct, setup), partial(predict, setup))
+    """Build the filter with `count` particles.
+
+    `glitches` is the probability of a wrong reading.
+    """
+    setup = ParticleSetup(model, sensor, prior, count, glitches, vectorise_model(model, count))
+    how = InPython(
+        partial(start_particles, setup),
+        partial(correct_particles, setup),
+        partial(predict_particles, setup),
+    )
     return in_python(how, model.p, Traits())
 
 
-def start(setup: Setup, seed: int) -> State:
-    """Return particles drawn from the prior."""
-    return drawn(setup, seed, 0)._replace(sample=1)
+def start_particles(setup: ParticleSetup, seed: int) -> ParticleState:
+    """Return particles drawn from the prior at t = 0."""
+    return draw_particles(setup, seed, 0)._replace(sample=1)
 
 
-def drawn(setup: Setup, seed: int, sample: int) -> State:
-    """Return particles drawn from the prior at that sample."""
+def draw_particles(setup: ParticleSetup, seed: int, sample: int) -> ParticleState:
+    """Draw particles from the prior at a sample."""
     n, p, count = setup.model.n, setup.model.p, setup.particles
     prior, _, ranges = setup.prior
-    rng = _random(seed, 2 * sample)
+    rng = _random_generator(seed, 2 * sample)
     x = prior.mean[:n, None] + prior.std[:n, None] * rng.standard_normal((n, count))
     widths = rng.uniform(ranges[:, :1], ranges[:, 1:], (2 * p, count))
-    return State(x, widths, even(count), sample, seed)
+    return ParticleState(x, widths, equal_weights(count), sample, seed)
 
 
-def correct(setup: Setup, s: State, reading: Reading) -> tuple[State, Estimate]:
-    """Return (the particles weighed by a reading and perhaps resampled, the estimate).
+def correct_particles(
+    setup: ParticleSetup, s: ParticleState, reading: Reading
+) -> tuple[ParticleState, Estimate]:
+    """Return the particles weighted by a reading, resampled if needed, and the estimate.
 
     Particles that left all bounds are drawn anew.
     """
     sensor, R, p = setup.sensor, setup.prior.prior.R, setup.model.p
     if not (np.abs(s.x) < LIMIT).all():
-        s = drawn(setup, s.seed, s.sample)
+        s = draw_particles(setup, s.seed, s.sample)
     seen = np.isfinite(reading.y)
     z = setup.columns.output(s.x)
     y = np.where(seen, reading.y / sensor.slope, 0.0)
-    expected = np.asarray(read(sensor.kind, z, s.widths[:p], s.widths[p:]))
+    expected = np.asarray(zone_reading(sensor.kind, z, s.widths[:p], s.widths[p:]))
     residuals = (y[:, None] - expected) / np.sqrt(R)[:, None]
     if sensor.limits is not None:
-        residuals = limited(residuals, reading.side)
+        residuals = residuals_at_limits(residuals, reading.side)
     glitch = glitch_odds(setup.glitches, setup.prior.prior)
-    weights = reweighted(s.weights, residuals[seen], glitch[seen])
+    weights = update_particle_weights(s.weights, residuals[seen], glitch[seen])
     X = np.vstack([s.x, s.widths])
-    mean, S = expected @ s.weights, R + weighted_variance(expected, s.weights)
-    width_variance = weighted_variance(s.widths[:p] + s.widths[p:], weights)
+    mean, S = expected @ s.weights, R + particle_variance(expected, s.weights)
+    width_variance = particle_variance(s.widths[:p] + s.widths[p:], weights)
     estimated = numeric_estimate(
         X @ weights,
         z @ weights,
         reading,
         sensor,
         np.where(seen & (np.abs(reading.side) < 2), y - mean, 0.0),
-        np.sqrt(weighted_variance(X, weights)),
+        np.sqrt(particle_variance(X, weights)),
         np.sqrt(width_variance),
         np.sqrt(S),
     )
-    return resampled(s._replace(weights=weights)), estimated
+    return resample_particles(s._replace(weights=weights)), estimated
 
 
-def limited(e: Floats, side: Floats) -> Floats:
-    """Return residuals whose half squares are those of a reading that only bounds z at a limit.
+def residuals_at_limits(e: Floats, side: Floats) -> Floats:
+    """Return the residuals, adapted for a reading that only bounds z at a limit (p x M) [1].
 
     There the likelihood is the chance that the sensor reads at least, or at most, as much.
 
@@ -176,21 +187,24 @@ def limited(e: Floats, side: Floats) -> Floats:
     return np.where((np.abs(side) == 2)[:, None], of_bound, e)
 
 
-def resampled(s: State) -> State:
-    """Return the particles, drawn anew where fewer than half of them count, 1 / sum w^2."""
+def resample_particles(s: ParticleState) -> ParticleState:
+    """Sample new particles if fewer than half of the old count, 1 / sum w^2."""
     count = s.weights.size
     if 1.0 / (s.weights @ s.weights) >= count / 2:
         return s
-    at = systematic(s.weights, _random(s.seed, 2 * s.sample).uniform())
-    return s._replace(x=s.x[:, at], widths=s.widths[:, at], weights=even(count))
+    at = systematic_indices(s.weights, _random_generator(s.seed, 2 * s.sample).uniform())
+    return s._replace(x=s.x[:, at], widths=s.widths[:, at], weights=equal_weights(count))
 
 
-def predict(setup: Setup, s: State, u: Floats) -> State:
-    """Return the particles at the next sample; widths are reflected at both ends of their range."""
+def predict_particles(setup: ParticleSetup, s: ParticleState, u: Floats) -> ParticleState:
+    """Return the particles at the next sample.
+
+    Widths are reflected at both ends of their range.
+    """
     m, p, count = setup.model.m, setup.model.p, setup.particles
     prior, variance, ranges = setup.prior
     low, high = ranges[:, :1], ranges[:, 1:]
-    rng = _random(s.seed, 2 * s.sample + 1)
+    rng = _random_generator(s.seed, 2 * s.sample + 1)
     disturbance = np.sqrt(variance)[:, None] * rng.standard_normal((m, count))
     x = setup.columns.move(s.x, u[:, None] + disturbance)
     walk = np.sqrt(prior.drift)[:, None] * rng.standard_normal((2 * p, count))
@@ -199,13 +213,13 @@ def predict(setup: Setup, s: State, u: Floats) -> State:
     return s._replace(x=x, widths=widths, sample=s.sample + 1)
 
 
-def even(count: int) -> Floats:
-    """Return the same weight for every particle."""
+def equal_weights(count: int) -> Floats:
+    """Return the same weight for every particle (M) [1]."""
     return np.full(count, 1.0 / count)
 
 
-def systematic(weights: Floats, offset: float) -> Integers:
-    """Which particle each of M becomes.
+def systematic_indices(weights: Floats, offset: float) -> Integers:
+    """Return the indices of the particles to copy (M).
 
     Those at the M points (i + offset) / M of the weights' cumulative sum.
     """
@@ -216,15 +230,15 @@ def systematic(weights: Floats, offset: float) -> Integers:
 
 
 def glitch_odds(glitches: float, prior: Prior) -> Floats:
-    """Return log density of a glitch over that of a regular reading without residual (p)."""
+    """Return the log density ratio of a glitch to a reading without residual (p) [1]."""
     reach = glitch_reach(prior)
     with np.errstate(divide="ignore"):
         odds: Floats = np.log(glitches / (1 - glitches) * np.sqrt(2 * np.pi * prior.R) / reach)
     return odds
 
 
-def reweighted(weights: Floats, e: Floats, glitch: Floats) -> Floats:
-    """Return the weights times exp(-e^2 / 2) + exp(glitch) of each reading, normalised.
+def update_particle_weights(weights: Floats, e: Floats, glitch: Floats) -> Floats:
+    """Return the weights times exp(-e^2 / 2) + exp(glitch) per reading, normalised (M) [1].
 
     Unchanged if no particle is a number any more.
 
@@ -242,25 +256,25 @@ def reweighted(weights: Floats, e: Floats, glitch: Floats) -> Floats:
     return likely / total if total > 0 else weights
 
 
-def weighted_variance(rows: Floats, weights: Floats) -> Floats:
+def particle_variance(rows: Floats, weights: Floats) -> Floats:
     """Return the weighted variance of each row."""
     return np.asarray((rows - (rows @ weights)[:, None]) ** 2 @ weights)
 
 
-def _random(seed: int, purpose: int) -> np.random.Generator:
-    """Return random numbers of their own for every seed and purpose."""
+def _random_generator(seed: int, purpose: int) -> np.random.Generator:
+    """Return a random generator for a seed and a purpose."""
     return np.random.Generator(np.random.Philox(key=[seed, STREAM], counter=[0, purpose, 0, 0]))
 
 
-def vectorised(model: System, count: int) -> Vectorised:
+def vectorise_model(model: System, count: int) -> VectorModel:
     """Return the model's motion and output on `count` columns of numbers."""
     params = model.params
     if not model.nonlinear:
-        return Vectorised(
+        return VectorModel(
             lambda x, u: np.asarray(model.move(params, x, u)),
             lambda x: np.asarray(model.output(params, x)),
         )
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(params), x, u)]).map(count)
     output = ca.Function("output", [x], [model.output(ca.SX(params), x)]).map(count)
-    return Vectorised(lambda x, u: move(x, u).full(), lambda x: output(x).full())
+    return VectorModel(lambda x, u: move(x, u).full(), lambda x: output(x).full())

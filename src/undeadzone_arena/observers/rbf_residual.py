@@ -1,4 +1,4 @@
-"""A radial basis function network learns what the sensor takes off z."""
+"""Radial basis functions that approximate the offset subtracted from z by the sensor."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, scalar
-from undeadzone_arena.approximators import gaussians
-from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
+from undeadzone_arena.approximators import build_gaussians
+from undeadzone_arena.observers.parts.learned_residual import (
+    LearnedOptions,
+    build_residual_observer,
+)
 
 
 class RBFResidual(LearnedOptions, frozen=True, kw_only=True, tag="rbf_residual"):
@@ -28,7 +31,7 @@ class RBFResidual(LearnedOptions, frozen=True, kw_only=True, tag="rbf_residual")
     overlap: float = 0.7
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         overlap = scalar("observer.overlap", self.overlap, above=0.0)
-        basis = gaussians("observer.centres", np.ones(1), self.centres, overlap, False)
-        return residual(model, sensor, self, self.reach, basis)
+        basis = build_gaussians("observer.centres", np.ones(1), self.centres, overlap, False)
+        return build_residual_observer(model, sensor, self, self.reach, basis)

@@ -1,4 +1,4 @@
-"""Widths by gradient on the side where the estimate is, beside a robust term.
+"""Widths adapted by a gradient on the side of the estimate, with a robust term.
 
 It is the way of the paper's references.
 """
@@ -17,7 +17,7 @@ from undeadzone.observers.adaptive.output_error import State, output_error, requ
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
-from undeadzone_arena.gain_defaults import injection, width_hiding_speed
+from undeadzone_arena.gain_defaults import injection_gain, width_hiding_speed
 
 
 class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
@@ -51,7 +51,7 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor "
@@ -59,16 +59,16 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
             )
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
         widths = require_widths_and_gain(gamma, self.widths0, self.width_max, model, sensor)
-        L = injection(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
+        L = injection_gain(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
         rho = scalar("observer.rho", self.rho, least=0.0)
         width = scalar("observer.width", self.width, above=0.0)
         sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)
         robust = rho * steady_input(model, L) if rho else np.zeros((model.n, model.p))
-        law = Law(robust, np.float64(width), np.float64(sharpness))
-        return output_error(model, sensor, L, widths, law, robust_term, estimated_side)
+        law = RobustLaw(robust, np.float64(width), np.float64(sharpness))
+        return output_error(model, sensor, L, widths, law, robust_term, side_of_estimate)
 
 
-class Law(NamedTuple):
+class RobustLaw(NamedTuple):
     """Numbers of the robust term and of the indicators.
 
     Attributes:
@@ -82,13 +82,13 @@ class Law(NamedTuple):
     sharpness: Any
 
 
-def robust_term(law: Law, e: Any) -> Any:
-    """What the error adds to x^' beside L e (n)."""
+def robust_term(law: RobustLaw, e: Any) -> Any:
+    """Return the robust term that is added to x^' beside L e (n)."""
     return law.robust @ ca.tanh(e / law.width)
 
 
-def estimated_side(law: Law, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-    """How much z^ is beyond the right edge, beyond the left one (p each, 0 to 1)."""
+def side_of_estimate(law: RobustLaw, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+    """Return the degrees to which z^ is beyond the two breakpoints (p each, 0 to 1)."""
     right, _ = indicators(z - s.right, law.sharpness)
     _, left = indicators(z + s.left, law.sharpness)
     return right, left

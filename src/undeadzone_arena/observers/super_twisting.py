@@ -1,4 +1,4 @@
-"""The super-twisting observer and its higher-order kin are exact in finite time.
+"""Super-twisting observer of any order: exact in finite time if the reading is the output.
 
 They would be, were the reading the output.
 """
@@ -19,7 +19,7 @@ from undeadzone.observers.adaptive.output_error import output_error, require_wid
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, vector
-from undeadzone_arena.gain_defaults import injection
+from undeadzone_arena.gain_defaults import injection_gain
 
 # Gains of the recursive differentiator, from the last derivative up.
 LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)
@@ -55,7 +55,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
+        """Build the observer for a model, continuous or sampled."""
         widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
         L = self._linear_gain(model)
         flow = model.continuous
@@ -66,22 +66,26 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
                 f"observer.method: 'super_twisting' has gains for up to {len(LEVANT)} derivatives "
                 f"of one output, this plant needs {max(orders)}"
             )
-        bound = self._bound(model, orders)
+        bound = self._lipschitz_bound(model, orders)
         scales = []
         for r, size in zip(orders, bound, strict=True):
             scales.append(differentiator_gains(r) * size ** (np.arange(1, r + 1) / r))
         order = np.concatenate(chains.rows)
-        law = Law(np.linalg.inv(chains.O)[:, order] * model.per_step, np.concatenate(scales))
+        law = TwistingLaw(
+            np.linalg.inv(chains.O)[:, order] * model.per_step, np.concatenate(scales)
+        )
         return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
 
     def _linear_gain(self, model: System) -> Floats:
-        """Return L (n x p) of the linear correction, per step when sampled; 0 if none is given."""
+        """Return L (n x p) of the linear correction, per step when sampled, 0 by default."""
         if self.L is self.poles is self.speed is None:
             return np.zeros((model.n, model.p))
-        return injection(model, self.L, self.poles, self.speed, 1.0)
+        return injection_gain(model, self.L, self.poles, self.speed, 1.0)
 
-    def _bound(self, model: System, orders: list[int]) -> Floats:
+    def _lipschitz_bound(self, model: System, orders: list[int]) -> Floats:
         """Return `lipschitz` as given, or its default (p) [z/s^r].
+
+        Raises InputError, ShapeError.
 
         Raises InputError, ShapeError.
         """
@@ -93,7 +97,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         return bound
 
 
-class Law(NamedTuple):
+class TwistingLaw(NamedTuple):
     """Numbers of the correction.
 
     Attributes:
@@ -105,8 +109,8 @@ class Law(NamedTuple):
     scale: Floats
 
 
-def fractional_powers(orders: list[int], law: Law, e: Any) -> Any:
-    """What the error adds to x^' (n): |e|^((r-k)/r) sgn e in the k-th of r coordinates."""
+def fractional_powers(orders: list[int], law: TwistingLaw, e: Any) -> Any:
+    """Return the correction of x^' (n): |e|^((r-k)/r) sgn e in the k-th of r coordinates."""
     powers = []
     for i, r in enumerate(orders):
         for k in range(1, r + 1):
@@ -115,7 +119,7 @@ def fractional_powers(orders: list[int], law: Law, e: Any) -> Any:
 
 
 def differentiator_gains(r: int) -> Floats:
-    """Return lambda_1 ... lambda_r of the non-recursive differentiator of r coordinates."""
+    """Return lambda_1 ... lambda_r (r) [1] of the non-recursive differentiator."""
     gains = [LEVANT[r - 1]]
     for k in range(1, r):
         gains.append(LEVANT[r - 1 - k] * gains[-1] ** ((r - 1 - k) / (r - k)))

@@ -1,4 +1,4 @@
-"""A multidimensional Taylor network learns what the sensor takes off z."""
+"""Taylor network that approximates the offset subtracted from z by the sensor."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array
-from undeadzone_arena.approximators import monomials
-from undeadzone_arena.observers.parts.learned_residual import LearnedOptions, residual
+from undeadzone_arena.approximators import build_monomials
+from undeadzone_arena.observers.parts.learned_residual import (
+    LearnedOptions,
+    build_residual_observer,
+)
 
 
 class TaylorResidual(LearnedOptions, frozen=True, kw_only=True, tag="taylor_residual"):
@@ -27,6 +30,6 @@ class TaylorResidual(LearnedOptions, frozen=True, kw_only=True, tag="taylor_resi
     degree: int = 7
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
-        basis = monomials("observer.degree", np.ones(1), self.degree)
-        return residual(model, sensor, self, self.reach, basis)
+        """Build the observer for a model, continuous or sampled."""
+        basis = build_monomials("observer.degree", np.ones(1), self.degree)
+        return build_residual_observer(model, sensor, self, self.reach, basis)

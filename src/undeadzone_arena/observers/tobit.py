@@ -1,4 +1,4 @@
-"""Tobit Kalman filter on [x; d_r; d_l]: a reading is foretold by its mean over both branches.
+"""Tobit Kalman filter on [x; d_r; d_l]: a reading is predicted by its mean over both branches.
 
 More in docs/methods/tobit.md.
 """
@@ -24,13 +24,17 @@ from undeadzone.numerics.gaussian import (
 from undeadzone.observers.filtering.augmented_state import even_units
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
-from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter
+from undeadzone_arena.observers.parts.joint_claims import (
+    JointAssumptions,
+    JointDefaults,
+    build_joint_prior,
+)
+from undeadzone_arena.observers.parts.joint_filter import OutputSample, build_joint_filter
 
-DEFAULTS = Defaults(noise=0.01, drift=0.005, x_std=5.0)
+DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
-class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
+class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
     """Tobit Kalman filter on [x; d_r; d_l] (Allik, Miller, Piovoso, Zurakowski 2016); sampled time.
 
     Here for the two edges of a dead zone that are not known, with the spread of the prediction in
@@ -38,23 +42,22 @@ class Tobit(JointClaims, frozen=True, kw_only=True, tag="tobit"):
     """
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
                 "sensor reads z itself; use 'censored'"
             )
-        prior = joint_prior(self, model, sensor, DEFAULTS)
+        prior = build_joint_prior(self, model, sensor, DEFAULTS)
         counted = in_units(model, even_units(model))
         correct = partial(correct_tobit, counted, sensor.limits is not None)
-        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
+        return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
 
 def correct_tobit(
-    model: System, limited: bool, q: Params, belief: Gaussian, sample: Sample
+    model: System, limited: bool, q: Params, belief: Gaussian, sample: OutputSample
 ) -> RobustUpdate:
-    """Return the correction by the mean of the reading and by its slopes, averaged over the
-    branches.
+    """Correct by the mean of the reading and by its slopes, averaged over the branches.
 
     On each branch the reading is max(s, 0) of a normal s, whose moments are known; a reading at a
     limit bounds it.

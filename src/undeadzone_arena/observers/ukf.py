@@ -1,4 +1,4 @@
-"""Unscented Kalman filter on [x; d_r; d_l]: 2 N + 1 points are sent through the dead zone.
+"""Unscented Kalman filter on [x; d_r; d_l]: 2 N + 1 points pass through the dead zone.
 
 More in docs/methods/ukf.md.
 """
@@ -17,14 +17,18 @@ from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import scalar
 from undeadzone_arena import unscented
-from undeadzone_arena.observers.parts.joint_claims import Defaults, JointClaims, joint_prior
-from undeadzone_arena.observers.parts.joint_filter import Sample, joint_filter
+from undeadzone_arena.observers.parts.joint_claims import (
+    JointAssumptions,
+    JointDefaults,
+    build_joint_prior,
+)
+from undeadzone_arena.observers.parts.joint_filter import OutputSample, build_joint_filter
 
 # With less, points astride an edge soon pin the widths where they are not.
-DEFAULTS = Defaults(noise=0.15, drift=0.1, x_std=0.5)
+DEFAULTS = JointDefaults(noise=0.15, drift=0.1, x_std=0.5)
 
 
-class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
+class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
     """Unscented Kalman filter on [x; d_r; d_l], Julier and Uhlmann (1997); sampled time.
 
     Weights of Wan and van der Merwe (2000). By default noise is at least 15 % of the range, drift
@@ -41,22 +45,24 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
     kappa: float = 0.5
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
-        weights = self._weights(model.n + 2 * model.p)
+        """Build the filter for a sampled model."""
+        weights = self._point_weights(model.n + 2 * model.p)
 
-        def correct(q: Params, belief: Gaussian, sample: Sample) -> RobustUpdate:
+        def correct(q: Params, belief: Gaussian, sample: OutputSample) -> RobustUpdate:
+            """Correct by the reading of one output."""
             R, reach = q.R[sample.i], q.doubt.reach[sample.i]
-            expected, S, K = unscented.gain(belief, sample.sight, R, weights)
+            expected, S, K = unscented.gain_by_points(belief, sample.sight, R, weights)
             e = ca.if_else(sample.seen, sample.y - expected, 0.0)
             return update_with_gain(belief, K, e, S, R, sample.seen, sample.odds, reach)
 
         def predict(belief: Gaussian, move: Any, Q: Any) -> Gaussian:
-            return unscented.predict(belief, move, Q, weights)
+            """Predict the state estimate at the next sample."""
+            return unscented.predict_by_points(belief, move, Q, weights)
 
-        prior = joint_prior(self, model, sensor, DEFAULTS)
-        return joint_filter(model, sensor, prior, self.glitches, correct, predict)
+        prior = build_joint_prior(self, model, sensor, DEFAULTS)
+        return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
-    def _weights(self, size: int) -> unscented.Weights:
+    def _point_weights(self, size: int) -> unscented.SigmaWeights:
         """Return the weights of the points of `size` variables. Raises InputError."""
         alpha = scalar("observer.alpha", self.alpha)
         beta = scalar("observer.beta", self.beta)
@@ -66,7 +72,7 @@ class UKF(JointClaims, frozen=True, kw_only=True, tag="ukf"):
                 f"observer.alpha: expected 0 < alpha <= 1 and kappa > -{size}, "
                 f"found alpha {alpha:g}, kappa {kappa:g}"
             )
-        weights = unscented.weights(size, alpha, beta, kappa)
+        weights = unscented.sigma_weights(size, alpha, beta, kappa)
         if weights.cov < 0:
             raise InputError(
                 f"observer.alpha: the mean's own point would weigh {weights.cov:.3g} in "

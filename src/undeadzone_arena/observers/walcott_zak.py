@@ -1,4 +1,4 @@
-"""The sliding-mode observer of Walcott and Zak has a boundary layer; its widths may adapt."""
+"""Sliding-mode observer of Walcott and Zak with a boundary layer and adaptive widths."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from undeadzone.observers.adaptive.output_error import output_error, require_wid
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, list_numbers, nonnegative, vector
-from undeadzone_arena.gain_defaults import injection
+from undeadzone_arena.gain_defaults import injection_gain
 
 
 class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
@@ -54,17 +54,20 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
-        L = injection(model, self.L, self.poles, self.speed, 10.0)
-        rho, boundary = self._layer(model)
-        law = Law(direction(model, L, self.Q), rho, boundary)
+        """Build the observer for a model, continuous or sampled."""
+        L = injection_gain(model, self.L, self.poles, self.speed, 10.0)
+        rho, boundary = self._rho_and_boundary(model)
+        law = SlidingLaw(sliding_direction(model, L, self.Q), rho, boundary)
         if model.Ts is not None:
-            _require_fine_step(model, L, law)
+            _require_stable_layer(model, L, law)
         widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
-        return output_error(model, sensor, L, widths, law, sliding)
+        return output_error(model, sensor, L, widths, law, sliding_term)
 
-    def _layer(self, model: System) -> tuple[Floats, Floats]:
-        """Return (rho, per step when sampled, boundary) (p each). Raises InputError, ShapeError."""
+    def _rho_and_boundary(self, model: System) -> tuple[Floats, Floats]:
+        """Return rho, per step when sampled, and boundary (p each).
+
+        Raises InputError, ShapeError.
+        """
         p = model.p
         default = 5 * fastest_pole(model)
         chosen = default if self.rho is None else self.rho
@@ -77,7 +80,7 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         return rho, boundary
 
 
-class Law(NamedTuple):
+class SlidingLaw(NamedTuple):
     """Numbers of the sliding mode.
 
     Attributes:
@@ -91,13 +94,13 @@ class Law(NamedTuple):
     boundary: Floats
 
 
-def sliding(law: Law, e: Any) -> Any:
-    """What the error adds to x^' beside L e: G rho sat(e / boundary) (n)."""
+def sliding_term(law: SlidingLaw, e: Any) -> Any:
+    """Return the sliding term G rho sat(e / boundary), added to x^' beside L e (n)."""
     return law.G @ (law.rho * ca.fmax(ca.fmin(e / law.boundary, 1.0), -1.0))
 
 
-def _require_fine_step(model: System, L: Floats, law: Law) -> None:
-    """Raise StepError where the sampled observer is not stable inside the boundary layer."""
+def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:
+    """Raise StepError if the sampled observer is not stable inside the boundary layer."""
     gain = L + law.G * (law.rho / law.boundary)
     fastest = np.abs(np.linalg.eigvals(model.linear.A - gain @ model.linear.C)).max()
     if fastest >= 1:
@@ -108,7 +111,7 @@ def _require_fine_step(model: System, L: Floats, law: Law) -> None:
         )
 
 
-def direction(model: System, L: Floats, Q: Array | None) -> Floats:
+def sliding_direction(model: System, L: Floats, Q: Array | None) -> Floats:
     """Return G (n x p), C G = I, along P^-1 C'.
 
     The error that keeps C x~ = 0 then decays, as C (sI - A + L C)^-1 G is positive real.
@@ -124,7 +127,7 @@ def direction(model: System, L: Floats, Q: Array | None) -> Floats:
     """
     n, Ts = model.n, model.Ts
     closed = model.linear.A - L @ model.linear.C
-    _require_stable(closed, Ts, "A - L C")
+    _require_stable_matrix(closed, Ts, "A - L C")
     rate = closed if Ts is None else (closed - np.eye(n)) / Ts
     unit = 1 / sizes(rate.T, model.linear.C.T)  # of each state
     A, L, C = model.linear.A * unit / unit[:, None], L / unit[:, None], model.linear.C * unit
@@ -134,11 +137,11 @@ def direction(model: System, L: Floats, Q: Array | None) -> Floats:
     G = np.linalg.solve((C @ along).T, along.T).T
     hidden = np.linalg.svd(C)[2][model.p :].T  # where C x~ = 0
     mode = hidden.T @ (np.eye(n) - G @ C) @ (A - L @ C) @ hidden
-    _require_stable(mode, Ts, "the sliding mode")
+    _require_stable_matrix(mode, Ts, "the sliding mode")
     return unit[:, None] * G
 
 
-def _require_stable(A: Floats, Ts: float | None, what: str) -> None:
+def _require_stable_matrix(A: Floats, Ts: float | None, what: str) -> None:
     """Raise StructureError unless x' = A x, or x+ = A x when sampled, is stable."""
     if not A.size:
         return

@@ -1,4 +1,4 @@
-"""The FMU itself: model description, a binary for this computer, and the C to build others."""
+"""FMU archive: model description, a binary for this computer, and the C sources."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from undeadzone.scenario.schema import Units
 from undeadzone.util.text import one_line
 from undeadzone_export import compiler
 from undeadzone_export.code import Code
-from undeadzone_export.exported_step import Field, Step, numbers_of, total
-from undeadzone_export.template import fill_template, text_of
+from undeadzone_export.exported_step import ExportedStep, Field, field_entries, total_size
+from undeadzone_export.template import fill_template, read_template
 
 _NO_XML: Final = str.maketrans("\ufffe\uffff", "??")  # characters that no XML may hold
 
@@ -45,8 +45,8 @@ KINDS: Final = {
 }
 
 
-class Variable(NamedTuple):
-    """A variable of an FMU.
+class FmuVariable(NamedTuple):
+    """Variable of an FMU.
 
     Attributes:
         name: as importers show it.
@@ -65,39 +65,43 @@ class Variable(NamedTuple):
     is_flag: bool = False
 
 
-def variables(step: Step, units: Units) -> list[Variable]:
-    """Return all variables of a step, in the order of their references, which count from 0.
+def list_fmu_variables(step: ExportedStep, units: Units) -> list[FmuVariable]:
+    """Return all variables of a step in the order of their references, which count from 0.
 
     Args:
         step: the step.
         units: names of the scenario's units.
     """
-    listed = [_entry(*each, "input", units, 0.0) for each in numbers_of(step.inputs)]
-    listed += [_entry(*each, "output", units, None) for each in numbers_of(step.outputs)]
-    starts = zip(numbers_of(step.params), step.defaults.tolist(), strict=True)
-    listed += [_entry(*each, "parameter", units, start) for each, start in starts]
+    listed = [_entry_variable(*each, "input", units, 0.0) for each in field_entries(step.inputs)]
+    listed += [
+        _entry_variable(*each, "output", units, None) for each in field_entries(step.outputs)
+    ]
+    starts = zip(field_entries(step.params), step.defaults.tolist(), strict=True)
+    listed += [_entry_variable(*each, "parameter", units, start) for each, start in starts]
     for k in range(step.readings):
         meaning = f"whether reading y[{k}] is missing"
-        listed.append(Variable(f"missing[{k}]", "input", meaning, "", 0.0, is_flag=True))
+        listed.append(FmuVariable(f"missing[{k}]", "input", meaning, "", 0.0, is_flag=True))
     return listed
 
 
-def _entry(field: Field, k: int, causality: str, units: Units, start: float | None) -> Variable:
-    """Return an entry of a field."""
+def _entry_variable(
+    field: Field, k: int, causality: str, units: Units, start: float | None
+) -> FmuVariable:
+    """Return the FMU variable of an entry of a field."""
     name = field.name
     if causality == "output":
         name = RENAMED.get(name, name)
     kind = "1" if causality == "parameter" else KINDS.get(field.name, "1")
     unit = of_kind(kind, k, units)
     meaning = field.meaning.split(" [")[0]
-    return Variable(f"{name}[{k}]", causality, meaning, "" if unit == "1" else unit, start)
+    return FmuVariable(f"{name}[{k}]", causality, meaning, "" if unit == "1" else unit, start)
 
 
 # --- As XML
 
 
-def token(report: dict[str, Any], version: int) -> str:
-    """What tells that description and binary belong together, made of the hash.
+def instantiation_token(report: dict[str, Any], version: int) -> str:
+    """Return the token that ties description and binary together, computed from the hash.
 
     Args:
         report: name, hash and version of the export.
@@ -107,8 +111,8 @@ def token(report: dict[str, Any], version: int) -> str:
     return "{" + str(uuid.uuid5(uuid.NAMESPACE_OID, " ".join(words))) + "}"
 
 
-def description(
-    report: dict[str, Any], listed: list[Variable], sources: list[str], version: int
+def model_description(
+    report: dict[str, Any], listed: list[FmuVariable], sources: list[str], version: int
 ) -> str:
     """Return the text of modelDescription.xml.
 
@@ -120,8 +124,8 @@ def description(
     """
     name = report["name"]
     root = Element("fmiModelDescription", {"fmiVersion": f"{version}.0", "modelName": name})
-    root.set("guid" if version == 2 else "instantiationToken", token(report, version))
-    root.set("description", _plain(str(report["title"])))
+    root.set("guid" if version == 2 else "instantiationToken", instantiation_token(report, version))
+    root.set("description", _to_xml_line(str(report["title"])))
     root.set("generationTool", f"undeadzone {report['version']}")
     root.set("variableNamingConvention", "flat")
     kind = SubElement(root, "CoSimulation", {"modelIdentifier": name})
@@ -133,23 +137,23 @@ def description(
             SubElement(files, "File", {"name": source})
     else:
         kind.set("fixedInternalStepSize", repr(report["step"]))
-    _units(root, listed, version)
+    _add_units(root, listed, version)
     times = {"startTime": "0.0", "stepSize": repr(report["step"])}
     SubElement(root, "DefaultExperiment", times)
     parent = SubElement(root, "ModelVariables")
     for reference, variable in enumerate(listed):
-        _variable(parent, reference, variable, version)
+        _add_fmu_variable(parent, reference, variable, version)
     if version == 3:
         attributes = {"name": "time", "valueReference": str(len(listed))}
         attributes |= {"causality": "independent", "variability": "continuous", "unit": "s"}
         SubElement(parent, "Float64", attributes)
-    _structure(root, listed, version)
-    return _text(root)
+    _add_structure(root, listed, version)
+    return _xml_document(root)
 
 
-def _units(root: Element, listed: list[Variable], version: int) -> None:
-    """The units that variables name; in FMI 3 time is a variable too."""
-    names = {_plain(variable.unit) for variable in listed if variable.unit}
+def _add_units(root: Element, listed: list[FmuVariable], version: int) -> None:
+    """Add the units that variables name. In FMI 3 time is a variable, too."""
+    names = {_to_xml_line(variable.unit) for variable in listed if variable.unit}
     if version == 3:
         names.add("s")
     if names:
@@ -158,19 +162,19 @@ def _units(root: Element, listed: list[Variable], version: int) -> None:
             SubElement(parent, "Unit", {"name": name})
 
 
-def _variable(parent: Element, reference: int, variable: Variable, version: int) -> None:
-    """A variable: the type is inside of it in FMI 2, its name in FMI 3."""
+def _add_fmu_variable(parent: Element, reference: int, variable: FmuVariable, version: int) -> None:
+    """Add a variable. Its type is a child element in FMI 2 and the element's name in FMI 3."""
     is_parameter = variable.causality == "parameter"
     attributes = {
         "name": variable.name,
         "valueReference": str(reference),
-        "description": _plain(variable.meaning),
+        "description": _to_xml_line(variable.meaning),
         "causality": variable.causality,
         "variability": "tunable" if is_parameter else "discrete",
     }
     typed: dict[str, str] = {}
     if variable.unit:
-        typed["unit"] = _plain(variable.unit)
+        typed["unit"] = _to_xml_line(variable.unit)
     if variable.start is None:
         attributes["initial"] = "calculated"
     else:
@@ -183,8 +187,8 @@ def _variable(parent: Element, reference: int, variable: Variable, version: int)
         SubElement(parent, kind, attributes | typed)
 
 
-def _structure(root: Element, listed: list[Variable], version: int) -> None:
-    """The outputs, which depend on no input of the present moment: they are of the last sample."""
+def _add_structure(root: Element, listed: list[FmuVariable], version: int) -> None:
+    """Add the outputs. They depend on no present input: they belong to the last sample."""
     parent = SubElement(root, "ModelStructure")
     shown = [k for k, variable in enumerate(listed) if variable.causality == "output"]
     for word, known in (("Output", _HELD), ("InitialUnknown", {})):
@@ -196,8 +200,8 @@ def _structure(root: Element, listed: list[Variable], version: int) -> None:
                 SubElement(group, word, {"valueReference": str(k), **known})
 
 
-def _plain(text: str) -> str:
-    """Return a text on one line that XML can hold."""
+def _to_xml_line(text: str) -> str:
+    """Return a text on one line without characters that XML forbids."""
     return one_line(text).translate(_NO_XML)
 
 
@@ -213,11 +217,11 @@ def build_description(name: str, sources: list[str]) -> str:
     files = SubElement(built, "SourceFileSet", {"language": "C99"})
     for source in sources:
         SubElement(files, "SourceFile", {"name": source})
-    return _text(root)
+    return _xml_document(root)
 
 
-def _text(root: Element) -> str:
-    """Return an XML document."""
+def _xml_document(root: Element) -> str:
+    """Return the text of an XML document."""
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
@@ -231,7 +235,9 @@ PLATFORMS = {  # names of folders in FMI 2.0; those of 3.0 begin with the archit
 
 
 def binary_path(prefix: str, version: int) -> str:
-    """Where the binary for this computer is kept in an FMU. Raises InputError if FMI has no name.
+    """Return the path of this computer's binary in an FMU.
+
+    Raises InputError if FMI has no name for this computer.
 
     Args:
         prefix: the model's identifier.
@@ -253,7 +259,7 @@ def binary_path(prefix: str, version: int) -> str:
 
 
 def require_buildable(prefix: str, version: int) -> None:
-    """Raise InputError where no FMU can be built: it needs a compiler and a folder's name.
+    """Raise InputError if a C compiler or a folder name for the FMU is missing.
 
     Args:
         prefix: the model's identifier.
@@ -263,10 +269,10 @@ def require_buildable(prefix: str, version: int) -> None:
     binary_path(prefix, version)
 
 
-def package(
+def build_fmu(
     printed: Code, files: dict[str, str], report: dict[str, Any], units: Units, version: int
 ) -> bytes:
-    """Return the FMU.
+    """Build the FMU and return its bytes.
 
     Args:
         printed: what was printed.
@@ -279,47 +285,47 @@ def package(
         InputError: there is no C compiler, or it refuses.
     """
     prefix = report["name"]
-    listed = variables(printed.step, units)
-    sources = files | {"fmu_model.h": _model(printed, report, version)}
+    listed = list_fmu_variables(printed.step, units)
+    sources = files | {"fmu_model.h": _model_header(printed, report, version)}
     for name in ("fmu.h", f"fmi{version}.h", f"fmi{version}.c"):
-        sources[name] = text_of(f"fmu/{name}")
+        sources[name] = read_template(f"fmu/{name}")
     compiled = sorted(name for name in sources if name.endswith(".c"))
     contents: dict[str, str | bytes] = {
-        "modelDescription.xml": description(report, listed, compiled, version)
+        "modelDescription.xml": model_description(report, listed, compiled, version)
     }
-    contents[binary_path(prefix, version)] = _binary(sources)
+    contents[binary_path(prefix, version)] = _build_binary(sources)
     if version == 3:
         contents["sources/buildDescription.xml"] = build_description(prefix, compiled)
     contents |= {f"sources/{name}": text for name, text in sorted(sources.items())}
-    return _zip_files(contents)
+    return _zip_contents(contents)
 
 
-def _model(printed: Code, report: dict[str, Any], version: int) -> str:
+def _model_header(printed: Code, report: dict[str, Any], version: int) -> str:
     """Return the text of fmu_model.h."""
     step = printed.step
     words = report | {
-        "token": token(report, version),
+        "token": instantiation_token(report, version),
         "tunable": bool(step.params),
         "fixed": not step.params,
-        "inputs": total(step.inputs),
+        "inputs": total_size(step.inputs),
         "readings": step.readings,
-        "outputs": total(step.outputs),
-        "params": total(step.params),
+        "outputs": total_size(step.outputs),
+        "params": total_size(step.params),
         "real": printed.real,
     }
     return fill_template("templates/fmu_model.h", words)
 
 
-def _binary(sources: dict[str, str]) -> bytes:
-    """Return the shared library."""
+def _build_binary(sources: dict[str, str]) -> bytes:
+    """Compile the shared library and return its bytes."""
     with tempfile.TemporaryDirectory() as name:
         files = compiler.write_sources(sources, Path(name))
         options = ("-O2", "-fvisibility=hidden")
-        return compiler.shared_library(sorted(files), Path(name, "model.so"), options).read_bytes()
+        return compiler.compile_library(sorted(files), Path(name, "model.so"), options).read_bytes()
 
 
-def _zip_files(contents: dict[str, str | bytes]) -> bytes:
-    """Return a zip file of the same bytes each time."""
+def _zip_contents(contents: dict[str, str | bytes]) -> bytes:
+    """Pack files into a zip archive whose bytes depend on the contents only."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
         for path, content in contents.items():

@@ -1,4 +1,6 @@
-"""A scenario's loop as one HTML file: WebAssembly, the numbers, and what draws them."""
+"""A scenario's closed loop as one HTML file: WebAssembly, its numbers, and the script that
+draws.
+"""
 
 from __future__ import annotations
 
@@ -31,18 +33,18 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.files import write_text
 from undeadzone.util.own_files import REMARK, require_own, sign_text
 from undeadzone.util.text import printable
-from undeadzone_export.code import operations
-from undeadzone_export.exported_step import entries
+from undeadzone_export.code import count_operations
+from undeadzone_export.exported_step import name_entries
 from undeadzone_export.page import sliders
-from undeadzone_export.template import fill_template, text_of
+from undeadzone_export.template import fill_template, read_template
 
 SAMPLES = 512  # of a period, for a Fourier series
 NEGLIGIBLE = 1e-16  # share of a harmonic in the signal below which it is left out
 SERIES = 1e-10  # largest error of the series, relative to the signal's size
 
 
-def reference(problem: Problem) -> dict[str, Any]:
-    """Return the target (r, x_ref, u_ff) along the run.
+def reference_data(problem: Problem) -> dict[str, Any]:
+    """Return the target (r, x_ref, u_ff) along the run, as data for the page's script.
 
     Args:
         problem: the checked parts of a scenario.
@@ -52,22 +54,23 @@ def reference(problem: Problem) -> dict[str, Any]:
         TrackingError: the plant cannot follow the reference.
     """
     if problem.model.nonlinear:
-        return _harmonics(problem)
+        return _fourier_data(problem)
     signal, exo = problem.scenario.reference, problem.reference
     Pi, Gamma = steady_state(problem.model, exo, problem.tracked)
     return _signal_data("reference", signal, exo, np.vstack([exo.Q, Pi, Gamma]))
 
 
-def period(problem: Problem) -> float | None:
-    """Return the period of the reference [s]; None: it has none."""
+def reference_period(problem: Problem) -> float | None:
+    """Return the period of the reference [s], or None if it has none."""
     return problem.reference.period if problem.path is None else problem.path.period
 
 
-def _harmonics(problem: Problem) -> dict[str, Any]:
-    """Return a periodic target as a Fourier series, checked between the samples that it was made
-    of.
+def _fourier_data(problem: Problem) -> dict[str, Any]:
+    """Return a periodic target as a Fourier series.
+
+    Check the series between the samples that it was computed from.
     """
-    length = period(problem)
+    length = reference_period(problem)
     if length is None:
         raise InputError(
             "reference: of a nonlinear plant the page draws periodic references only; take a sine, "
@@ -94,8 +97,8 @@ def _harmonics(problem: Problem) -> dict[str, Any]:
     return {"gains": gains.tolist(), "omegas": omegas.tolist(), "offset": True}
 
 
-def disturbance(problem: Problem) -> dict[str, Any] | None:
-    """Return the disturbance along the run; None: there is none.
+def disturbance_data(problem: Problem) -> dict[str, Any] | None:
+    """Return the disturbance along the run as data for the page's script, or None.
 
     Args:
         problem: the checked parts of a scenario.
@@ -113,7 +116,7 @@ def disturbance(problem: Problem) -> dict[str, Any] | None:
 
 
 def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[str, Any]:
-    """Return a signal as what its exosystem's state is made of, and the gains from there."""
+    """Return a signal's data: the state of its exosystem and the gains from that state."""
     data: dict[str, Any] = {"gains": gains.tolist()}
     if isinstance(signal, Sine | Sines):
         count = exo.S.shape[0] // 2
@@ -126,7 +129,7 @@ def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[s
         raise InputError(
             f"{key}.kind: the page draws sine, sines, step and trapezoid, found {kind!r}"
         )
-    starts = _starts(exo)
+    starts = _piece_starts(exo)
     data["starts"] = starts.tolist()
     data["values"] = exo.state(starts).tolist()
     data["order"] = exo.S.shape[0] // exo.Q.shape[0]
@@ -134,8 +137,8 @@ def _signal_data(key: str, signal: Any, exo: Exosystem, gains: Floats) -> dict[s
     return data
 
 
-def _starts(exo: Exosystem) -> Floats:
-    """When the pieces of a signal begin; the first at 0."""
+def _piece_starts(exo: Exosystem) -> Floats:
+    """Return the times at which the pieces of a signal begin [s], the first at 0."""
     corners = exo.corners if exo.period is None else exo.corners[:-1]
     later = corners[corners > 0]
     return np.concatenate([[0.0], later])
@@ -151,8 +154,8 @@ RECORDED = {
 }
 
 
-class Page(NamedTuple):
-    """A page and what it costs.
+class LivePage(NamedTuple):
+    """HTML page with a report on its size and cost.
 
     Attributes:
         text: the HTML.
@@ -163,8 +166,8 @@ class Page(NamedTuple):
     report: dict[str, Any]
 
 
-def write_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, Any]:
-    """Write the page of a scenario.
+def write_live_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, Any]:
+    """Write the page of a scenario and return its report.
 
     Args:
         scenario: a linear scenario, sampled or continuous.
@@ -179,13 +182,13 @@ def write_page(scenario: Scenario, out: Path, force: bool = False) -> dict[str, 
         FileError: the file is something else, or cannot be written.
     """
     require_own(out, force)
-    page = build(scenario)
+    page = build_live_page(scenario)
     write_text(page.text, out)
     return page.report
 
 
-def build(scenario: Scenario) -> Page:
-    """Return the page of a scenario; the same scenario gives the same bytes.
+def build_live_page(scenario: Scenario) -> LivePage:
+    """Build the page of a scenario. The same scenario gives the same bytes.
 
     Args:
         scenario: a linear scenario, sampled or continuous.
@@ -194,28 +197,28 @@ def build(scenario: Scenario) -> Page:
         InputError: a scenario that the page cannot show.
     """
     problem = resolve_scenario(scenario)
-    _require_shown(problem)
+    _require_drawable(problem)
     loop = close_problem(problem)
-    _require_quick(problem, len(required_nodes(itertools.chain(*_results(loop)))))
-    code, memory = _code(loop)
-    data = _data(problem, loop, memory)
+    _require_quick_run(problem, len(required_nodes(itertools.chain(*_usual_results(loop)))))
+    code, memory = _wasm_module(loop)
+    data = _page_data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
-    text = sign_text(frame_page(scenario.title, data | {"remark": REMARK}))
+    text = sign_text(render_page(scenario.title, data | {"remark": REMARK}))
     report = {
         "title": scenario.title,
         "version": undeadzone.__version__,
         "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
         "steps": data["rows"],
         "sizes": {"wasm": len(code), "page": len(text.encode())},
-        "operations": operations(_results(loop)),
+        "operations": count_operations(_usual_results(loop)),
         "sliders": [slider["key"] for slider in data["sliders"]],
         "refusals": [],
     }
-    return Page(text, report)
+    return LivePage(text, report)
 
 
-def _require_shown(problem: Problem) -> None:
-    """Raise InputError for what the page does not compute."""
+def _require_drawable(problem: Problem) -> None:
+    """Raise InputError if the scenario contains a feature that the page does not compute."""
     scenario, sensor = problem.scenario, problem.sensor
     if problem.plant.gears is not None:
         raise InputError(
@@ -241,8 +244,8 @@ def _require_shown(problem: Problem) -> None:
             raise InputError(f"sensor.{key}: the page's sensor has none; leave the key out")
 
 
-def _require_quick(problem: Problem, size: int) -> None:
-    """Raise InputError where a run takes so long that the sliders would not follow."""
+def _require_quick_run(problem: Problem, size: int) -> None:
+    """Raise InputError if a run takes too long to follow the sliders."""
     count = problem.steps * size
     if count > MOST:
         raise InputError(
@@ -252,20 +255,20 @@ def _require_quick(problem: Problem, size: int) -> None:
         )
 
 
-def _results(loop: Loop) -> Results:
-    """What a step computes as a rule."""
+def _usual_results(loop: Loop) -> Results:
+    """Return the nodes of a step without its cold path."""
     return build_portable_nodes(
         loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND
     )
 
 
-def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
-    """Return (the module, where each part of its memory begins, counted in numbers)."""
+def _wasm_module(loop: Loop) -> tuple[bytes, dict[str, int]]:
+    """Return the WebAssembly module and the start of each part of its memory (in numbers)."""
     step = loop.step
     each = [*map(step.size1_in, range(3)), *map(step.size1_out, range(2))]
     sizes = dict(zip("swpno", each, strict=True)) | {"flag": 1}
     places = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
-    inputs = entries(**{part: _addresses(places[part], sizes[part]) for part in "swp"})
+    inputs = name_entries(**{part: _byte_addresses(places[part], sizes[part]) for part in "swp"})
     functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
     if loop.parts is not None:
         functions = [
@@ -275,18 +278,18 @@ def _code(loop: Loop) -> tuple[bytes, dict[str, int]]:
     printed = []
     for name, function, results in functions:
         nodes = build_portable_nodes(function, print_wasm.KIND)
-        targets = [_addresses(places[part], sizes[part]) for part in results]
+        targets = [_byte_addresses(places[part], sizes[part]) for part in results]
         printed.append(print_wasm.Function(name, nodes, inputs, targets))
     return print_wasm.build_module(printed, print_wasm.REAL * sum(sizes.values())), places
 
 
-def _addresses(start: int, size: int) -> list[int]:
-    """Where the numbers of a part stand [bytes]."""
+def _byte_addresses(start: int, size: int) -> list[int]:
+    """Return the addresses of the numbers of a part of the memory [bytes]."""
     return [print_wasm.REAL * (start + k) for k in range(size)]
 
 
-def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any]:
-    """What the page knows beside the code."""
+def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any]:
+    """Return all data of the page except the code."""
     scenario, model = problem.scenario, problem.model
     A, B, C = model.linear
     if model.Ts is not None:  # as `feedforward.targets.steady_state` has it: per second
@@ -296,18 +299,18 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         place = outputs[address]
         if place.stop > place.start:
             recorded[name] = place.start
-    kind, texts = problem.sensor.kind, tomllib.loads(text_of("page/words.toml"))
+    kind, texts = problem.sensor.kind, tomllib.loads(read_template("page/words.toml"))
     lead = texts["lead"][kind]
     if problem.sensor.limits is not None:
         lead = f"{lead} {texts['lead']['range']}"
     instant = tree.slices(loop.instant)
-    made = sliders.sliders(problem, loop, _sizes(problem))
+    made = sliders.build_sliders(problem, loop, _output_sizes(problem))
     return {
         "kind": kind,
         "lead": lead,
         "words": texts["gap" if kind == "play" else "zone"],
-        "note": _note(problem),
-        "quantity": _quantity(scenario.units.output),
+        "note": _prior_information_note(problem),
+        "quantity": _motion_label(scenario.units.output),
         "unit": printable(scenario.units.output),
         "rows": problem.steps + 1,
         "step": scenario.simulation.step,
@@ -315,7 +318,7 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         "outputs": problem.plant.p,
         "tracked": len(problem.tracked),
         "slope": problem.sensor.slope.tolist(),
-        "period": period(problem),
+        "period": reference_period(problem),
         "model": {"A": A.tolist(), "B": B.tolist(), "C": C[problem.tracked].tolist()},
         "memory": memory,
         "rare": loop.parts is not None,
@@ -328,17 +331,15 @@ def _data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str, Any
         },
         "start": tree.pack(loop.state._replace(plant=problem.x0)).tolist(),
         "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
-        "reference": reference(problem),
-        "disturbance": disturbance(problem),
+        "reference": reference_data(problem),
+        "disturbance": disturbance_data(problem),
         "sliders": [slider._asdict() for slider in made],
         "learns": any(slider.key == "gamma" for slider in made),
     }
 
 
-def _sizes(problem: Problem) -> Floats:
-    """Return the largest |z| that the reference asks for, or four widths where it says nothing
-    (p).
-    """
+def _output_sizes(problem: Problem) -> Floats:
+    """Return the largest |z| of the reference, or 4 widths if that is unknown (p) [z]."""
     rows = exogenous.exogenous(problem, run=None)
     q, n = len(problem.tracked), problem.model.n
     largest = np.zeros(problem.plant.p)
@@ -349,13 +350,16 @@ def _sizes(problem: Problem) -> Floats:
     return np.where(largest > 0, largest, np.where(widest > 0, 4 * widest, 1.0))
 
 
-def _quantity(unit: str) -> str:
-    """What the axis of the motion shows."""
+def _motion_label(unit: str) -> str:
+    """Return the label of the axis that shows the motion."""
     return "the motion" if unit == "1" else f"the motion [{printable(unit)}]"
 
 
-def _note(problem: Problem) -> str:
-    """What the observer knows, so that nobody takes the page for more than it shows."""
+def _prior_information_note(problem: Problem) -> str:
+    """Return a note on the prior information of the observer.
+
+    Readers might overrate the page without this note.
+    """
     method = type(problem.scenario.observer).__struct_config__.tag
     known = "the plant exactly" if problem.scenario.model is None else "a model of the plant"
     text = (
@@ -370,17 +374,17 @@ def _note(problem: Problem) -> str:
 # --- The HTML around the data: its own script and style, and a policy that allows nothing else
 
 
-def frame_page(title: str, data: dict[str, Any]) -> str:
-    """Return the page.
+def render_page(title: str, data: dict[str, Any]) -> str:
+    """Return the HTML of the page.
 
     Args:
         title: its title.
         data: what its script reads.
     """
-    style, script = text_of("page/page.css"), text_of("page/page.js")
+    style, script = read_template("page/page.css"), read_template("page/page.js")
     policy = (
-        f"default-src 'none'; script-src {_digest(script)} 'wasm-unsafe-eval'; "
-        f"style-src {_digest(style)}; img-src data:; base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src {_policy_hash(script)} 'wasm-unsafe-eval'; "
+        f"style-src {_policy_hash(style)}; img-src data:; base-uri 'none'; form-action 'none'"
     )
     content = json.dumps(data, separators=(",", ":"), allow_nan=False)
     words = {
@@ -395,6 +399,6 @@ def frame_page(title: str, data: dict[str, Any]) -> str:
     return fill_template("page/page.html", words)
 
 
-def _digest(text: str) -> str:
-    """Return the hash by which the page's policy allows a text, and no other."""
+def _policy_hash(text: str) -> str:
+    """Return the hash that allows a text in the page's content policy."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -1,4 +1,4 @@
-"""What the page's sliders change: each moves the numbers that its key of the scenario moves.
+"""Sliders of the page: each moves the numbers that its key of the scenario moves.
 
 A number of the loop may depend on one slider only, by a polynomial of degree two. That is found by
 building the scenario with other values of the key, and checked at the scenario's own.
@@ -49,14 +49,14 @@ class Slider(NamedTuple):
     moves: list[tuple[int, float, float]] = []
 
 
-def slider_of(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
-    """Return a slider of a range that moves numbers, with steps of a round size."""
-    grid = nice((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
+def build_slider(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
+    """Return a slider over a range that moves numbers, with steps of a round size."""
+    grid = round_up_nicely((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
     most, least = max(wanted.most, wanted.value), min(wanted.least, wanted.value)
     return wanted._replace(least=least, most=most, grid=grid, moves=moves)
 
 
-def nice(value: float, factors: tuple[float, ...] = ROUND) -> float:
+def round_up_nicely(value: float, factors: tuple[float, ...] = ROUND) -> float:
     """Return the nearest round number that is not smaller: a factor times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     for factor in factors:
@@ -73,7 +73,7 @@ Change = Callable[[float], Scenario]  # value of a key -> the scenario with that
 Moves = list[tuple[int, float, float]]  # as of `Slider`
 
 
-def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
+def build_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     """Return the sliders of a scenario.
 
     Args:
@@ -82,26 +82,26 @@ def sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
         sizes: largest |z| that the reference asks for (p) [z].
     """
     scenario = problem.scenario
-    made = _edges(problem, loop, sizes)
-    made += _motion(problem, loop)
-    made += _learning(problem, loop)
+    made = _breakpoint_sliders(problem, loop, sizes)
+    made += _reference_sliders(problem, loop)
+    made += _adaptation_sliders(problem, loop)
     if np.ptp(problem.sensor.noise) == 0:
         noise = float(problem.sensor.noise[0])
-        most = nice(max(4 * noise, 0.05 * float(sizes.max())))
-        wanted = Slider("noise", "noise of the reading", _unit(scenario), noise, 0.0, most)
+        most = round_up_nicely(max(4 * noise, 0.05 * float(sizes.max())))
+        wanted = Slider("noise", "noise of the reading", _unit_label(scenario), noise, 0.0, most)
         noisy = functools.partial(scenario.replace, "sensor.noise")
-        made += _slider_of_key(problem, loop, wanted, noisy)
-    made += _mismatch(problem, loop)
-    return _apart(made)
+        made += _key_sliders(problem, loop, wanted, noisy)
+    made += _mismatch_sliders(problem, loop)
+    return _drop_overlapping(made)
 
 
-def _unit(scenario: Scenario) -> str:
-    """Return the unit of the outputs, as the page shows it."""
+def _unit_label(scenario: Scenario) -> str:
+    """Return the unit of the outputs as the page shows it."""
     return "" if scenario.units.output == "1" else scenario.units.output
 
 
-def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
-    """Return a slider for each edge of each output."""
+def _breakpoint_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
+    """Return a slider for each breakpoint of each output."""
     made = []
     limit = problem.observer.traits.width_max
     widest = np.maximum(problem.sensor.right, problem.sensor.left)
@@ -110,43 +110,43 @@ def _edges(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
             number = str(output + 1) if problem.plant.p > 1 else ""
             of = f" of output {number}" if number else ""
             width = float(getattr(problem.sensor, side)[output])
-            most = nice(float(max(2 * widest[output], sizes[output] / 2)))
+            most = round_up_nicely(float(max(2 * widest[output], sizes[output] / 2)))
             if limit is not None:
                 most = min(most, float(limit[output]))
-            place = _place(loop, f"sensor.{side}[{output}]")
+            place = _param_index(loop, f"sensor.{side}[{output}]")
             wanted = Slider(
-                side + number, f"{side} edge{of}", _unit(problem.scenario), width, 0.0, most
+                side + number, f"{side} edge{of}", _unit_label(problem.scenario), width, 0.0, most
             )
-            made.append(slider_of(wanted, [(place, 1.0, 0.0)]))
+            made.append(build_slider(wanted, [(place, 1.0, 0.0)]))
     return made
 
 
-def _motion(problem: Problem, loop: Loop) -> list[Slider]:
-    """Return the sliders of the reference's size and speed."""
+def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
+    """Return the sliders for the size and the speed of the reference."""
     if problem.model.nonlinear:  # its target does not scale
         return []
-    signal, unit = problem.scenario.reference, _unit(problem.scenario)
+    signal, unit = problem.scenario.reference, _unit_label(problem.scenario)
     size, size_unit = 1.0, "×"
     speed, speed_unit = 1.0, "×"
     if isinstance(signal, Sine):
         speed, speed_unit = signal.frequency, "Hz"
         if np.size(signal.amplitude) == 1 and not np.any(signal.offset):
             size, size_unit = abs(float(np.ravel(signal.amplitude)[0])), unit
-    place = _place(loop, "scale.reference")
-    wanted = Slider("size", "size of the motion", size_unit, size, 0.0, nice(2 * size))
-    made = [slider_of(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
+    place = _param_index(loop, "scale.reference")
+    wanted = Slider("size", "size of the motion", size_unit, size, 0.0, round_up_nicely(2 * size))
+    made = [build_slider(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
     if isinstance(signal, Step) or problem.model.m != len(problem.tracked):
         return made
-    fastest = speed * _fastest(problem)
-    least, most = speed / 4, min(nice(2.5 * speed), fastest)
+    fastest = speed * _fastest_factor(problem)
+    least, most = speed / 4, min(round_up_nicely(2.5 * speed), fastest)
     if most > speed:
         wanted = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
-        made.append(slider_of(wanted, []))
+        made.append(build_slider(wanted, []))
     return made
 
 
-def _fastest(problem: Problem) -> float:
-    """How much faster the reference may become before a step no longer resolves it."""
+def _fastest_factor(problem: Problem) -> float:
+    """Return the factor by which the reference may become faster and stay resolved."""
     signal = problem.scenario.reference
     step = problem.scenario.simulation.step
     if isinstance(signal, Sine):
@@ -158,10 +158,8 @@ def _fastest(problem: Problem) -> float:
     return 1.0 if period is None else period / (4 * RESOLVED * step)
 
 
-def _learning(problem: Problem, loop: Loop) -> list[Slider]:
-    """Return the slider of the observer's gain of adaptation, if it has one and takes it as a
-    number.
-    """
+def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
+    """Return the slider of the observer's adaptation gain, or none without a numeric gain."""
     options: Any = problem.scenario.observer
     traits = problem.observer.traits
     gamma = getattr(options, "gamma", None)
@@ -175,17 +173,16 @@ def _learning(problem: Problem, loop: Loop) -> list[Slider]:
         own, unit = float(base.flat[0]), "1/s"
 
     def change(value: float) -> Scenario:
+        """Return the scenario with another adaptation gain."""
         observer = msgspec.structs.replace(options, gamma=base * (value / own))
         return msgspec.structs.replace(problem.scenario, observer=observer)
 
-    wanted = Slider("gamma", "learning gain", unit, own, 0.0, nice(4 * own))
-    return _slider_of_key(problem, loop, wanted, change)
+    wanted = Slider("gamma", "learning gain", unit, own, 0.0, round_up_nicely(4 * own))
+    return _key_sliders(problem, loop, wanted, change)
 
 
-def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
-    """Return the slider that makes the plant's input act more strongly than its observer
-    believes.
-    """
+def _mismatch_sliders(problem: Problem, loop: Loop) -> list[Slider]:
+    """Return the slider that makes the plant's input act more strongly than in the model."""
     moves = []
     names = tree.names(loop.params)
     values = tree.pack(loop.params)
@@ -193,12 +190,11 @@ def _mismatch(problem: Problem, loop: Loop) -> list[Slider]:
         if name.startswith("plant.B[") and values[place]:
             moves.append((place, float(values[place]) / 100, 0.0))
     wanted = Slider("drive", "drive stronger than modelled", "%", 0.0, -30.0, 30.0)
-    return [slider_of(wanted, moves)] if moves else []
+    return [build_slider(wanted, moves)] if moves else []
 
 
-def _slider_of_key(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
-    """Return the slider of a key, its range cut to where the scenario is accepted; none if it fits
-    none.
+def _key_sliders(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> list[Slider]:
+    """Return the slider of a key over the range in which the scenario is accepted, or none.
 
     Args:
         problem: the checked parts of the scenario.
@@ -207,24 +203,24 @@ def _slider_of_key(problem: Problem, loop: Loop, wanted: Slider, change: Change)
         change: gives the scenario with a value of the key.
     """
     for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
-        accepted = _accepted_range(wanted._replace(least=least), change)
-        moves = _moves(problem, loop, accepted, change)
+        accepted = _narrow_range(wanted._replace(least=least), change)
+        moves = _fit_moves(problem, loop, accepted, change)
         if moves is not None:
-            return [slider_of(accepted, moves)]
+            return [build_slider(accepted, moves)]
     return []
 
 
-def _accepted_range(wanted: Slider, change: Change) -> Slider:
-    """Return the range with its upper end brought down to where the scenario is accepted."""
+def _narrow_range(wanted: Slider, change: Change) -> Slider:
+    """Return the range with its upper end lowered until the scenario is accepted."""
     for _ in range(HALVINGS):
-        if _possible(change, wanted.most) is not None:
+        if _try_value(change, wanted.most) is not None:
             break
         wanted = wanted._replace(most=(wanted.most + wanted.value) / 2)
     return wanted
 
 
-def _possible(change: Change, value: float) -> Problem | None:
-    """Return the scenario with another value of a key; None where it is refused, or is no graph."""
+def _try_value(change: Change, value: float) -> Problem | None:
+    """Return the problem with another value of a key, or None if refused or without a graph."""
     try:
         problem = resolve_scenario(change(value))
         graph_of(problem.observer)
@@ -233,14 +229,16 @@ def _possible(change: Change, value: float) -> Problem | None:
     return problem
 
 
-def _moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Moves | None:
-    """How the numbers of the loop change with a key within a range.
+def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Moves | None:
+    """Return the changes of the loop's numbers with a key within a range.
+
+    Return None if the key does more than move numbers by polynomials of degree two.
 
     None where it does more than move them by polynomials of degree two.
     """
     between = 0.37 * wanted.least + 0.63 * wanted.most
     points = np.array([wanted.least, wanted.most, between])
-    possible = [_possible(change, float(value)) for value in points]
+    possible = [_try_value(change, float(value)) for value in points]
     others = [other for other in possible if other is not None]
     same = all(graph(other) == graph(problem) for other in others)
     if not same or len(others) < len(points) or wanted.most <= wanted.value:
@@ -261,14 +259,15 @@ def _moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> Move
     return moves
 
 
-def _place(loop: Loop, name: str) -> int:
-    """Where a number stands in the loop's packed params."""
+def _param_index(loop: Loop, name: str) -> int:
+    """Return the index of a number in the loop's packed params."""
     return tree.names(loop.params).index(name)
 
 
-def _apart(made: list[Slider]) -> list[Slider]:
-    """Return the sliders, without those that move a number of an earlier one: they would not add
-    up.
+def _drop_overlapping(made: list[Slider]) -> list[Slider]:
+    """Return the sliders without those that move a number of an earlier slider.
+
+    Their effects would not add up.
     """
     taken: set[int] = set()
     kept = []

@@ -31,7 +31,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.contest.prior_knowledge import situation
+from undeadzone_arena.contest.prior_knowledge import build_setting
 
 BOTH = {"kind": "deadzone", "right": 1.0, "left": 0.7, "play": [0.5, 0.3]}
 RANGES = {"play": [[0.0, 1.0], [0.0, 1.0]]}
@@ -191,7 +191,7 @@ def test_the_page_and_the_arena_refuse_it(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one band, a dead zone's or a play's, not both"):
         uz.export(scenario, out=tmp_path / "p.html", to="page")
     with pytest.raises(InputError, match="compare two observers"):
-        situation(scenario)
+        build_setting(scenario)
 
 
 # What the filters make of it

@@ -25,9 +25,9 @@ from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sample_plant
 from undeadzone.util.arrays import Floats
-from undeadzone_export.accuracy import Compiled
-from undeadzone_export.code import code, operations, split_results
-from undeadzone_export.exported_step import Field, Step
+from undeadzone_export.accuracy import CompiledStep
+from undeadzone_export.code import build_code, count_operations, split_phases
+from undeadzone_export.exported_step import ExportedStep, Field
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +37,7 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> Step:
+def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ExportedStep:
     """A step without memory: outputs of inputs."""
     w, out = ca.vertcat(*inputs), ca.vertcat(*outputs)
     function = ca.Function(
@@ -49,13 +49,13 @@ def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> Step:
     )
     none = np.empty(0)
     fields = [Field("a", len(inputs), "inputs")], [Field("b", out.shape[0], "outputs")]
-    return Step(function, none, [], *fields, [], none, len(inputs), [], 1.0)
+    return ExportedStep(function, none, [], *fields, [], none, len(inputs), [], 1.0)
 
 
-def by_replica(step: Step, rows: Floats, single: bool) -> Floats:
+def by_replica(step: ExportedStep, rows: Floats, single: bool) -> Floats:
     """The outputs by NumPy, a row for each row of inputs."""
     real = np.float32 if single else np.float64
-    evaluate = reference_evaluator(code(step, single).results)
+    evaluate = reference_evaluator(build_code(step, single).results)
     values = []
     for row in rows.astype(real):
         entries = {f"w{k}": value for k, value in enumerate(row)}
@@ -63,7 +63,7 @@ def by_replica(step: Step, rows: Floats, single: bool) -> Floats:
     return np.array(values)
 
 
-def by_machine(step: Step, rows: Floats) -> Floats:
+def by_machine(step: ExportedStep, rows: Floats) -> Floats:
     """The outputs by CasADi."""
     return np.array([step.function([], row, [])[1].full().ravel() for row in rows])
 
@@ -109,7 +109,7 @@ def test_compiled_C_gives_the_bits_of_the_replica(single: bool, tmp_path: Path) 
     rows = pairs()
     if single:
         rows = rows.astype(np.float32).astype(float)
-    printed = Compiled(code(step, single), tmp_path)
+    printed = CompiledStep(build_code(step, single), tmp_path)
     equal = same(printed(rows), by_replica(step, rows, single))
     assert [name for k, name in enumerate(NAMES) if not equal[:, k].all()] == []
 
@@ -119,7 +119,7 @@ SAFE = ("neg", "fabs", "sign", "not", "floor", "ceil", "add", "sub", "mul", "lt"
 
 
 @st.composite
-def finite_graphs(draw: st.DrawFn) -> Step:
+def finite_graphs(draw: st.DrawFn) -> ExportedStep:
     """A random graph whose values all stay finite, with conditions that multiply and select."""
     inputs = [ca.SX.sym(name) for name in "abc"]
     constants = st.sampled_from([0.0, 1.0, -1.0, 0.5, 1.001, 0.999, 3.0, 1e300])
@@ -137,14 +137,16 @@ VALUES = st.floats(-4, 4, width=32) | st.sampled_from([0.0, 1.0, -1.0])
 
 @settings(max_examples=60, deadline=None)
 @given(finite_graphs(), st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=8))
-def test_rewriting_keeps_every_bit(step: Step, rows: list[tuple[float, ...]]) -> None:
+def test_rewriting_keeps_every_bit(step: ExportedStep, rows: list[tuple[float, ...]]) -> None:
     table = np.array(rows)
     assert same(by_replica(step, table, False), by_machine(step, table)).all()
 
 
 @settings(max_examples=40, deadline=None)
 @given(finite_graphs(), st.lists(st.tuples(VALUES, VALUES, VALUES), min_size=1, max_size=4))
-def test_a_missing_value_means_what_NaN_means(step: Step, rows: list[tuple[float, ...]]) -> None:
+def test_a_missing_value_means_what_NaN_means(
+    step: ExportedStep, rows: list[tuple[float, ...]]
+) -> None:
     """The first input is NaN below 0: conditions take the place of NaN, the values stay."""
     a, b, c = (ca.SX.sym(name) for name in "abc")
     seen = ca.if_else(a > 0, a, np.nan)
@@ -162,7 +164,7 @@ def test_no_NaN_is_computed_with() -> None:
     inside = ca.if_else(ca.logic_and(seen < 1e300, seen > -1e300), seen - z, 0.0)
     results = build_portable_nodes(stateless([y, z], [inside]).function, "float64")
     assert "nan" not in [node.text for node in required_nodes(itertools.chain(*results))]
-    assert operations(results)["select"] <= 2
+    assert count_operations(results)["select"] <= 2
 
 
 def test_a_split_step_computes_the_same() -> None:
@@ -177,7 +179,7 @@ def test_a_split_step_computes_the_same() -> None:
         ["next", "out"],
     )
     results = build_portable_nodes(function, "float64")
-    phases = split_results(results, {"w1"})
+    phases = split_phases(results, {"w1"})
     entries = {"s0": 0.3, "s1": 2.0, "w0": 1.7, "w1": -0.4}
     entries = {key: np.float64(value) for key, value in entries.items()}
     following, out = reference_evaluator(results)(entries)
@@ -197,10 +199,10 @@ def test_increments_hold_a_slow_drift_that_float_would_lose(tmp_path: Path) -> N
         "step", [x, u, ca.SX(0, 1)], [moved, x], ["s", "w", "p"], ["next", "out"]
     )
     fields = [Field("x", 1, "")], [Field("u", 1, "")], [Field("x", 1, "")]
-    step = Step(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
+    step = ExportedStep(function, np.array([1.0]), *fields, [], np.empty(0), 0, [0], 1e-5)
     rows = np.sin(np.arange(100_000) * 1e-3)[:, None].astype(np.float32).astype(float)
-    exact = Compiled(code(step, False), tmp_path)(rows)
-    rounded = Compiled(code(step, True), tmp_path)(rows)
+    exact = CompiledStep(build_code(step, False), tmp_path)(rows)
+    rounded = CompiledStep(build_code(step, True), tmp_path)(rows)
     A, B = np.float32(slow.linear.A[0, 0]), np.float32(slow.linear.B[0, 0])
     naive = np.float32(1.0)
     for row in rows[:, 0]:
@@ -230,4 +232,4 @@ def test_a_literal_means_its_number(value: float) -> None:
 
 def test_an_unknown_instruction_is_named() -> None:
     with pytest.raises(InputError, match="OP_ERFINV"):
-        code(stateless([A], [ca.erfinv(A)]), True)
+        build_code(stateless([A], [ca.erfinv(A)]), True)

@@ -380,8 +380,8 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
 def test_an_exported_controller_commands_what_the_loop_commands(method: str) -> None:
     compensator = {"method": method, "coast": 0.4, "every": 1.0}
     problem = resolve_scenario(loop(compensator=compensator, simulation={"duration": 3.0}))
-    expected = selftest_vectors.record_inputs(problem, export_parts.build(problem))[:, 1]
-    step = export_parts.build(problem, "observer+controller")
+    expected = selftest_vectors.record_inputs(problem, export_parts.build_step(problem))[:, 1]
+    step = export_parts.build_step(problem, "observer+controller")
     rows = selftest_vectors.record_inputs(problem, step)
     found, _ = interpret.run_interpreted(step.function, step.start, rows, step.defaults)
     assert np.abs(found[:, 0] - expected).max() < 1e-9 * np.abs(expected).max()

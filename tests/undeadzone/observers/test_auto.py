@@ -20,10 +20,10 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util import tree
-from undeadzone_arena.contest.leaderboard import regrets
+from undeadzone_arena.contest.leaderboard import compute_regrets
 from undeadzone_arena.contest.methods import Method
-from undeadzone_arena.contest.scenario_sets import scenarios
-from undeadzone_arena.contest.trials import score
+from undeadzone_arena.contest.scenario_sets import arena_scenarios
+from undeadzone_arena.contest.trials import score_methods
 
 RANGE = [0.3, 2.0]
 NOTHING_ELSE = {"disturbance": 0.0, "bias": 0.0, "tolerance": 0.0}
@@ -123,11 +123,13 @@ def test_ranges_are_asked_for() -> None:
 
 
 def test_told_the_ranges_alone_it_is_ahead_of_tuned_rivals() -> None:
-    grounds = {name: scenarios("held_out")[name] for name in ("mismatch_weak", "jump", "dropout")}
+    grounds = {
+        name: arena_scenarios("held_out")[name] for name in ("mismatch_weak", "jump", "dropout")
+    }
     unsaid = {"observer.disturbance": None, "observer.bias": None, "observer.drift": None}
-    results = score(["kalman", "adaptive_inverse"], grounds, (0,), processes=1) + score(
-        {"roughly": Method(Auto, fixed=unsaid)}, grounds, (0,)
-    )
-    regret = regrets(results)
+    results = score_methods(
+        ["kalman", "adaptive_inverse"], grounds, (0,), processes=1
+    ) + score_methods({"roughly": Method(Auto, fixed=unsaid)}, grounds, (0,))
+    regret = compute_regrets(results)
     for name in ("kalman", "adaptive_inverse"):
         assert (regret["roughly"] < np.nan_to_num(regret[name], nan=1.0)).all()

@@ -33,7 +33,7 @@ from undeadzone.plants.system import (
 )
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.gain_defaults import in_poles
+from undeadzone_arena.gain_defaults import rate_or_default
 
 seeds = st.integers(0, 2**32 - 1)
 FREQUENCIES = [0.0, 0.3, 1.0, 7.0, 200.0]
@@ -354,7 +354,7 @@ def test_a_chain_of_integrators_has_a_rate_and_a_time_of_1() -> None:
 
 def test_a_rate_is_the_users_or_a_multiple_of_the_fastest_pole() -> None:
     plant = system(Plant(companion=[4.0, 5.0]))
-    assert in_poles(plant, "observer.gain", 7.0, 3.0) == 7.0
-    assert in_poles(plant, "observer.gain", None, 3.0) == pytest.approx(12.0)
+    assert rate_or_default(plant, "observer.gain", 7.0, 3.0) == 7.0
+    assert rate_or_default(plant, "observer.gain", None, 3.0) == pytest.approx(12.0)
     with pytest.raises(InputError, match=r"observer.gain"):
-        in_poles(plant, "observer.gain", -1.0, 3.0)
+        rate_or_default(plant, "observer.gain", -1.0, 3.0)

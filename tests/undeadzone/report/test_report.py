@@ -51,7 +51,7 @@ from undeadzone.synthesis.assessment import assess
 from undeadzone.tuning.result import Tuned
 from undeadzone.tuning.tune import tune
 from undeadzone.util.files import write_text
-from undeadzone_arena.contest.figures import cell, envelope
+from undeadzone_arena.contest.figures import regret_cell_text, span_envelope
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
 IMAGE = "data:image/svg+xml;base64,"
@@ -430,13 +430,13 @@ def test_bins_hold_all_values_on_the_scale_that_suits_them() -> None:
     [(np.nan, "–"), (12.3, "12"), (9.96, "10"), (1.23, "1.2"), (0.123, ".12"), (-0.123, "−.12")],
 )
 def test_regrets_in_three_places(value: float, text: str) -> None:
-    assert cell(value) == text
+    assert regret_cell_text(value) == text
 
 
 def test_an_envelope_lies_on_its_values() -> None:
     size = np.abs(np.sin(np.arange(1000.0)))
-    assert (envelope(size) >= size).all()
-    assert np.isinf(envelope(np.array([0.0, np.nan]), parts=1)).all()
+    assert (span_envelope(size) >= size).all()
+    assert np.isinf(span_envelope(np.array([0.0, np.nan]), parts=1)).all()
 
 
 def test_the_ellipse_holds_the_deviations() -> None:

@@ -19,7 +19,7 @@ from tests.jobs import sines
 from undeadzone.ensemble import run_blocks
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.results.run import Run
-from undeadzone_arena.contest.processes import as_done
+from undeadzone_arena.contest.processes import iterate_results
 
 ROOT = Path(__file__).parents[3]
 VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3, 0.5] }}\n'
@@ -224,7 +224,7 @@ def test_processes_of_the_arena_that_are_killed_are_one_line(tmp_path: Path) -> 
 def test_whoever_stops_the_arena_waits_for_no_task() -> None:
     """SIGTERM during `arena --tune` waited until every method was tuned."""
     before = active_children()
-    results = as_done(2, time.sleep, {0: (0.0,), 1: (1e5,), 2: (1e5,), 3: (1e5,)})
+    results = iterate_results(2, time.sleep, {0: (0.0,), 1: (1e5,), 2: (1e5,), 3: (1e5,)})
     assert next(results) == (0, None)
     workers = [child for child in active_children() if child not in before]
     results.close()

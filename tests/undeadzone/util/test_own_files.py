@@ -13,7 +13,7 @@ import pytest
 from commands import undeadzone
 from undeadzone.errors import FileError
 from undeadzone.util.own_files import mark_toml, require_own, write_own
-from undeadzone_export.targets import MANIFEST, manifest, write_folder
+from undeadzone_export.targets import MANIFEST, manifest_text, write_folder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 MINE = "# mine\n"
@@ -176,7 +176,7 @@ REPORT = {"title": "a joint"}
 
 def export(out: Path, *names: str, force: bool = False, text: str = "1") -> None:
     files = dict.fromkeys(names, text)
-    write_folder(files | {MANIFEST: manifest(REPORT)}, out, force)
+    write_folder(files | {MANIFEST: manifest_text(REPORT)}, out, force)
 
 
 def held(out: Path) -> dict[str, str]:

@@ -1,1 +1,1 @@
-"""What several observers of the literature share."""
+"""Parts that several observers of the literature share."""

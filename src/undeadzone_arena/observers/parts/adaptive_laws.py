@@ -1,4 +1,4 @@
-"""Weights learn from an error that is linear in them: by normalised gradient or least squares."""
+"""Adaptive laws for weights in which an error is linear: normalised gradient, least squares."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, scalar
 
 
-class Law(NamedTuple):
-    """How weights W (N p) learn from e, whose sensitivity to W is -zeta (p x N p).
+class AdaptiveLaw(NamedTuple):
+    """Adaptive law of weights W (N p) by an error e of sensitivity -zeta to W (p x N p).
 
     Attributes:
         numbers: run-time numbers.
@@ -32,9 +32,10 @@ class Law(NamedTuple):
     rate: float
 
 
-def gradient(model: System, gain: float, leak: float, size: int) -> Law:
-    """Return W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W: normalised gradient with
-    e-modification.
+def gradient_law(model: System, gain: float, leak: float, size: int) -> AdaptiveLaw:
+    """Return the law W' = gain zeta'e / (1 + zeta'zeta) - leak |e| W.
+
+    It is the normalised gradient with e-modification.
 
     Sampled, with 1 + (1 + gain Ts) zeta'zeta, which is stable for any gain.
 
@@ -51,16 +52,19 @@ def gradient(model: System, gain: float, leak: float, size: int) -> Law:
     per_step = model.per_step
 
     def move(numbers: Any, W: Any, spread: Any, zeta: Any, e: Any, used: Any) -> tuple[Any, Any]:
+        """Return the changes of W and of the spread."""
         backward = 1.0 if model.Ts is None else 1.0 + numbers[0]
         normalised = e / (1 + backward * ca.sum2(zeta**2))
         leakage = numbers[1] * ca.kron(ca.fabs(e), ca.SX.ones(size)) * W
         return numbers[0] * (zeta.T @ normalised) - leakage, NONE
 
-    return Law(np.array([gain, leak]) * per_step, np.zeros(0), move, gain)
+    return AdaptiveLaw(np.array([gain, leak]) * per_step, np.zeros(0), move, gain)
 
 
-def least_squares(model: System, gain: float, forgetting: float, size: int) -> Law:
-    """Return W' = P zeta'e, P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I.
+def least_squares_law(model: System, gain: float, forgetting: float, size: int) -> AdaptiveLaw:
+    """Return the law W' = P zeta'e of recursive least squares with forgetting.
+
+    Its spread follows P' = forgetting (P - P^2 / gain) - P zeta'zeta P, P(0) = gain I.
 
     P never exceeds P(0). Recursive least squares whose information fades to the initial one
     (Salgado, Goodwin and Middleton 1988).
@@ -85,13 +89,13 @@ def least_squares(model: System, gain: float, forgetting: float, size: int) -> L
     move = least_squares_flow if model.Ts is None else partial(least_squares_step, model.p)
     # the rate of fading, the initial spread, the variance of a reading when sampled
     numbers = np.array([forgetting * per_step, gain, 1 / per_step])
-    return Law(numbers, gain * np.eye(count), move, gain)
+    return AdaptiveLaw(numbers, gain * np.eye(count), move, gain)
 
 
 def least_squares_flow(
     numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
 ) -> tuple[Any, Any]:
-    """Return (W', P') in continuous time."""
+    """Return W' and P' in continuous time."""
     rate, gain = numbers[0], numbers[1]
     step = P @ zeta.T
     return step @ e, ca.mmax(used) * rate * (P - P @ P / gain) - step @ step.T
@@ -100,7 +104,10 @@ def least_squares_flow(
 def least_squares_step(
     p: int, numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
 ) -> tuple[Any, Any]:
-    """What a step adds to W and P: one output after the other, each knows what was learnt."""
+    """Return the changes of W and P in a step.
+
+    Outputs are used in sequence, each with the result of the last.
+    """
     rate, gain, noise = numbers[0], numbers[1], numbers[2]
     learnt, after = ca.SX.zeros(W.shape[0]), P
     for i in range(p):

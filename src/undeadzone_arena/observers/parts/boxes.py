@@ -1,4 +1,4 @@
-"""Boxes of states and bounds of widths hold whatever is not contradicted, as CasADi expressions."""
+"""Boxes of states and bounds of widths that contain all consistent values, in CasADi."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ FAR = 1e300  # a bound that bounds nothing
 
 
 class Bounds(NamedTuple):
-    """[lo, hi], one per output."""
+    """Bounds [lo, hi], one pair per output."""
 
     lo: Any
     hi: Any
 
 
 class Boxes(NamedTuple):
-    """A box of states and the bounds of the widths.
+    """Box of states and bounds of the widths.
 
     Attributes:
         x: midpoint x^ (n).
@@ -34,21 +34,21 @@ class Boxes(NamedTuple):
     left: Bounds
 
 
-def each(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
-    """Return f of every part, f(part of the first, part of the second, ...)."""
+def map_boxes(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
+    """Apply f to every part: f(part of the first, part of the second, ...)."""
     columns = []
     for box in boxes:
         columns.append([leaf for _, leaf in tree.leaves(box)])
     return tree.rebuild(boxes[0], map(f, *columns))
 
 
-def meet(a: Bounds, b: Bounds) -> Bounds:
-    """What lies in both."""
+def intersect_bounds(a: Bounds, b: Bounds) -> Bounds:
+    """Return the intersection of two bounds."""
     return Bounds(ca.fmax(a.lo, b.lo), ca.fmin(a.hi, b.hi))
 
 
-def cut(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[Any, Any]:
-    """Return the smallest box that holds what of a box has c x in [lo, hi].
+def cut_box(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[Any, Any]:
+    """Return the smallest box that contains the part of a box with c x in [lo, hi].
 
     Args:
         x: midpoint of the box (n).

@@ -1,4 +1,4 @@
-"""The interval observer as pure functions of its boxes.
+"""Interval observer as pure functions of its boxes.
 
 Each step follows what the box says of z, what z says of the widths, what they and the reading say
 of z, and what that says of the box.
@@ -17,11 +17,18 @@ from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
-from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes, cut, each, meet
-from undeadzone_arena.observers.parts.modal_form import turned
+from undeadzone_arena.observers.parts.boxes import (
+    FAR,
+    Bounds,
+    Boxes,
+    cut_box,
+    intersect_bounds,
+    map_boxes,
+)
+from undeadzone_arena.observers.parts.modal_form import mode_rotation
 
 
-class Params(NamedTuple):
+class IntervalParams(NamedTuple):
     """Numbers of the observer.
 
     Attributes:
@@ -52,15 +59,15 @@ class Params(NamedTuple):
     start: Boxes
 
 
-class State(NamedTuple):
-    """The boxes, and the angles of the oscillating modes."""
+class IntervalState(NamedTuple):
+    """State: the boxes, and the angles of the oscillating modes."""
 
     boxes: Boxes
     angle: Any
 
 
-class Setup(NamedTuple):
-    """What the parts of one observer share.
+class IntervalSetup(NamedTuple):
+    """Fixed parts of one observer.
 
     Attributes:
         model: the model.
@@ -75,13 +82,13 @@ class Setup(NamedTuple):
     ends: bool
 
     @property
-    def jump(self) -> bool:
+    def is_jump(self) -> bool:
         """Return whether the sensor is of the jump kind."""
         return self.kind == "jump"
 
 
-class Sides(NamedTuple):
-    """What a reading surely says of each output (p).
+class SureSides(NamedTuple):
+    """Certain conclusions from a reading about each output (p).
 
     Attributes:
         right, left: z is beyond that edge, by what the reading says at least.
@@ -99,8 +106,10 @@ class Sides(NamedTuple):
     exact_left: Any
 
 
-def interval(model: System, pairs: list[int], params: Params, sensor: Zone) -> Observer:
-    """Return the observer.
+def build_interval_observer(
+    model: System, pairs: list[int], params: IntervalParams, sensor: Zone
+) -> Observer:
+    """Build the observer.
 
     Args:
         model: the linear model, continuous or sampled.
@@ -108,32 +117,33 @@ def interval(model: System, pairs: list[int], params: Params, sensor: Zone) -> O
         params: its numbers.
         sensor: the dead zone, for its kind and its range.
     """
-    setup = Setup(model, pairs, sensor.kind, sensor.limits is not None)
+    setup = IntervalSetup(model, pairs, sensor.kind, sensor.limits is not None)
 
-    def init(q: Params) -> State:
-        return State(q.start, np.zeros(len(pairs)))
+    def init(q: IntervalParams) -> IntervalState:
+        """Return the boxes at t = 0."""
+        return IntervalState(q.start, np.zeros(len(pairs)))
 
     step = partial(interval_step, setup)
-    return Observer(params, init, step, restarted, Traits(L=params.L))
+    return Observer(params, init, step, restart_empty_boxes, Traits(L=params.L))
 
 
-def restarted(q: Params, s: State) -> State:
-    """Return boxes that are empty start anew around x^."""
+def restart_empty_boxes(q: IntervalParams, s: IntervalState) -> IntervalState:
+    """Return the state, with all boxes restarted around x^ if any is empty."""
     widths = [edge.hi - edge.lo for edge in (s.boxes.right, s.boxes.left)]
     empty = ca.mmin(ca.vertcat(s.boxes.radius, *widths)) < 0
     fresh = q.start._replace(x=s.boxes.x)
-    return s._replace(boxes=each(lambda new, old: ca.if_else(empty, new, old), fresh, s.boxes))
+    return s._replace(boxes=map_boxes(lambda new, old: ca.if_else(empty, new, old), fresh, s.boxes))
 
 
 def interval_step(
-    setup: Setup, q: Params, s: State, u: Any, reading: Reading
-) -> tuple[State, Estimate]:
+    setup: IntervalSetup, q: IntervalParams, s: IntervalState, u: Any, reading: Reading
+) -> tuple[IntervalState, Estimate]:
     """Return the state's derivative, or its next value when sampled, and the estimate."""
     sampled = setup.model.Ts is not None
-    phi = turned(setup.pairs, setup.model.n, s.angle)
+    phi = mode_rotation(setup.pairs, setup.model.n, s.angle)
     frame = q.T @ phi
-    now, z = tightened(setup, q, s.boxes, frame, reading)
-    shown = restarted(q, State(now, s.angle)).boxes
+    now, z = tighten_boxes(setup, q, s.boxes, frame, reading)
+    shown = restart_empty_boxes(q, IntervalState(now, s.angle)).boxes
     boxes = shown if sampled else s.boxes
     e = (z.lo + z.hi) / 2 - q.model.C @ boxes.x
     x = setup.model.move_with_correction(q.model, boxes.x, u, q.L @ e)
@@ -141,12 +151,14 @@ def interval_step(
         after = next_boxes(setup, q, boxes._replace(x=x), phi, s.angle + q.turn, z)
     else:
         rate = boxes_rate(setup, q, boxes._replace(x=x), phi, z)
-        followed = each(lambda rate, new, old: rate + q.pace * (new - old), rate, now, boxes)
-        after = State(followed, q.turn)
-    return after, to_estimate(q, shown, frame, reading, setup.kind, e)
+        followed = map_boxes(lambda rate, new, old: rate + q.pace * (new - old), rate, now, boxes)
+        after = IntervalState(followed, q.turn)
+    return after, boxes_to_estimate(q, shown, frame, reading, setup.kind, e)
 
 
-def next_boxes(setup: Setup, q: Params, boxes: Boxes, phi: Any, angle: Any, z: Bounds) -> State:
+def next_boxes(
+    setup: IntervalSetup, q: IntervalParams, boxes: Boxes, phi: Any, angle: Any, z: Bounds
+) -> IntervalState:
     """Return the state at the next sample.
 
     Args:
@@ -157,14 +169,14 @@ def next_boxes(setup: Setup, q: Params, boxes: Boxes, phi: Any, angle: Any, z: B
         angle: the angles at the next sample.
         z: bounds of z.
     """
-    ahead = turned(setup.pairs, setup.model.n, angle)
-    spread = added_radius(q, ahead, z)
+    ahead = mode_rotation(setup.pairs, setup.model.n, angle)
+    spread = radius_increase(q, ahead, z)
     radius = ca.fabs(ahead.T @ q.S @ phi) @ boxes.radius + spread
-    return State(boxes._replace(radius=radius), angle)
+    return IntervalState(boxes._replace(radius=radius), angle)
 
 
-def boxes_rate(setup: Setup, q: Params, boxes: Boxes, phi: Any, z: Bounds) -> Boxes:
-    """What the motion adds to the boxes per second.
+def boxes_rate(setup: IntervalSetup, q: IntervalParams, boxes: Boxes, phi: Any, z: Bounds) -> Boxes:
+    """Return the rate of the boxes by the motion, per second.
 
     Args:
         setup: the observer.
@@ -173,66 +185,64 @@ def boxes_rate(setup: Setup, q: Params, boxes: Boxes, phi: Any, z: Bounds) -> Bo
         phi: Phi of the angles now.
         z: bounds of z.
     """
-    between = coupling(setup.pairs, setup.model.n) * q.S
-    spread = added_radius(q, phi, z)
+    between = coupling_mask(setup.pairs, setup.model.n) * q.S
+    spread = radius_increase(q, phi, z)
     grown = ca.fabs(phi.T @ between @ phi) @ boxes.radius
     radius = grown + ca.diag(q.S) * boxes.radius + spread
     return Boxes(boxes.x, radius, Bounds(0.0, 0.0), Bounds(0.0, 0.0))
 
 
-def coupling(pairs: list[int], n: int) -> Floats:
-    """Return 1 at the entries of S through which one mode drives another (n x n): above its
-    blocks.
-    """
+def coupling_mask(pairs: list[int], n: int) -> Floats:
+    """Return 1 at the entries of S that couple two modes (n x n), above its blocks."""
     mask = np.triu(np.ones((n, n)), 1)
     mask[pairs, np.array(pairs, int) + 1] = 0.0
     return mask
 
 
-def added_radius(q: Params, phi: Any, z: Bounds) -> Any:
-    """Return the half-widths that disturbance and the uncertainty of z add (n)."""
+def radius_increase(q: IntervalParams, phi: Any, z: Bounds) -> Any:
+    """Return the increase of the half-widths by disturbance and uncertainty of z (n)."""
     by_disturbance = ca.fabs(phi.T @ q.inverse @ q.model.B) @ q.disturbance
     return by_disturbance + ca.fabs(phi.T @ q.inverse @ q.L) @ (z.hi - z.lo) / 2
 
 
-def output_bounds(q: Params, boxes: Boxes, frame: Any) -> Bounds:
-    """Return the bounds of z = C x that the box of x gives."""
+def output_bounds(q: IntervalParams, boxes: Boxes, frame: Any) -> Bounds:
+    """Return the bounds of z = C x from the box of x (p) [z]."""
     z, spread = q.model.C @ boxes.x, ca.fabs(q.model.C @ frame) @ boxes.radius
     return Bounds(z - spread, z + spread)
 
 
-def sides(setup: Setup, q: Params, reading: Reading) -> Sides:
-    """What a reading surely says of each output."""
+def sure_sides(setup: IntervalSetup, q: IntervalParams, reading: Reading) -> SureSides:
+    """Return the certain conclusions from a reading about each output."""
     right = ca.logic_and(reading.side > 0, reading.y > q.sure)
     left = ca.logic_and(reading.side < 0, -reading.y > q.sure)
     active = ca.logic_or(right, left)
     silent = ca.logic_and(present(reading.y), ca.logic_not(active))
     if not setup.ends:
-        return Sides(right, left, active, silent, right, left)
+        return SureSides(right, left, active, silent, right, left)
     exact = ca.fabs(reading.side) < 2
     exact_right, exact_left = ca.logic_and(right, exact), ca.logic_and(left, exact)
-    return Sides(right, left, active, silent, exact_right, exact_left)
+    return SureSides(right, left, active, silent, exact_right, exact_left)
 
 
-def tightened(
-    setup: Setup, q: Params, boxes: Boxes, frame: Any, reading: Reading
+def tighten_boxes(
+    setup: IntervalSetup, q: IntervalParams, boxes: Boxes, frame: Any, reading: Reading
 ) -> tuple[Boxes, Bounds]:
-    """Return (the boxes given a reading, bounds of z)."""
+    """Return the boxes given a reading, and the bounds of z."""
     y = reading.y / q.slope
-    on = sides(setup, q, reading)
+    on = sure_sides(setup, q, reading)
     right, left = width_bounds(setup, q, boxes, output_bounds(q, boxes, frame), y, on)
     bounds = reading_bounds(setup, q, right, left, y, on)
     x, radius = boxes.x, boxes.radius
     for i in range(setup.model.p):
-        x, radius = cut(x, radius, frame, q.model.C[i, :], bounds.lo[i], bounds.hi[i])
+        x, radius = cut_box(x, radius, frame, q.model.C[i, :], bounds.lo[i], bounds.hi[i])
     inside = Boxes(x, radius, right, left)
-    return inside, meet(output_bounds(q, inside, frame), bounds)
+    return inside, intersect_bounds(output_bounds(q, inside, frame), bounds)
 
 
 def width_bounds(
-    setup: Setup, q: Params, boxes: Boxes, z: Bounds, y: Any, on: Sides
+    setup: IntervalSetup, q: IntervalParams, boxes: Boxes, z: Bounds, y: Any, on: SureSides
 ) -> tuple[Bounds, Bounds]:
-    """Return the bounds of d_r and d_l given those of z and a reading.
+    """Return the bounds of d_r and d_l given those of z and a reading (p each) [z].
 
     Args:
         setup: the observer.
@@ -242,36 +252,46 @@ def width_bounds(
         y: reading y / m (p).
         on: what the reading surely says.
     """
-    if setup.jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
+    if setup.is_jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
         most_right, most_left, least_right, least_left = y, -y, FAR, FAR
         met_right, met_left = on.exact_right, on.exact_left
     else:  # a reading is z - d_r on the right, z + d_l on the left
         most_right, most_left = z.hi - y, y - z.lo
         least_right, least_left = y - z.lo, z.hi - y
         met_right, met_left = on.right, on.left
-    right = Bounds(-where(on.silent, q.slack - z.lo), where(met_right, most_right + q.noise))
-    left = Bounds(-where(on.silent, q.slack + z.hi), where(met_left, most_left + q.noise))
-    right_again = Bounds(-where(on.exact_right, least_right + q.noise), FAR)
-    left_again = Bounds(-where(on.exact_left, least_left + q.noise), FAR)
+    right = Bounds(
+        -conditional_bound(on.silent, q.slack - z.lo),
+        conditional_bound(met_right, most_right + q.noise),
+    )
+    left = Bounds(
+        -conditional_bound(on.silent, q.slack + z.hi),
+        conditional_bound(met_left, most_left + q.noise),
+    )
+    right_again = Bounds(-conditional_bound(on.exact_right, least_right + q.noise), FAR)
+    left_again = Bounds(-conditional_bound(on.exact_left, least_left + q.noise), FAR)
     return (
-        meet(meet(boxes.right, right), right_again),
-        meet(meet(boxes.left, left), left_again),
+        intersect_bounds(intersect_bounds(boxes.right, right), right_again),
+        intersect_bounds(intersect_bounds(boxes.left, left), left_again),
     )
 
 
 def reading_bounds(
-    setup: Setup, q: Params, right: Bounds, left: Bounds, y: Any, on: Sides
+    setup: IntervalSetup, q: IntervalParams, right: Bounds, left: Bounds, y: Any, on: SureSides
 ) -> Bounds:
-    """Return the bounds of z given those of the widths and a reading."""
-    if setup.jump:
+    """Return the bounds of z given those of the widths and a reading (p) [z]."""
+    if setup.is_jump:
         off = Bounds(0.0, 0.0)
     else:  # what the sensor takes off z
         least = ca.if_else(on.right, right.lo, -left.hi)
         most = ca.if_else(on.right, right.hi, -left.lo)
         off = Bounds(least, most)
     bounds = Bounds(
-        ca.if_else(on.active, y + off.lo - q.noise, -where(on.silent, left.hi + q.slack)),
-        ca.if_else(on.active, y + off.hi + q.noise, where(on.silent, right.hi + q.slack)),
+        ca.if_else(
+            on.active, y + off.lo - q.noise, -conditional_bound(on.silent, left.hi + q.slack)
+        ),
+        ca.if_else(
+            on.active, y + off.hi + q.noise, conditional_bound(on.silent, right.hi + q.slack)
+        ),
     )
     if not setup.ends:
         return bounds
@@ -280,15 +300,15 @@ def reading_bounds(
     return Bounds(ca.if_else(past_left, -FAR, bounds.lo), ca.if_else(past_right, FAR, bounds.hi))
 
 
-def where(holds: Any, bound: Any) -> Any:
-    """Return a bound where something holds, else one that bounds nothing."""
+def conditional_bound(holds: Any, bound: Any) -> Any:
+    """Return a bound if a condition is true, else an infinite bound."""
     return ca.if_else(holds, bound, FAR)
 
 
-def to_estimate(
-    q: Params, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: Any
+def boxes_to_estimate(
+    q: IntervalParams, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: Any
 ) -> Estimate:
-    """Return midpoints, and half-widths / sqrt(3)."""
+    """Convert boxes to an estimate: midpoints, and half-widths / sqrt(3)."""
     right, left = boxes.right, boxes.left
     half_right, half_left = (right.hi - right.lo) / 2, (left.hi - left.lo) / 2
     midpoints = estimate(

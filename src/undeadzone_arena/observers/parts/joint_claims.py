@@ -1,4 +1,4 @@
-"""What rivals of the tool's filters share: claims and their defaults, readings, estimates.
+"""Assumptions, defaults, readings and estimates of the joint filters of the literature.
 
 They see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l].
 """
@@ -29,8 +29,10 @@ from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
 CROWD = 100  # readings in a quarter period beyond which each is given more noise
 
 
-class JointClaims(Options, frozen=True, kw_only=True):
-    """Claims of the rivals of `Kalman`, in its words; what is not claimed follows from `Defaults`.
+class JointAssumptions(Options, frozen=True, kw_only=True):
+    """Assumptions of the compared filters, in the words of `Kalman`.
+
+    Missing ones follow from the method's defaults.
 
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
@@ -59,8 +61,8 @@ class JointClaims(Options, frozen=True, kw_only=True):
     glitches: float = GLITCHES
 
 
-class Defaults(NamedTuple):
-    """What a method assumes where nothing is claimed.
+class JointDefaults(NamedTuple):
+    """Assumptions of a method if no option is given.
 
     Of more than `CROWD` readings in a quarter period, each has so much more noise that together
     they say no more: what is wrong with the model does not average out.
@@ -77,7 +79,7 @@ class Defaults(NamedTuple):
 
 
 class JointPrior(NamedTuple):
-    """What a joint filter starts from.
+    """Prior of a joint filter.
 
     Attributes:
         prior: that of [x; d_r; d_l] and of the sensor.
@@ -90,10 +92,10 @@ class JointPrior(NamedTuple):
     ranges: Floats
 
 
-def joint_prior(
-    claims: JointClaims, model: System, sensor: Zone, defaults: Defaults, stride: int = 1
+def build_joint_prior(
+    claims: JointAssumptions, model: System, sensor: Zone, defaults: JointDefaults, stride: int = 1
 ) -> JointPrior:
-    """Return the prior of a joint filter, with defaults where nothing is claimed.
+    """Build the prior of a joint filter, with defaults for options that are not given.
 
     Args:
         claims: the options.
@@ -126,8 +128,8 @@ def joint_prior(
     return JointPrior(prior, rms**2, ranges)
 
 
-def read(kind: str, z: Any, right: Any, left: Any) -> Any:
-    """Return the reading y / m of z by a sensor of that kind, without noise."""
+def zone_reading(kind: str, z: Any, right: Any, left: Any) -> Any:
+    """Return the noise-free reading y / m of z by a sensor of that kind [z]."""
     if kind == "jump":
         return sensors.jump(z, right, left)
     return sensors.deadzone(z, right, left)
@@ -143,7 +145,7 @@ def numeric_estimate(
     width_std: Floats,
     e_std: Floats,
 ) -> Estimate:
-    """Return an `Estimate` of numbers.
+    """Build an `Estimate` of numbers.
 
     Args:
         X: [x; d_r; d_l] (n + 2p).
@@ -176,8 +178,8 @@ def numeric_estimate(
     )
 
 
-def glitch_chance(doubt: Doubt, e: Floats, std: Floats) -> Floats:
-    """Return the chance that readings with these innovations are glitches (p).
+def glitch_probability(doubt: Doubt, e: Floats, std: Floats) -> Floats:
+    """Return the probability that readings with these innovations are glitches (p) [1].
 
     Args:
         doubt: numbers of the doubt.

@@ -1,4 +1,4 @@
-"""Gaussian filters that see the dead zone as one function of [x; d_r; d_l], reading by reading."""
+"""Gaussian filters with the dead zone as one function of [x; d_r; d_l], reading by reading."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from undeadzone.observers.filtering.recovery import (
     start_rejection_rate,
 )
 from undeadzone.plants.system import System, in_units
-from undeadzone_arena.observers.parts.joint_claims import JointPrior, read
+from undeadzone_arena.observers.parts.joint_claims import JointPrior, zone_reading
 
 Sight = Callable[[Any], Any]
 """From [x; d_r; d_l] to the reading y_i / m_i without noise."""
 
 
-class Sample(NamedTuple):
-    """The reading of one output, as a correction takes it.
+class OutputSample(NamedTuple):
+    """Reading of one output, in the form that a correction needs.
 
     Attributes:
         i: the output's number.
@@ -60,15 +60,15 @@ class Sample(NamedTuple):
     odds: Any
 
 
-Correct = Callable[[Params, Gaussian, Sample], RobustUpdate]
+Correct = Callable[[Params, Gaussian, OutputSample], RobustUpdate]
 """(q, belief, reading of an output) -> what is known."""
 
 Predict = Callable[[Gaussian, Callable[[Any], Any], Any], Gaussian]
 """(belief, motion, covariance that it adds) -> belief at the next sample."""
 
 
-class State(NamedTuple):
-    """What a joint filter carries from sample to sample.
+class JointState(NamedTuple):
+    """State of a joint filter between samples.
 
     Attributes:
         mean, cov: mean and covariance (its `triangle`) of [x; d_r; d_l] before the reading.
@@ -80,7 +80,7 @@ class State(NamedTuple):
     patience: RejectionRate
 
 
-def joint_filter(
+def build_joint_filter(
     model: System,
     sensor: Zone,
     prior: JointPrior,
@@ -88,7 +88,7 @@ def joint_filter(
     correct: Correct,
     predict: Predict,
 ) -> Observer:
-    """Return the filter as an observer.
+    """Build the filter as an observer.
 
     Args:
         model: the sampled model.
@@ -110,16 +110,17 @@ def joint_filter(
     params = filter_numbers(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
     entries = covariance_entries(model, augmentation)
 
-    def step(q: Params, s: State, u: Any, reading: Reading) -> Step:
+    def step(q: Params, s: JointState, u: Any, reading: Reading) -> Step:
+        """Return the next state and the estimate, with the data of the consistency tests."""
         seen = present(reading.y)
         y = ca.if_else(seen, reading.y, 0.0) / q.slope
         odds = q.doubt.glitch if share > 0 else None
         belief, each = Gaussian(s.mean, from_upper_entries(s.cov, entries)), []
         for i in range(model.p):
-            sight = partial(reading_of, model, sensor.kind, q, i)
+            sight = partial(noise_free_reading, model, sensor.kind, q, i)
             if sensor.limits is not None:
-                sight = partial(seen_from_limit, sight, y[i], reading.side[i])
-            sample = Sample(i, sight, y[i], reading.side[i], seen[i], odds)
+                sight = partial(reading_at_limit, sight, y[i], reading.side[i])
+            sample = OutputSample(i, sight, y[i], reading.side[i], seen[i], odds)
             each.append(correct(q, belief, sample))
             belief = each[-1].belief
         known = stack_updates(each)
@@ -132,7 +133,7 @@ def joint_filter(
             cov, patience = inflate_covariance(
                 q, model, 0, entries, cov, patience, seen, known.trust
             )
-        state = State(mean, cov, patience)
+        state = JointState(mean, cov, patience)
         return Step(
             state=state,
             estimate=estimated,
@@ -143,19 +144,21 @@ def joint_filter(
             opened=patience.opened == 1,
         )
 
-    member = Member(params, lambda q: State(q.mean, q.cov, start_rejection_rate(model.p)), step)
+    member = Member(
+        params, lambda q: JointState(q.mean, q.cov, start_rejection_rate(model.p)), step
+    )
     return show_in_plant_units(
         with_consistency_tests(member, model, widens=share > 0, recovers=False), units
     )
 
 
-def reading_of(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
-    """Return the reading y_i / m_i, without noise, of X = [x; d_r; d_l]."""
+def noise_free_reading(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
+    """Return the noise-free reading y_i / m_i of X = [x; d_r; d_l] [z]."""
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
-    return read(kind, z, X[n + i], X[n + p + i])
+    return zone_reading(kind, z, X[n + i], X[n + p + i])
 
 
-def seen_from_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
-    """Return `sight` where a reading y_i / m_i at a limit of its range only bounds it."""
+def reading_at_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
+    """Return `sight` with a reading y_i / m_i at a limit of its range as a bound."""
     return no_further(sight(X), y, side)

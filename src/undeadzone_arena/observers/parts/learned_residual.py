@@ -1,4 +1,4 @@
-"""A Luenberger observer on z_I = y / m + W'psi learns what the sensor takes off z.
+"""Luenberger observer on z_I = y / m + W'psi that adapts to the offset of the sensor.
 
 Adaptive deadzone inverse, inverse network and residual networks differ in the known functions psi,
 in when they correct, and in how the weights W move.
@@ -22,12 +22,12 @@ from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, positive
 from undeadzone_arena.approximators import Basis
-from undeadzone_arena.gain_defaults import in_poles, injection, width_hiding_speed
-from undeadzone_arena.observers.parts.adaptive_laws import Law, gradient
+from undeadzone_arena.gain_defaults import injection_gain, rate_or_default, width_hiding_speed
+from undeadzone_arena.observers.parts.adaptive_laws import AdaptiveLaw, gradient_law
 
 
-class Compensator(NamedTuple):
-    """The functions of one output whose weights are learned.
+class WeightedFunctions(NamedTuple):
+    """Functions of one output whose weights adapt.
 
     Attributes:
         params: their numbers.
@@ -44,7 +44,7 @@ class Compensator(NamedTuple):
     scale: Floats
 
 
-class Params(NamedTuple):
+class LearnedParams(NamedTuple):
     """Numbers of the observer.
 
     Attributes:
@@ -70,8 +70,8 @@ class Params(NamedTuple):
     rate: Any
 
 
-class State(NamedTuple):
-    """What the observer carries.
+class LearnedState(NamedTuple):
+    """State of the observer.
 
     Attributes:
         x: estimate x^ (n).
@@ -86,8 +86,8 @@ class State(NamedTuple):
     spread: Any
 
 
-class Setup(NamedTuple):
-    """What the parts of one observer share.
+class LearnedSetup(NamedTuple):
+    """Fixed parts of one observer.
 
     Attributes:
         model: the model.
@@ -99,26 +99,25 @@ class Setup(NamedTuple):
     """
 
     model: System
-    compensator: Compensator
-    law: Law
+    compensator: WeightedFunctions
+    law: AdaptiveLaw
     filtered: bool
     limited: bool
     ends: Limits | None
 
 
-def learning(
+def build_learning_observer(
     model: System,
     sensor: Zone,
     L: Floats,
-    compensator: Compensator,
-    law: Law,
+    compensator: WeightedFunctions,
+    law: AdaptiveLaw,
     *,
     filtered: bool,
     W0: Floats | None = None,
     limit: Floats | None = None,
 ) -> Observer:
-    """Return the observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi, of any
-    model.
+    """Build the observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi.
 
     Filtered, W learns by the sensitivity of e to it, zeta = C Phi - psi with
     Phi' = (A - L C) Phi + L psi', and x^ moves with W by Phi W' (Zhang 2002; the swapping lemma);
@@ -143,8 +142,8 @@ def learning(
             "use 'certified' or 'censored'"
         )
     n, weights = model.n, compensator.size * model.p
-    setup = Setup(model, compensator, law, filtered, limit is not None, sensor.limits)
-    params = Params(
+    setup = LearnedSetup(model, compensator, law, filtered, limit is not None, sensor.limits)
+    params = LearnedParams(
         model=model.params,
         L=L,
         slope=sensor.slope,
@@ -157,17 +156,18 @@ def learning(
     )
     sensitivity = np.zeros((n, weights if filtered else 0))
 
-    def init(q: Params) -> State:
-        return State(np.zeros(n), q.W0, sensitivity, law.spread0)
+    def init(q: LearnedParams) -> LearnedState:
+        """Return the state at t = 0."""
+        return LearnedState(np.zeros(n), q.W0, sensitivity, law.spread0)
 
     traits = Traits(L=L, rate=float(law.rate), width_max=limit)
-    step, project = partial(learning_step, setup), partial(into_bounds, setup)
+    step, project = partial(learning_step, setup), partial(project_weights, setup)
     return Observer(params, init, step, project, traits)
 
 
 def learning_step(
-    setup: Setup, q: Params, s: State, u: Any, reading: Reading
-) -> tuple[State, Estimate]:
+    setup: LearnedSetup, q: LearnedParams, s: LearnedState, u: Any, reading: Reading
+) -> tuple[LearnedState, Estimate]:
     """Return the state's derivative, or its next value when sampled, and the estimate."""
     model, reading = setup.model, exact(reading, setup.ends)
     sampled = model.Ts is not None
@@ -175,7 +175,7 @@ def learning_step(
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y / q.slope, 0.0)
     used = 1.0 * (reading.side != 0) if setup.compensator.gated else seen
-    gate, psi = ca.diag(used), functions(setup, q, y, reading.side, z)
+    gate, psi = ca.diag(used), basis_functions(setup, q, y, reading.side, z)
     inverse = y + psi @ s.W
     e = used * (inverse - z)
     moved = model.move_with_correction(q.model, s.x, u, q.L @ e)
@@ -187,30 +187,30 @@ def learning_step(
     added, spread = setup.law.move(q.law, s.W, s.spread, gate @ zeta, e, used)
     if setup.filtered:
         moved += (sensitivity if sampled else s.sensitivity) @ added
-    after = State(moved, model.keep * s.W + added, sensitivity, model.keep * s.spread + spread)
+    after = LearnedState(
+        moved, model.keep * s.W + added, sensitivity, model.keep * s.spread + spread
+    )
     if sampled:
-        after = into_bounds(setup, q, after)
-    right, left = learned_width(setup, q, s.W, 1.0), learned_width(setup, q, s.W, -1.0)
+        after = project_weights(setup, q, after)
+    right, left = width_from_weights(setup, q, s.W, 1.0), width_from_weights(setup, q, s.W, -1.0)
     return after, Estimate(s.x, z, right, left, ca.if_else(seen, inverse, z), e)
 
 
-def functions(setup: Setup, q: Params, y: Any, side: Any, z: Any) -> Any:
-    """Return psi of every output (p x N p), of y / m and z [z]."""
+def basis_functions(setup: LearnedSetup, q: LearnedParams, y: Any, side: Any, z: Any) -> Any:
+    """Return psi of every output (p x N p) [1] at y / m and z [z]."""
     y, z = y / q.scale, z / q.scale
     psi = setup.compensator.psi
     return ca.diagcat(*(psi(q.psi, y[i], side[i], z[i]).T for i in range(setup.model.p)))
 
 
-def learned_width(setup: Setup, q: Params, W: Any, side: float) -> Any:
-    """Return the width that W'psi stands for (p) [z]: what it takes off z at half the scale on a
-    side.
-    """
+def width_from_weights(setup: LearnedSetup, q: LearnedParams, W: Any, side: float) -> Any:
+    """Return the width that W'psi represents (p) [z]: its offset at half the scale on a side."""
     at = side * q.scale / 2
-    return side * (functions(setup, q, at, side * ca.SX.ones(setup.model.p), at) @ W)
+    return side * (basis_functions(setup, q, at, side * ca.SX.ones(setup.model.p), at) @ W)
 
 
-def into_bounds(setup: Setup, q: Params, s: State) -> State:
-    """Return the state with its weights in [0, limit], and x^ moved with them."""
+def project_weights(setup: LearnedSetup, q: LearnedParams, s: LearnedState) -> LearnedState:
+    """Return the state with its weights clipped to [0, limit], and x^ moved with them."""
     if not setup.limited:
         return s
     upper = ca.kron(q.limit, ca.SX.ones(setup.compensator.size))
@@ -219,7 +219,7 @@ def into_bounds(setup: Setup, q: Params, s: State) -> State:
 
 
 class LearnedOptions(Options, frozen=True, kw_only=True):
-    """Options of every observer whose correction learns by the normalised gradient.
+    """Options of all observers whose correction adapts by the normalised gradient.
 
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
@@ -241,15 +241,15 @@ class LearnedOptions(Options, frozen=True, kw_only=True):
     filtered: bool = True
 
 
-def by_gradient(
+def build_gradient_observer(
     model: System,
     sensor: Zone,
     options: LearnedOptions,
-    compensator: Compensator,
+    compensator: WeightedFunctions,
     poles: float,
     gain: float,
 ) -> Observer:
-    """Return `learning` by the normalised gradient.
+    """Build a learning observer with the normalised gradient law.
 
     Args:
         model: the model, continuous or sampled.
@@ -262,17 +262,18 @@ def by_gradient(
     Raises:
         InputError, ShapeError, StructureError: for options that cannot be.
     """
-    L = injection(model, options.L, options.poles, options.speed, width_hiding_speed(model, poles))
-    rate = in_poles(model, "observer.gain", options.gain, gain)
-    law = gradient(model, rate, options.leak, compensator.size)
-    return learning(model, sensor, L, compensator, law, filtered=options.filtered)
+    L = injection_gain(
+        model, options.L, options.poles, options.speed, width_hiding_speed(model, poles)
+    )
+    rate = rate_or_default(model, "observer.gain", options.gain, gain)
+    law = gradient_law(model, rate, options.leak, compensator.size)
+    return build_learning_observer(model, sensor, L, compensator, law, filtered=options.filtered)
 
 
-def residual(
+def build_residual_observer(
     model: System, sensor: Zone, options: LearnedOptions, reach: Array, basis: Basis
 ) -> Observer:
-    """Return `learning` of W'phi(z^ / reach), a function of the estimate, by the normalised
-    gradient.
+    """Build a learning observer of W'phi(z^ / reach) with the normalised gradient law.
 
     Args:
         model: the model, continuous or sampled.
@@ -286,8 +287,9 @@ def residual(
     """
 
     def psi(params: Any, y: Any, side: Any, z: Any) -> Any:
+        """Return the basis functions at z^ (N) [1]."""
         return basis.phi(params, z)
 
     scale = positive("observer.reach", reach, model.p, "one per output")
-    compensator = Compensator(basis.params, psi, basis.size, False, scale)
-    return by_gradient(model, sensor, options, compensator, poles=6.0, gain=30.0)
+    compensator = WeightedFunctions(basis.params, psi, basis.size, False, scale)
+    return build_gradient_observer(model, sensor, options, compensator, poles=6.0, gain=30.0)

@@ -1,4 +1,4 @@
-"""Modal coordinates: a linear system moves boxes into boxes that shrink as fast as its poles."""
+"""Modal coordinates, in which boxes move into boxes that shrink as fast as the poles."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Modes(NamedTuple):
-    """x = T Phi(angle) zeta: F in real Schur form, whose oscillating modes are seen turning.
+    """Modal form x = T Phi(angle) zeta: F in real Schur form, with rotating oscillating modes.
 
     Attributes:
         T, inverse: the coordinates and their inverse (n x n).
@@ -27,7 +27,7 @@ class Modes(NamedTuple):
     pairs: list[int]
 
 
-def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
+def build_modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     """Return the modes of x' = F x, or x+ = F x when sampled.
 
     Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to
@@ -53,10 +53,8 @@ def modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     return Modes(T, np.linalg.inv(T), S, turn, pairs)
 
 
-def turned(pairs: list[int], n: int, angle: Any) -> Any:
-    """Return phi(angle) (n x n, orthogonal): [[cos, sin], [-sin, cos]] at each pair, 1
-    elsewhere.
-    """
+def mode_rotation(pairs: list[int], n: int, angle: Any) -> Any:
+    """Return Phi(angle) (n x n): [[cos, sin], [-sin, cos]] at each pair, 1 elsewhere."""
     Phi = ca.SX.eye(n)
     for k, i in enumerate(pairs):
         c, s = ca.cos(angle[k]), ca.sin(angle[k])

@@ -1,4 +1,4 @@
-"""A model's straight lines at a point, on numbers."""
+"""Linearisation of a model at a point, in numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Tangents(NamedTuple):
-    """A model's straight lines at a point, on numbers.
+    """Linearisation of a model at a point, in numbers.
 
     Attributes:
         move: move(x, u) is (x+, dx+/dx, dx+/du).
@@ -25,7 +25,7 @@ class Tangents(NamedTuple):
 
 
 def model_tangents(model: System) -> Tangents:
-    """Return the model's straight lines at a point, on numbers."""
+    """Return the functions that linearise a model at a point, in numbers."""
     if not model.nonlinear:
         A, B, C = model.linear
         return Tangents(lambda x, u: (A @ x + B @ u, A, B), lambda x: (C, np.zeros(model.p)))
@@ -38,16 +38,18 @@ def model_tangents(model: System) -> Tangents:
     seen = ca.Function("output", [x], [C, z - C @ x])
 
     def move(x: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
-        after, A, B = _arrays(moved(x, u))
+        """Return x+ (n), dx+/dx (n x n) and dx+/du (n x m)."""
+        after, A, B = _to_arrays(moved(x, u))
         return after[:, 0], A, B
 
     def output(x: Floats) -> tuple[Floats, Floats]:
-        C, offset = _arrays(seen(x))
+        """Return C (p x n) and offset (p) of z = C x + offset."""
+        C, offset = _to_arrays(seen(x))
         return C, offset[:, 0]
 
     return Tangents(move, output)
 
 
-def _arrays(parts: Any) -> list[Floats]:
-    """What a function of CasADi gives, as arrays."""
+def _to_arrays(parts: Any) -> list[Floats]:
+    """Convert the results of a CasADi function to arrays."""
     return [part.full() for part in parts]

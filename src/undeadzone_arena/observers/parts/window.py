@@ -1,4 +1,4 @@
-"""The quadratic programme of moving horizon estimation behind a dead zone.
+"""Quadratic programme of moving horizon estimation behind a dead zone.
 
 Its unknowns are in units of standard deviations (docs/methods/moving_horizon.md).
 """
@@ -18,7 +18,7 @@ TIGHT = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
 
 
 class Window(NamedTuple):
-    """N + 1 nodes, oldest first: what each read, and what all nodes before it left.
+    """N + 1 nodes, oldest first, with the reading and the prior of each.
 
     The belief of a node is about X = [x; d_r; d_l]; w has unit variance.
 
@@ -45,8 +45,8 @@ class Window(NamedTuple):
     G: Floats
 
 
-class Weights(NamedTuple):
-    """What the programme weighs its errors by.
+class HorizonWeights(NamedTuple):
+    """Weights of the errors in the programme.
 
     Attributes:
         noise: rms of a reading (p) [z].
@@ -65,8 +65,8 @@ Solver = Callable[[Floats, Floats, Floats, Floats, Floats], Floats | None]
 """(H, g, A, low, high) -> v, None if it failed."""
 
 
-def solver(plugin: str, unknowns: int, rows: int) -> Solver:
-    """Solves min v'Hv / 2 + g'v subject to low <= A v <= high, by a convex solver of CasADi.
+def build_qp_solver(plugin: str, unknowns: int, rows: int) -> Solver:
+    """Build a solver of min v'Hv / 2 + g'v subject to low <= A v <= high, by CasADi.
 
     Args:
         plugin: CasADi's name of the solver.
@@ -85,6 +85,7 @@ def solver(plugin: str, unknowns: int, rows: int) -> Solver:
     buffer.set_res(programme.name_out().index("x"), v.data)
 
     def solve(H: Floats, g: Floats, A: Floats, low: Floats, high: Floats) -> Floats | None:
+        """Return the minimiser v, or None if the solver failed."""
         for name, part in (("h", H), ("g", g), ("a", A), ("lba", low), ("uba", high)):
             arguments[name][:] = part.ravel(order="F")
         try:
@@ -97,8 +98,8 @@ def solver(plugin: str, unknowns: int, rows: int) -> Solver:
     return solve
 
 
-def size(window: Window) -> tuple[int, int]:
-    """Return (unknowns, rows) of the programme.
+def programme_size(window: Window) -> tuple[int, int]:
+    """Return the numbers of unknowns and rows of the programme.
 
     The unknowns are X at the oldest node, disturbances and violations; the rows are two edges a
     node, and the widths.
@@ -109,14 +110,14 @@ def size(window: Window) -> tuple[int, int]:
 
 
 class Affine(NamedTuple):
-    """M v + b of the programme's unknowns v."""
+    """Affine function M v + b of the programme's unknowns v."""
 
     M: Floats
     b: Floats
 
 
-def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
-    """Return X (n + 2p) at the newest node; None if the programme was not solved.
+def solve_horizon(window: Window, weights: HorizonWeights, solve: Solver) -> Floats | None:
+    """Return X (n + 2p) at the newest node, or None if the programme was not solved.
 
     Unknown are X = mean + root cov xi at the oldest node, the disturbances w, and how far z is
     outside a silent sensor's zone, s slack; minimised is
@@ -127,14 +128,14 @@ def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
         weights: what the errors are weighed by.
         solve: the solver.
     """
-    unknowns, _ = size(window)
+    unknowns, _ = programme_size(window)
     start = oldest_node(window)
     n = window.G.shape[1]
     d = Affine(start.M[n:], start.b[n:])
-    xs, newest = trajectory(window, Affine(start.M[:n], start.b[:n]))
-    right, left = beyond_edges(window, xs, d)
+    xs, newest = node_trajectory(window, Affine(start.M[:n], start.b[:n]))
+    right, left = excess_over_breakpoints(window, xs, d)
     M, b = reading_errors(window, weights, right, left)
-    A, low, high = constraints(window, weights, right, left, d)
+    A, low, high = qp_constraints(window, weights, right, left, d)
     v = solve(np.eye(unknowns) + M.T @ M, -M.T @ b, A, low, high)
     if v is None:
         return None
@@ -143,7 +144,7 @@ def estimate(window: Window, weights: Weights, solve: Solver) -> Floats | None:
 
 def oldest_node(window: Window) -> Affine:
     """Return X = mean + root cov xi at the oldest node."""
-    unknowns, _ = size(window)
+    unknowns, _ = programme_size(window)
     values, vectors = np.linalg.eigh(window.cov[0])
     known = len(values)
     root = np.zeros((known, unknowns))
@@ -151,7 +152,7 @@ def oldest_node(window: Window) -> Affine:
     return Affine(root, window.mean[0])
 
 
-def trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
+def node_trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
     """Return x of every node (nodes x n) from that of the oldest, and x of the newest.
 
     The disturbances w of a node stand in v behind X and those of the nodes before it.
@@ -168,8 +169,8 @@ def trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
     return Affine(np.stack(xs), np.stack(rests)), Affine(x, rest)
 
 
-def beyond_edges(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]:
-    """What z is beyond the right and the left edge, node by node (nodes p rows each).
+def excess_over_breakpoints(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]:
+    """Return z minus the right and the left breakpoint, node by node (nodes p rows each) [z].
 
     Args:
         window: the nodes.
@@ -186,10 +187,11 @@ def beyond_edges(window: Window, xs: Affine, d: Affine) -> tuple[Affine, Affine]
 
 
 def reading_errors(
-    window: Window, weights: Weights, right: Affine, left: Affine
+    window: Window, weights: HorizonWeights, right: Affine, left: Affine
 ) -> tuple[Floats, Floats]:
-    """Return (M, b): M v - b are the errors of the readings on active sides, in units of their
-    noise.
+    """Return M and b:
+
+    M v - b are the errors of readings outside the zone, in units of noise [1].
     """
     y, side = window.y.ravel(), window.side.ravel()
     noise = np.tile(weights.noise, len(window.y))
@@ -199,10 +201,10 @@ def reading_errors(
     return M, b
 
 
-def constraints(
-    window: Window, weights: Weights, right: Affine, left: Affine, d: Affine
+def qp_constraints(
+    window: Window, weights: HorizonWeights, right: Affine, left: Affine, d: Affine
 ) -> tuple[Floats, Floats, Floats]:
-    """Return (A, low, high) of the bounds.
+    """Return A, low and high of the bounds.
 
     Silent nodes are inside both edges, those at a limit beyond what they read, but for their
     violation; widths are in their ranges.
@@ -224,8 +226,9 @@ def constraints(
 
 
 def reading_row(C: Floats, i: int, side: float) -> Floats:
-    """Return h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l]; of z_i itself with side
-    0.
+    """Return h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l].
+
+    With side 0 it is that of z_i.
     """
     p = C.shape[0]
     edges = np.zeros(2 * p)
@@ -234,12 +237,12 @@ def reading_row(C: Floats, i: int, side: float) -> Floats:
     return np.concatenate([C[i], edges])
 
 
-def variances(rows: Floats, cov: Floats) -> Floats:
+def row_variances(rows: Floats, cov: Floats) -> Floats:
     """Return the variance of h X for each row h."""
     return np.asarray(np.einsum("ij,jk,ik->i", rows, cov, rows))
 
 
-def read_covariance(cov: Floats, h: Floats, R: float) -> Floats:
+def covariance_after_reading(cov: Floats, h: Floats, R: float) -> Floats:
     """Return the covariance after a reading h X + v, var v = R (Joseph's form)."""
     K = cov @ h / (h @ cov @ h + R)
     half = np.eye(len(h)) - np.outer(K, h)
