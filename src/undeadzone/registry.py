@@ -101,10 +101,20 @@ class Registry(NamedTuple):
         """Return the options of a method; None where there is none of this name.
 
         Raises:
-            InputError: the package that registered it cannot be imported.
+            InputError: the package that registered it cannot be imported, or registers no options.
         """
         place = self.own.get(tag) or _registered_places(self.group).get(tag)
-        return None if place is None else _load_object(f"{self.group}: {tag!r}", place)
+        if place is None:
+            return None
+        options = _load_object(f"{self.group}: {tag!r}", place)
+        is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
+        if not (is_struct and hasattr(options, "build")):
+            raise InputError(
+                f"{self.group}: {tag!r} is registered as {place}, which is no class of "
+                "undeadzone.Options; derive it from Options with tag = "
+                f"{tag!r}, or uninstall its package"
+            )
+        return options
 
     def has(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""

@@ -24,6 +24,8 @@ from undeadzone.cli.init import init
 from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
+from undeadzone.errors import InputError
+from undeadzone.util.streams import wait_for_streams
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -79,7 +81,7 @@ class Commands(click.Group):
         if own is not None:
             return own
         point = _registered_commands().get(name)
-        return None if point is None else point.load()
+        return None if point is None else _load_command(name, point)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order in which they are met, each with what to type."""
@@ -94,12 +96,40 @@ class Commands(click.Group):
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
 
     def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
-        """What is typed for a command, and what it does."""
-        command = self.get_command(ctx, name)
+        """Return what is typed for a command, and its summary.
+
+        A command of another package that cannot be loaded is named with the reason.
+        """
+        try:
+            command = self.get_command(ctx, name)
+        except InputError as error:
+            return name, f"cannot be loaded: {error}"
         assert command is not None
         arguments = [each for each in command.params if isinstance(each, click.Argument)]
         typed = [name, *(each.make_metavar(ctx) for each in arguments)]
         return " ".join(typed), command.get_short_help_str(100)
+
+
+def _load_command(name: str, point: EntryPoint) -> click.Command:
+    """Return the command that an installed package registers.
+
+    Raises:
+        InputError: it cannot be imported, or is no command of click.
+    """
+    package = point.dist.name if point.dist is not None else point.value
+    try:
+        command = point.load()
+    except Exception as error:  # whatever a package of somebody else does when it is imported
+        raise InputError(
+            f"{name}: the package {package} registers it as {point.value}, which cannot be "
+            f"imported ({type(error).__name__}: {error}); repair or uninstall {package}"
+        ) from None
+    if not isinstance(command, click.Command):
+        raise InputError(
+            f"{name}: the package {package} registers {point.value}, which is no command of click; "
+            f"repair or uninstall {package}"
+        )
+    return command
 
 
 @functools.cache
@@ -157,4 +187,5 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     _keep_memory()
+    wait_for_streams()
     sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))

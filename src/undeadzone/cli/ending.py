@@ -121,10 +121,15 @@ def _hindrance() -> str:
 
 
 def _catch_terminate() -> None:
-    """Let SIGTERM end a command as Ctrl-C does, where it is not ignored."""
+    """Let SIGTERM, and SIGHUP of a closed terminal, end a command as Ctrl-C does.
+
+    A signal that the caller ignores, as `nohup` does, stays ignored.
+    """
     with suppress(ValueError):  # signals are for the main thread, whose affair they are then
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, _terminate)
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _terminate)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -140,6 +140,7 @@ class Kept:
         self._parts = {"follower": follower, "clock": log.clock, "reader": log.reader}
         self._digest = follower.digest
         self._saved = time.monotonic()
+        self._failures = 0
         if path is not None and path.exists():
             from undeadzone.simulation.saved_state import load
 
@@ -147,13 +148,31 @@ class Kept:
             follower.go_on()
 
     def save(self, when_due: bool = False) -> None:
-        """Replace the file; when_due: only if so much time has passed. Raises FileError."""
+        """Replace the file.
+
+        Args:
+            when_due: only if so much time has passed. A failure, such as a full disk, is then
+                counted and reported, the watch goes on, and the next save is tried when it is due.
+
+        Raises:
+            FileError: a save that is the last one failed.
+        """
         if self._path is None or (when_due and time.monotonic() - self._saved < self._every):
             return
         from undeadzone.simulation.saved_state import save
 
-        save(self._path, self._parts, self._digest)
         self._saved = time.monotonic()
+        try:
+            save(self._path, self._parts, self._digest)
+        except FileError as error:
+            if not when_due:
+                raise
+            self._failures += 1
+            say(
+                f"undeadzone: {error}; the state was not saved ({self._failures} failed so far), "
+                f"the next try is in {self._every:g} s",
+                err=True,
+            )
 
 
 @contextmanager

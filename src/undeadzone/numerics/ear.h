@@ -19,7 +19,7 @@ typedef struct {
 typedef struct {
   const ear_real *C;     /* row that reads z from x (n) */
   int at[2];             /* places of d_r and d_l in x; -1: the width is known */
-  ear_real width[2];     /* the widths that are known */
+  ear_real width[2];     /* the widths that are known; INFINITY: there is no such edge */
   ear_real noise;        /* rms behind the zone [y]; with noise_before it must not be 0 */
   ear_real noise_before; /* rms ahead of it [z] */
   ear_real slope;        /* of the branches [y/z] */
@@ -71,19 +71,33 @@ static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_rea
   W[2] = v * v + v * a[1] / std[1];
 }
 
+#define EAR_INVALID 2
+
+/* Whether x, P and C are finite and no variance is negative. */
+static int ear_valid(const EarSensor *s, int n, const ear_real *x, const ear_real *P) {
+  for (int r = 0; r < n; r++) {
+    if (!isfinite(x[r]) || !isfinite(s->C[r]) || P[r * n + r] < 0) return 0;
+    for (int c = 0; c < n; c++)
+      if (!isfinite(P[r * n + c])) return 0;
+  }
+  return 1;
+}
+
 /* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure.
-   work: 2 n numbers. */
+   EAR_INVALID: x, P or C hold no belief; nothing was changed. work: 2 n numbers. */
 static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *P, ear_real y,
                     ear_real *work) {
   ear_real *k[2] = {work, work + n}, gate = 4 * s->noise, behind = s->noise / s->slope;
   ear_real R = behind * behind + s->noise_before * s->noise_before, last = ear->last;
   ear_real previous = ear->previous;
   int waits[2] = {ear->wait[0], ear->wait[1]}, side;
+  if (!ear_valid(s, n, x, P)) return EAR_INVALID;
   for (int i = 0; i < 2; i++) ear->wait[i] = waits[i] > 0 ? waits[i] - 1 : 0;
   ear->previous = last;
   ear->last = isfinite(y) ? y : 0;
   if (!isfinite(y)) return 0;
   side = ear_sure(y, last, previous, gate) - ear_sure(-y, -last, -previous, gate);
+  if (side && s->at[side < 0] < 0 && isinf(s->width[side < 0])) side = 0; /* no such edge */
   if (side) {
     int j = side < 0;
     ear_real e = y / s->slope + (s->at[j] < 0 ? side * s->width[j] : 0);
@@ -102,7 +116,8 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
     ear_real short_of = bound - ear_row(s, n, x, P, i, sign, -1, k[i]);
     G[2 * i] = ear_along(s, n, i, sign, -1, k[i]);
     std[i] = (ear_real)sqrt(G[2 * i] + R);
-    a[i] = short_of / std[i] < -30 ? -30 : short_of / std[i];
+    a[i] = short_of / std[i];
+    a[i] = a[i] < -30 ? -30 : a[i] > 30 ? 30 : a[i];
     inside[i] = (ear_real)((1 + erf(a[i] * 0.7071067811865476)) / 2);
     heard[i] = waits[i] <= 0 && a[i] < (ear_real)1.6448536269514722;
   }

@@ -21,6 +21,7 @@ DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is n
 UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
 DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
+ROUNDING = 1e-6  # by which a covariance may miss symmetry and definiteness, of its largest entry
 CLIP = 30.0  # standard deviations beyond an edge from which all is alike
 
 
@@ -101,10 +102,11 @@ def deadzone_update(
         cov: covariance of that (N x N).
         C: row that reads z from the mean (N).
         y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
-        right: width d_r: a number if it is known [z], or the row that reads it from the mean (N).
+        right: width d_r: a number if it is known [z], inf if there is no such edge, or the row that
+            reads it from the mean (N).
         left: the same for d_l.
         noise: rms of the noise behind the zone [y].
-        ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
+        ear: what the last call returned, at first `DeadzoneMemory()`. A filter that has none would cut off
             the same tail at every sample.
         rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
             correlation time of its disturbance if that is longer, up to a quarter period.
@@ -115,7 +117,8 @@ def deadzone_update(
         What is known, and the ear for the next reading.
 
     Raises:
-        InputError, ShapeError: unless shapes agree and noise is there.
+        InputError, ShapeError: unless shapes agree, numbers are finite, the covariance is one, and
+            there is noise.
     """
     shape, belief = np.shape(mean), _to_gauss(mean, cov)
     if not slope > 0:
@@ -142,8 +145,10 @@ def deadzone_update(
         -y, -ear.last, -ear.previous, gate
     )
     e = std = 0.0
+    edge = edges[0] if side > 0 else edges[1]
+    if np.isinf(edge.known):  # a reading beyond an edge that is not there contains nothing
+        side = 0
     if side:
-        edge = edges[0] if side > 0 else edges[1]
         e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
         belief, std = _correct_linear(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
@@ -160,20 +165,34 @@ def deadzone_update(
 
 
 def _to_gauss(mean: Array, cov: Array) -> Gauss:
-    """Return mean (N) and covariance (N x N) as new arrays. Raise ShapeError."""
+    """Return mean (N) and covariance (N x N) as new arrays. Raise InputError or ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
+    for name, numbers in (("mean", m), ("cov", P)):
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{name}: must hold finite numbers, found {numbers.tolist()}")
+    size = max(float(np.abs(P).max(initial=0.0)), np.finfo(float).tiny)
+    if np.abs(P - P.T).max(initial=0.0) > ROUNDING * size:
+        raise InputError("cov: must be symmetric; give (P + P.T) / 2")
+    least = float(np.linalg.eigvalsh(P).min(initial=0.0))
+    if least < -ROUNDING * size:
+        raise InputError(
+            f"cov: a covariance has no negative eigenvalue, found {least:.3g}; check the filter's "
+            "prediction and process noise"
+        )
     return Gauss(m, P)
 
 
 def _require_row(name: str, value: Array, count: int) -> Floats:
-    """Return a value as a row (N). Raise ShapeError."""
+    """Return a value as a row (N). Raise InputError or ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
         raise ShapeError(
             f"{name}: expected a row of {count} numbers, as the mean, found {row.size}"
         )
+    if not np.isfinite(row).all():
+        raise InputError(f"{name}: must hold finite numbers, found {row.tolist()}")
     return row
 
 
@@ -183,7 +202,9 @@ def _build_breakpoint(name: str, sign: int, width: Array, z: Floats) -> ZoneBrea
         return ZoneBreakpoint(sign, _require_row(name, width, z.size), 0.0)
     known = float(np.asarray(width))
     if not known >= 0:
-        raise InputError(f"{name}: a known width must be at least 0, found {known:g}")
+        raise InputError(
+            f"{name}: a known width must be at least 0, found {known:g}; inf means no such edge"
+        )
     return ZoneBreakpoint(sign, np.zeros(z.size), known)
 
 
@@ -222,7 +243,8 @@ def _update_inside_zone(
     K = P @ H.T
     G = H @ K
     std = np.sqrt(np.diag(G) + R)
-    alpha = np.maximum([(edge.known + slack) for edge in edges] - H @ m, -CLIP * std) / std
+    # An edge at infinity, which is none, is as far as `CLIP`: its chance and its slope are 0.
+    alpha = np.clip(([edge.known + slack for edge in edges] - H @ m) / std, -CLIP, CLIP)
     inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
     slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
     heard = asked & (alpha < DOUBT)

@@ -108,6 +108,8 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
+DEEPEST_KEY: Final = 100  # dots
+_DEEP_KEY: Final = re.compile(r"^[ \t\[]*(?:[^\s.=\"'#]+[ \t]*\.[ \t]*){101}", re.MULTILINE)
 # What stands for tables that a scenario for logs leaves out.
 _STAND_INS: Final = {
     "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
@@ -162,6 +164,13 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
 
 def _tables(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text. Raises InputError."""
+    deep = _DEEP_KEY.search(text)
+    if deep is not None:  # tomllib takes a time that grows with the square of its dots
+        line = text.count("\n", 0, deep.start()) + 1
+        raise InputError(
+            f"line {line}: a key of more than {DEEPEST_KEY} dots; no key of a scenario has more "
+            "than three"
+        )
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -436,7 +436,7 @@ def test_another_code_has_to_win_clearly(
             calls.append((self.cost, lanes))
             now[0] += self.cost * steps * lanes * next(noise)
 
-        def settle(self) -> None:
+        def wait_until_best(self) -> None:
             """It is the best already."""
 
     monkeypatch.setattr(cache, "clock", lambda: now[0])

@@ -298,3 +298,40 @@ def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Pa
     text = "\n".join(map(str, readings))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)
+
+
+# --- Edges that are not there, and beliefs that are none
+
+
+def test_an_edge_at_infinity_is_no_edge() -> None:
+    mean, cov = [0.0, 1.0, 1.0], np.diag([1.0, 0.2, 0.2])
+    without = one_silence(mean, cov, right=np.inf)
+    far = one_silence(mean, cov, right=1e6)
+    assert np.isfinite(without.cov).all()
+    assert without.mean == pytest.approx(far.mean, abs=1e-12)
+    assert without.cov == pytest.approx(far.cov, abs=1e-12)
+    beyond = deadzone_update(
+        mean, cov, C, 1.0, right=np.inf, left=LEFT, noise=0.01, ear=DeadzoneMemory(), rest=5
+    )
+    assert beyond.side == 0
+    assert beyond.mean == pytest.approx(mean)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"mean": [np.nan, 1.0, 1.0]}, "mean: must hold finite numbers"),
+        ({"cov": np.diag([np.inf, 1.0, 1.0])}, "cov: must hold finite numbers"),
+        ({"cov": np.diag([-1.0, 1.0, 1.0])}, "cov: a covariance has no negative eigenvalue"),
+        ({"cov": np.eye(3) + np.eye(3, k=1)}, "cov: must be symmetric"),
+        ({"C": [np.nan, 0.0, 0.0]}, "C: must hold finite numbers"),
+        ({"right": -1.0}, "right: a known width must be at least 0"),
+        ({"right": np.nan}, "right: a known width must be at least 0"),
+        ({"left": [0.0, np.nan, 0.0]}, "left: must hold finite numbers"),
+    ],
+)
+def test_what_is_no_belief_is_refused(changes: dict[str, Any], words: str) -> None:
+    given = {"mean": np.zeros(3), "cov": np.eye(3), "C": C, "right": RIGHT, "left": LEFT} | changes
+    mean, cov, row = (given.pop(name) for name in ("mean", "cov", "C"))
+    with pytest.raises(uz.InputError, match=words):
+        deadzone_update(mean, cov, row, 0.0, noise=0.01, ear=DeadzoneMemory(), rest=5, **given)
