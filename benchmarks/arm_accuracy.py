@@ -17,7 +17,7 @@ from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
-from undeadzone.statistics.intervals import Interval, proportion, quantile
+from undeadzone.statistics.intervals import Interval, proportion, quantile_interval
 from undeadzone.util.arrays import Floats
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -77,7 +77,7 @@ def measured(name: str) -> Accuracy:
     assert ours is not None
     columns = _columns(ours)
     estimate, truth = _widths(ours, columns)
-    r = ours.problem.reference.value(
+    r = ours.problem.reference.output_at(
         np.arange(len(ours.exogenous)) * ours.problem.scenario.simulation.step
     )
     reach = np.stack([r.max(axis=0), -r.min(axis=0)], axis=1)[None]  # of each joint to each side
@@ -166,7 +166,7 @@ def method(scenario: Scenario) -> str:
 
 def _median(values: Floats, form: str) -> str:
     """The median with its interval."""
-    return _interval(quantile(np.sort(values), 0.5), form)
+    return _interval(quantile_interval(np.sort(values), 0.5), form)
 
 
 def _share(held: Any) -> str:

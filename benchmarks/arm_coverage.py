@@ -160,7 +160,7 @@ def observe(case: Case, count: int, seed: int) -> Verdict:
     params[:, arm.names.index("payload")] += case.payload * rng.normal(size=count)
     w_rms = np.full(2, case.disturbance)
     disturbances = [
-        noises.coloured_noise(seed, len(path), w_rms, CORRELATION, STEP, run)
+        noises.stationary_first_order_noise(seed, len(path), w_rms, CORRELATION, STEP, run)
         for run in range(count)
     ]
     noise = rng.normal(size=(len(path), 2, count))

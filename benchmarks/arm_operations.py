@@ -84,7 +84,7 @@ def driving(arm: System, options: Any) -> int:
     numbers, params = tree.symbols(controller.params, "p")
     x, x_ref = ca.SX.sym("x", arm.n), ca.SX.sym("x_ref", arm.n)
     u_ff, r = ca.SX.sym("u_ff", arm.m), ca.SX.sym("r", arm.p)
-    plan = ca.SX.sym("plan", controller.planned)
+    plan = ca.SX.sym("plan", controller.plan_size)
     none = ca.SX(0, 1)
     estimate = Estimate(x, none, none, none, none, none, w=none)
     _, u = controller.step(params, None, estimate, Target(r, x_ref, u_ff, plan))

@@ -25,7 +25,7 @@ from undeadzone.registry import CompensatorOptions, ControllerOptions, ObserverO
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile
+from undeadzone.statistics.intervals import quantile_interval
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import AdaptiveZoneInverse, RobustAdaptive
 
@@ -220,7 +220,7 @@ def table(loops: int = 100) -> str:
 def _row(name: str, ran: Loops, best: Floats) -> str:
     """The row of one method."""
     ratio = np.sort(np.nan_to_num(ran.rms / best, nan=np.inf))
-    middle = quantile(ratio, 0.5)
+    middle = quantile_interval(ratio, 0.5)
     cells = [f"{np.median(ran.rms):.3g}"]
     cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
     cells.append(f"{np.quantile(ratio, 0.9):.1f}")

@@ -20,7 +20,7 @@ from benchmarks.honest_problems import CLAIMED, KINDS, ORDERS, SAMPLES, Kind, pr
 from benchmarks.honesty import CLAIMS
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems, World
-from undeadzone.interfaces import CLAIMS as TABLE
+from undeadzone.interfaces import ASSUMPTION_CHECKS as TABLE
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.util.arrays import Floats

@@ -22,7 +22,7 @@ from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Censored
 from undeadzone.observers.filtering import multiple_models
 from undeadzone.observers.filtering.consistency import Member
-from undeadzone.observers.filtering.multiple_models import bank
+from undeadzone.observers.filtering.multiple_models import build_multiple_models
 from undeadzone.observers.filtering.prior import Assumptions
 from undeadzone.plants.options import Plant
 from undeadzone.scenario.schema import Model, Scenario, Simulation
@@ -134,21 +134,23 @@ def grounds() -> dict[str, Scenario]:
 @contextmanager
 def both_colours() -> Iterator[None]:
     """`censored` with a washout weighs every level in both colours."""
-    multiple_models.bank = _of_both
+    multiple_models.build_multiple_models = _of_both
     try:
         yield
     finally:
-        multiple_models.bank = bank
+        multiple_models.build_multiple_models = build_multiple_models
 
 
 def _of_both(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
     """The bank of all variants; with a washout, of each in first order too."""
     F = member.params.augmentation.F
     if len(F) == 1:
-        return bank(member, variants)
+        return build_multiple_models(member, variants)
     decay = np.diag(F)
     plain = np.diag(decay), np.diag([1 - decay[0] ** 2, 0.0])
-    return bank(member, [*variants, *(partial(_recoloured, plain, one) for one in variants)])
+    return build_multiple_models(
+        member, [*variants, *(partial(_recoloured, plain, one) for one in variants)]
+    )
 
 
 def _recoloured(plain: tuple[Floats, Floats], variant: Callable[[Any], Any], q: Any) -> Any:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from undeadzone.analysis.certificate.weights import margin
-from undeadzone.analysis.error_dynamics import dynamics
+from undeadzone.analysis.certificate.weights import margin_of_weights
+from undeadzone.analysis.error_dynamics import build_error_dynamics
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
@@ -52,7 +52,7 @@ def random_design(
     L = rng.normal(size=(n, p))
 
     def margin_of(L: Floats, gamma: Floats) -> float:
-        return margin(dynamics(model, L, gamma, Ts), np.ones(p))[0]
+        return margin_of_weights(build_error_dynamics(model, L, gamma, Ts), np.ones(p))[0]
 
     free = margin_of(0 * L, gamma)
     loss = margin_of(0 * L, np.zeros(p)) - margin_of(L, np.zeros(p))

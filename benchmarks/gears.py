@@ -295,9 +295,9 @@ def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
     assert problem.path is not None
     last = outputs[-round(LAST / Ts) :]
     t = np.arange(len(outputs)) * Ts
-    wanted = problem.path.value(t, 0)[-len(last) :]
+    wanted = problem.path.output_at(t, 0)[-len(last) :]
     link, shown = last[:, where.x][:, N : 2 * N], last[:, where.estimate.x][:, N : 2 * N]
-    if np.abs(outputs[:, where.x][:, N : 2 * N] - problem.path.value(t, 0)).max() > AWAY:
+    if np.abs(outputs[:, where.x][:, N : 2 * N] - problem.path.output_at(t, 0)).max() > AWAY:
         return Outcome(True)
     std = last[:, where.estimate.x_std][:, N : 2 * N]
     end, first = outputs[-1], outputs[0]

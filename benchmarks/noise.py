@@ -19,12 +19,14 @@ ALONE = 20_000  # numbers of one run
 def table(rounds: int = 30) -> str:
     """Medians over interleaved rounds, one thread, after one round that compiles."""
     numbers = np.empty((STEPS, CHANNELS, lanes.WIDTH))
-    words = [noise.word(noise.AFTER, channel) for channel in range(CHANNELS)]
-    state, colour = np.empty((CHANNELS, lanes.WIDTH)), noise.colour(0.5, 1e-3)
+    words = [noise.counter_word(noise.AFTER, channel) for channel in range(CHANNELS)]
+    state, colour = np.empty((CHANNELS, lanes.WIDTH)), noise.first_order_coefficients(0.5, 1e-3)
     generator = np.random.default_rng(0)
     draws = {
         "numpy's `Generator.standard_normal`": lambda: generator.standard_normal(out=numbers),
-        "numpy, `noise.gaussian`, one run": lambda: noise.gaussian(0, noise.AFTER, ALONE, 1),
+        "numpy, `noise.gaussian`, one run": lambda: noise.standard_normal_numbers(
+            0, noise.AFTER, ALONE, 1
+        ),
         f"lanes, {lanes.WIDTH} runs": lambda: normal.fill_normal(
             numbers, 0, 0, words, range(lanes.WIDTH)
         ),

@@ -23,7 +23,7 @@ from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile
+from undeadzone.statistics.intervals import quantile_interval
 from undeadzone_arena import AdaptiveInverse
 
 SLIGHT = 1e-6  # half of the range of a gap that is known
@@ -250,7 +250,7 @@ def _rows(place: str, world: World, reading: str, loops: int) -> list[str]:
 
 def errors(rms: np.ndarray, best: np.ndarray) -> list[str]:
     """The median of an rms, and of its ratio to the best one with a 95 % interval."""
-    ratio = quantile(np.sort(np.nan_to_num(rms / best, nan=np.inf)), 0.5)
+    ratio = quantile_interval(np.sort(np.nan_to_num(rms / best, nan=np.inf)), 0.5)
     return [f"{np.median(rms):.3g}", f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"]
 
 

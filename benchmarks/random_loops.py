@@ -89,7 +89,7 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     places = tree.slices(loop.outputs)
     estimate = places.estimate
     t = np.arange(len(shared)) * step
-    r = np.stack([problem.reference.value(t)[:, 0] for problem in each])
+    r = np.stack([problem.reference.output_at(t)[:, 0] for problem in each])
     judged = slice(round(late / step), None)
     z, u = out[:, judged, places.z][..., 0], out[:, judged, places.u]
     behind = np.stack([_behind(*pair) for pair in zip(each, out[..., places.z], strict=True)])

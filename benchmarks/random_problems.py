@@ -92,7 +92,7 @@ def problems(reach: str, world: World, order: int, count: int, seed: int) -> Pro
     u = np.stack(drives, axis=1)
     static = np.array([response(model, 0.0).real for model in models])
     w_rms, bias_rms = world.disturbance * np.abs(u).max(axis=0), np.abs(world.bias / static)
-    w = noises.coloured_noise(seed, t.size, w_rms, CORRELATION, STEP)
+    w = noises.stationary_first_order_noise(seed, t.size, w_rms, CORRELATION, STEP)
     x_std = 1.0 if reach in ("both edges", "grazing") else 0.1
     x = rng.normal(size=(count, order)) * x_std
     bias = rng.normal(size=count) * bias_rms

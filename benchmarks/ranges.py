@@ -18,7 +18,7 @@ from benchmarks.random_loops import Loops, random_plant, run_loops
 from benchmarks.random_problems import RANGE, STEP, WORLDS, Problems, problems
 from undeadzone.compile import lanes
 from undeadzone.controllers import StateFeedback
-from undeadzone.interfaces import Observer, receive_reading
+from undeadzone.interfaces import Observer, to_reading
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Sensor, deadzone
 from undeadzone.observers import Censored, Certified, Kalman
@@ -26,7 +26,7 @@ from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile
+from undeadzone.statistics.intervals import quantile_interval
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -143,7 +143,7 @@ def loops_table(count: int) -> list[str]:
         for name, (options, told) in OBSERVERS.items():
             ran = known if name == "widths known" else run(options, told, share, count)
             ratio = np.sort(np.nan_to_num(ran.rms / known.rms, nan=np.inf))
-            middle = quantile(ratio, 0.5)
+            middle = quantile_interval(ratio, 0.5)
             cells = [f"{100 * share:.0f} %", name, f"{np.median(ran.rms):.3g}"]
             cells.append(f"{middle.value:.2f} [{middle.low:.2f}, {middle.high:.2f}]")
             cells.append(f"{np.quantile(ratio, 0.9):.2f}")
@@ -185,7 +185,7 @@ def _step(observer: Observer) -> ca.Function:
     p, params = tree.symbols(observer.params, "p")
     s, state = tree.symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 3)
-    reading = receive_reading(w[0], 0.0, Limits(-w[2], w[2]))
+    reading = to_reading(w[0], 0.0, Limits(-w[2], w[2]))
     after, estimate = observer.step(params, state, w[1], reading)
     stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
     record = ca.vertcat(estimate.right, estimate.left, estimate.z, *stds)

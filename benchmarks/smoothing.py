@@ -17,7 +17,7 @@ from benchmarks.glitches import doubting, from_ranges
 from benchmarks.honest_problems import KINDS, problems
 from benchmarks.markdown import head, row
 from benchmarks.random_problems import Problems
-from undeadzone.interfaces import Estimate, graph_of
+from undeadzone.interfaces import Estimate, require_graph
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.plants.options import Plant
 from undeadzone.simulation.estimate import smooth
@@ -62,7 +62,7 @@ def of_problem(claims: Callable[[Problems, int], Any], posed: Problems, k: int) 
     model, zone, observer = build_observer(*parts)
     y, u = posed.y[:, k : k + 1], posed.u[:, k : k + 1]
     causal, _ = Online(*parts).update_many(y, u)
-    smoothed = smooth(model, graph_of(observer), zone, y, u)
+    smoothed = smooth(model, require_graph(observer), zone, y, u)
     truth = np.column_stack([posed.z[:, k], np.tile(posed.d[k], (len(y), 1))])
     held, last, rms = [], [], []
     for mean, std in (_of_filter(causal), _of_smoother(smoothed)):

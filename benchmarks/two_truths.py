@@ -19,7 +19,7 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
-from undeadzone.signals.exosystem import exosystem
+from undeadzone.signals.exosystem import build_exosystem
 from undeadzone.synthesis.assessment import knowledge, plan
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
@@ -118,7 +118,7 @@ def _values(fields: dict[str, Any], t: Floats) -> Floats:
     """A disturbance at times t [s]."""
     scenario = convert(scenes.table(disturbance=fields))
     assert scenario.disturbance is not None
-    return exosystem("disturbance", scenario.disturbance, 1).value(t)[:, 0]
+    return build_exosystem("disturbance", scenario.disturbance, 1).output_at(t)[:, 0]
 
 
 def _scenario(plant: Matrices, disturbance: dict[str, Any], widths: Floats) -> dict[str, Any]:

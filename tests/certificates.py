@@ -8,7 +8,14 @@ import numpy as np
 
 from undeadzone.analysis import error_dynamics
 from undeadzone.analysis.certificate.driven import original_storage
-from undeadzone.analysis.dissipation import LEAST, NOTHING, Check, Inequality, check, deepest
+from undeadzone.analysis.dissipation import (
+    LEAST,
+    NO_PROOF,
+    DefinitenessCheck,
+    Inequality,
+    check_inequality,
+    deepest_solution,
+)
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, matrix, vector
 
@@ -24,7 +31,7 @@ class Sector(NamedTuple):
 
     certified: bool
     V: error_dynamics.Storage
-    check: Check
+    check: DefinitenessCheck
 
 
 def sector(
@@ -51,8 +58,8 @@ def sector(
     if (low > high).any():
         raise InputError(f"low: must not exceed high, found {low.tolist()} and {high.tolist()}")
     errors = errors._replace(A=tuple(A + G * (low + high) / 2 @ H for A in errors.A))
-    scaling = error_dynamics.balance(errors)
-    scaled = scaling.dynamics(errors)
+    scaling = error_dynamics.balance_dynamics(errors)
+    scaled = scaling.scale_dynamics(errors)
     # E w with |w_i| <= |h_i x~| is what remains of phi; both get the same size.
     E = scaling.time * G / scaling.state[:, None]
     h = (high - low)[:, None] / 2 * H * scaling.state
@@ -69,10 +76,10 @@ def sector(
     def normalised(P: Floats, q: Floats) -> list[Floats]:
         return [q - LEAST, groups + k - q.sum(keepdims=True)]
 
-    solution = deepest(family, np.ones(groups + k), normalised)
+    solution = deepest_solution(family, np.ones(groups + k), normalised)
     if solution is None:
-        return Sector(False, error_dynamics.identity_storage(errors), NOTHING)
-    proof = check(family(solution.q), solution.P)
+        return Sector(False, error_dynamics.identity_storage(errors), NO_PROOF)
+    proof = check_inequality(family(solution.q), solution.P)
     return Sector(proof.proved, original_storage(errors, scaling, solution), proof)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Observer, estimate
+from undeadzone.interfaces import Observer, build_estimate
 
 
 class Params(NamedTuple):
@@ -32,7 +32,7 @@ def build(model, sensor, L, width):
         expected = z - p.width * reading.side
         e = ca.if_else(reading.side != 0, reading.y - expected, 0)
         moved = model.move(model.params, x, u) + p.L @ e
-        shown = estimate(x, z, p.width, p.width, reading, 1.0, sensor.kind, e)
+        shown = build_estimate(x, z, p.width, p.width, reading, 1.0, sensor.kind, e)
         return moved, shown
 
     return Observer(Params(L, width), init, step)

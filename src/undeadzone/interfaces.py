@@ -1,4 +1,4 @@
-"""The two shapes of every method, observer and controller, and what passes between them."""
+"""Interfaces of observers, controllers and compensators, with the data that they exchange."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Reading(NamedTuple):
-    """What the sensor gives.
+    """Reading of the sensor at a sample.
 
     Attributes:
         y: reading (p), NaN where it is missing, infinite where it cannot be: beyond its range.
@@ -38,8 +38,10 @@ class Reading(NamedTuple):
     motion: Any = None
 
 
-def receive_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
-    """Return a reading as it comes from outside (p): one that is no number is missing.
+def to_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
+    """Return a reading from outside as a `Reading` (p).
+
+    A value that is no number counts as missing.
 
     Args:
         y: reading (p) [y], a CasADi expression.
@@ -54,9 +56,8 @@ def receive_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
 
 
-def side_of_sample(reading: Reading, estimate: Any) -> Any:
-    """Return the side that a sample tells (p): of a play what its observer made out, else of the
-    reading.
+def sample_branch(reading: Reading, estimate: Any) -> Any:
+    """Return the branch of a sample (p): by the observer for a backlash, or by the reading.
 
     Args:
         reading: what was read.
@@ -65,10 +66,8 @@ def side_of_sample(reading: Reading, estimate: Any) -> Any:
     return estimate.contact if estimate.contact.shape[0] else reading.side
 
 
-def exact(reading: Reading, limits: Limits | None) -> Reading:
-    """Return the reading without those at a limit, which are missing to a method that takes no
-    bounds.
-    """
+def drop_limit_readings(reading: Reading, limits: Limits | None) -> Reading:
+    """Return the reading with values at a limit marked as missing, for methods without bounds."""
     if limits is None:
         return reading
     at_limit = ca.fabs(reading.side) > 1
@@ -76,8 +75,8 @@ def exact(reading: Reading, limits: Limits | None) -> Reading:
     return reading._replace(y=y, side=ca.if_else(at_limit, 0.0, reading.side))
 
 
-def no_further(expected: Any, y: Any, side: Any) -> Any:
-    """What was expected of a reading; at a limit no further beyond it than the reading is.
+def clip_expected_reading(expected: Any, y: Any, side: Any) -> Any:
+    """Return the expected reading, clipped at a reading at a limit of its range [y].
 
     What lies beyond a limit does not contradict the reading there.
 
@@ -94,7 +93,7 @@ NONE: Any = ca.SX(0, 1)
 
 
 class Quantity(NamedTuple):
-    """What a field of an estimate is: said once, for runs, logs, tables and exports.
+    """Meaning, unit and display of a field of an estimate, for runs, logs, tables and exports.
 
     Attributes:
         meaning: in words.
@@ -113,7 +112,9 @@ class Quantity(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What an observer makes of the readings so far; a field that it does not estimate is empty.
+    """Estimate of an observer after a reading.
+
+    A field is empty if the observer does not estimate the quantity.
 
     The fields are CasADi expressions on a graph, NumPy arrays in a run or live. A new one is an
     entry here: runs, logs, tables and exports take it by its `Quantity`.
@@ -132,7 +133,7 @@ class Estimate(NamedTuple):
         theta: parameters of the model that the observer estimates.
         theta_std: standard deviations of theta.
         consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
-        claims: bits of the `CLAIMS` that the readings of late refute (1).
+        claims: bits of the `ASSUMPTION_CHECKS` that the readings of late refute (1).
         suspect: number of the one that is likeliest false, from 1 on; 0: none is (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
@@ -224,8 +225,8 @@ _OF_FIELDS = Estimate(
 )
 
 
-class Claim(NamedTuple):
-    """What may turn out false of what an observer is told.
+class AssumptionCheck(NamedTuple):
+    """Words for an assumption of an observer that the readings reject.
 
     Attributes:
         words: what the readings then do.
@@ -236,27 +237,29 @@ class Claim(NamedTuple):
     cure: str
 
 
-CLAIMS: Final = {
-    "noise": Claim("the noise is larger than claimed", "raise sensor.noise or observer.noise"),
-    "slope": Claim(
+ASSUMPTION_CHECKS: Final = {
+    "noise": AssumptionCheck(
+        "the noise is larger than claimed", "raise sensor.noise or observer.noise"
+    ),
+    "slope": AssumptionCheck(
         "the readings follow the input with another gain than claimed",
         "declare sensor.slope, or raise observer.tolerance",
     ),
-    "dynamics": Claim(
+    "dynamics": AssumptionCheck(
         "the readings answer changes of the input too late or too early",
         "give the model the lag or delay that is missing, or raise observer.tolerance",
     ),
-    "sensor": Claim(
+    "sensor": AssumptionCheck(
         "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped, "
         "a log that is glued",
         "look at sensor and log, take an offset from its readings, or raise observer.drift",
     ),
-    "gust": Claim(
+    "gust": AssumptionCheck(
         "something lasts in the readings that nobody claimed",
         "raise observer.disturbance, observer.bias or observer.drift",
     ),
-    "glitches": Claim("most readings of late were taken for wrong", "look at the sensor"),
-    "range": Claim(
+    "glitches": AssumptionCheck("most readings of late were taken for wrong", "look at the sensor"),
+    "range": AssumptionCheck(
         "a width, or a payload, lies outside its range",
         "widen observer.right, observer.left or observer.payload",
     ),
@@ -264,22 +267,24 @@ CLAIMS: Final = {
 """What readings may refute, in the order of the bits of `Estimate.claims`."""
 
 
-def false_claims(bits: float, suspect: float) -> list[str]:
-    """Return the names of claims that are refuted, the likeliest first.
+def list_rejected_assumptions(bits: float, suspect: float) -> list[str]:
+    """Return the names of the rejected assumptions, the likeliest first.
 
     Args:
         bits: `Estimate.claims`.
         suspect: `Estimate.suspect`.
     """
-    names = list(CLAIMS)
+    names = list(ASSUMPTION_CHECKS)
     found = [name for k, name in enumerate(names) if int(bits) >> k & 1]
     return sorted(found, key=lambda name: names.index(name) != suspect - 1)
 
 
-def claims_in_words(names: Sequence[str]) -> list[str]:
-    """What the readings say of the likeliest claim that they refute, its cure, and the others."""
+def describe_rejected_assumptions(names: Sequence[str]) -> list[str]:
+    """Describe the likeliest rejected assumption with its remedy, then list the rest."""
     further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
-    return [f"{CLAIMS[name].words}: {CLAIMS[name].cure}" for name in names[:1]] + further
+    return [
+        f"{ASSUMPTION_CHECKS[name].words}: {ASSUMPTION_CHECKS[name].cure}" for name in names[:1]
+    ] + further
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()
@@ -290,7 +295,7 @@ COLUMNS = Estimate(*(quantity.column or name for name, quantity in QUANTITIES.it
 
 
 class Traits(NamedTuple):
-    """What an observer says of itself to checks, certificates and figures.
+    """Properties of an observer for checks, certificates and figures.
 
     Attributes:
         L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it
@@ -333,8 +338,10 @@ class Traits(NamedTuple):
         return np.stack([right, left], axis=1).reshape(-1, 2).tolist()
 
 
-class InPython(NamedTuple):
-    """How an observer computes of which no graph of fixed size can be made; sampled time only.
+class PythonObserver(NamedTuple):
+    """Functions of an observer that computes in Python; sampled time only.
+
+    No graph of fixed size exists for the observer.
 
     States are values: nothing else is changed.
 
@@ -350,7 +357,7 @@ class InPython(NamedTuple):
 
 
 class Observer(NamedTuple):
-    """An observer as pure functions on CasADi expressions.
+    """Observer as pure functions on CasADi expressions.
 
     Attributes:
         params: tree of NumPy arrays.
@@ -372,11 +379,11 @@ class Observer(NamedTuple):
     project: Callable[[Any, Any], Any] = lambda params, state: state
     traits: Traits = Traits()
     smoothing: Any = None
-    python: InPython | None = None
+    python: PythonObserver | None = None
 
 
 class Plan(NamedTuple):
-    """What a controller computes from the whole reference before a run, with NumPy.
+    """Quantities that a controller computes with NumPy from the whole reference before a run.
 
     Attributes:
         size: numbers per instant, such as gains or accelerations.
@@ -391,7 +398,7 @@ class Plan(NamedTuple):
 
 
 class Controller(NamedTuple):
-    """A controller as pure functions on CasADi expressions.
+    """Controller as pure functions on CasADi expressions.
 
     Attributes:
         params: tree of NumPy arrays.
@@ -411,13 +418,13 @@ class Controller(NamedTuple):
     rate: float | None = None
 
     @property
-    def planned(self) -> int:
-        """How many numbers per instant it computes ahead."""
+    def plan_size(self) -> int:
+        """Return the number of values per instant that are computed before a run."""
         return 0 if self.plan is None else self.plan.size
 
 
 class Compensator(NamedTuple):
-    """What makes the command of an actuator, as pure functions on CasADi expressions.
+    """Compensator of an actuator as pure functions on CasADi expressions.
 
     Attributes:
         params: tree of NumPy arrays.
@@ -431,10 +438,10 @@ class Compensator(NamedTuple):
     step: Callable[[Any, Any, Any, Estimate, Reading], tuple[Any, Any]]
 
 
-def estimate(
+def build_estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
-    """Return an `Estimate` with its dead-zone inverse; a missing sample is inverted to z^.
+    """Return an `Estimate` with its dead-zone inverse; the inverse of a missing sample is z^.
 
     Args:
         x: state x^ (n).
@@ -449,8 +456,8 @@ def estimate(
     return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
 
 
-def in_python(how: InPython, p: int, traits: Traits) -> Observer:
-    """Return an observer that computes in Python, one sample at a time.
+def build_python_observer(how: PythonObserver, p: int, traits: Traits) -> Observer:
+    """Return the observer of functions that compute in Python, sample by sample.
 
     Args:
         how: what it computes.
@@ -461,13 +468,17 @@ def in_python(how: InPython, p: int, traits: Traits) -> Observer:
     _, first = how.correct(how.start(0), missing)
 
     def step(params: Any, state: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        """Return the state unchanged, and the estimate that the state contains."""
         return state, Estimate(*state)
 
     return Observer((), lambda params: tuple(first), step, traits=traits, python=how)
 
 
-def graph_of(observer: Observer) -> Observer:
-    """Return the observer if it is a graph. Raises InputError for one that computes in Python."""
+def require_graph(observer: Observer) -> Observer:
+    """Return the observer if a graph.
+
+    Raise InputError for an observer that computes in Python.
+    """
     if observer.python is not None:
         raise InputError(
             "observer.method: this one computes in Python, sample by sample: it runs in single "

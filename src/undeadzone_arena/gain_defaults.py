@@ -7,7 +7,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import fast_gain
-from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System, fastest_pole, moving_poles
 from undeadzone.util.arrays import Array, Floats, scalar
 
@@ -36,7 +36,7 @@ def injection_gain(
     if len(chosen) > 1:
         raise InputError(f"observer: give one of L, poles, speed; found {' and '.join(chosen)}")
     if L is not None:
-        return gains(L, model) * model.per_step
+        return innovation_gain(L, model) * model.per_step
     if poles is not None:
         return observer_gain(model.linear, poles, model.Ts)
     return fast_gain(

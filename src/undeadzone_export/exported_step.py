@@ -19,9 +19,9 @@ from undeadzone.interfaces import (
     QUANTITIES,
     Estimate,
     Observer,
-    graph_of,
-    receive_reading,
-    side_of_sample,
+    require_graph,
+    sample_branch,
+    to_reading,
 )
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import present
@@ -254,7 +254,7 @@ def build_step(
         )
     if part not in PARTS:
         raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")
-    observer = graph_of(problem.observer)
+    observer = require_graph(problem.observer)
     closed = part != "observer"
     numbers = _StepNumbers(
         observer.params,
@@ -316,9 +316,9 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     column, s = tree.symbols(memory, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
-    reading = receive_reading(y, *params.sensor)
+    reading = to_reading(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    following, out = _ObserverMemory(after, used), (estimate, side_of_sample(reading, estimate))
+    following, out = _ObserverMemory(after, used), (estimate, sample_branch(reading, estimate))
     shown = _estimate_fields(problem, estimate)
     return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
@@ -338,12 +338,12 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
     y = ca.SX.sym("y", model.p)
     like = no_target(problem)
     t_column, target = tree.symbols(like, "target")
-    reading = receive_reading(y, *params.sensor)
+    reading = to_reading(y, *params.sensor)
     own = observer, controller, params, compensator
     following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
         s, reading, target
     )
-    out = u, estimate, side_of_sample(reading, estimate)
+    out = u, estimate, sample_branch(reading, estimate)
     shown = [_u_field(problem), *_estimate_fields(problem, estimate)]
     fields = _target_fields(like, problem.scenario.units)
     return _TracedStep(memory, column, [y, t_column], following, out, fields, shown)

@@ -10,7 +10,7 @@ from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
 from undeadzone.compile.simplify import round_to_type
-from undeadzone.interfaces import CLAIMS
+from undeadzone.interfaces import ASSUMPTION_CHECKS
 from undeadzone.util.text import one_line
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import ExportedStep, Field, member_entries, name_entries
@@ -148,7 +148,7 @@ def _claim_macros(code: Code, upper: str) -> list[str]:
     if not any(field.name == "claims" for field in code.step.outputs):
         return []
     lines = ["/* bits of out->claims[0], a whole number; suspect counts them from 1 */"]
-    for k, (name, claim) in enumerate(CLAIMS.items()):
+    for k, (name, claim) in enumerate(ASSUMPTION_CHECKS.items()):
         lines.append(f"#define {upper}_CLAIM_{name.upper()} {1 << k} /**< {claim.words} */")
     return [*lines, ""]
 

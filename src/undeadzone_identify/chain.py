@@ -49,7 +49,7 @@ def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: 
     Raises:
         InputError: a step is refused.
     """
-    from undeadzone.analysis.identifiability.linear import yes_no
+    from undeadzone.analysis.identifiability.linear import format_yes_no
     from undeadzone.cli.common import writable
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
@@ -78,7 +78,7 @@ def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: 
     unit = scenario.units.output
     own = "" if found.z_smooth is not None else "; z is the filter's own here: none smooths"
     words = {
-        "check": [yes_no(msgspec.structs.asdict(one)) for one in known],
+        "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
         "firmware": [f"{precision}: {numbers['self_test']}", *firmware.report["refusals"]],
         "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",

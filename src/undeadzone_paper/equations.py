@@ -116,7 +116,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         15,
         "A, B, C: chain of integrators",
-        "linalg.matrices.companion",
+        "linalg.matrices.companion_form",
         "corrected",
         "(39) is not in this class; last row -a; no certificate exists for a pure chain, n >= 2",
     ),

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
-from undeadzone.linalg.riccati import paper_riccati, weight
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
+from undeadzone.linalg.riccati import paper_riccati, require_weight
 from undeadzone.nonlinearities.sensor import Zone, indicators, saturation
-from undeadzone.observers.adaptive.adaptation_laws import pairs
-from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.adaptation_laws import to_width_pairs
+from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
@@ -77,17 +77,19 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
             rate = -p.sigma * e * p.cpl
             x = model.move(p.model, s.x, p.feed_input * u) + p.L @ e
             change = PrintedState(x, rate * chi_r, p.left_sign * -rate * chi_l)
-            return change, estimate(s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e)
+            return change, build_estimate(
+                s.x, z, s.right, s.left, reading, sensor.slope, sensor.kind, e
+            )
 
         return Observer(params, init, step, traits=Traits(L=params.L))
 
     def _observer_numbers(self, model: System) -> PrintedParams:
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
         A, B, C = model.linear
-        L = gains(self.L, model)
+        L = innovation_gain(self.L, model)
         alpha = scalar("observer.alpha", self.alpha, above=0.0)
-        P = paper_riccati(A - L @ C, B, alpha, weight("observer.Q", self.Q, model.n)).P
-        right, left = pairs("observer.widths0", self.widths0, 1)[0]
+        P = paper_riccati(A - L @ C, B, alpha, require_weight("observer.Q", self.Q, model.n)).P
+        right, left = to_width_pairs("observer.widths0", self.widths0, 1)[0]
         return PrintedParams(
             model=model.params,
             L=L,

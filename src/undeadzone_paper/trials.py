@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from scipy.optimize import brentq
 
-from undeadzone.interfaces import Reading, graph_of
+from undeadzone.interfaces import Reading, require_graph
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
@@ -391,7 +391,7 @@ def observer_operations(scenario: Scenario) -> float:
     """Count the arithmetic operations of one step of a scenario's observer alone."""
     model = system(scenario.plant)
     sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
-    observer = graph_of(scenario.observer.build(model, sensor))
+    observer = require_graph(scenario.observer.build(model, sensor))
     p_column, p = tree.symbols(observer.params, "p")
     s_column, s = tree.symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))

@@ -15,25 +15,25 @@ from scipy.stats import norm
 from test_identifiability import visiting
 
 from scenes import PAPER_PLANT, linear
-from undeadzone.analysis.branch_schedule import _samples, arriving
-from undeadzone.analysis.certificate.passivity import certify, defective
+from undeadzone.analysis.branch_schedule import _count_samples, drop_rare_branches
+from undeadzone.analysis.certificate.passivity import certify, is_defective
 from undeadzone.analysis.certificate.robust import l2_gain
 from undeadzone.analysis.convergence.falsify import falsify
-from undeadzone.analysis.dissipation import _lyapunov
+from undeadzone.analysis.dissipation import _lyapunov_storage
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
-from undeadzone.analysis.identifiability.linear import reaching
-from undeadzone.analysis.identifiability.linearised_run import _simulate_derivatives
+from undeadzone.analysis.identifiability.linear import remedy_to_reach_edges
+from undeadzone.analysis.identifiability.linearised_run import _assemble_run
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.riccati import riccati
+from undeadzone.linalg.riccati import solve_riccati
 from undeadzone.linalg.structure import output_chains, uncontrollable_modes, unobservable_modes
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.numerics.optimise import find_pareto_front, minimise_by_cmaes
 from undeadzone.observers import Certified
-from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
-from undeadzone.observers.filtering.consistency import log_density
-from undeadzone.observers.filtering.gaussian_filter import FAR, clip_widths
+from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
+from undeadzone.observers.filtering.consistency import innovation_log_density
+from undeadzone.observers.filtering.gaussian_filter import FAR, clip_to_ranges
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.system import sample_plant
 from undeadzone.signals.exosystem import Random
@@ -51,14 +51,14 @@ def test_the_largest_growth_is_that_of_the_worst_trajectory() -> None:
 def test_the_start_of_the_search_proves_a_sampled_plant(Ts: float) -> None:
     """Poles near -1, where Tustin's rule with a wrong sign ends in another P."""
     F = np.array([[-0.9, 3.0], [0.0, -0.8]])
-    P = _lyapunov((F - np.eye(2)) / Ts, Ts)
+    P = _lyapunov_storage((F - np.eye(2)) / Ts, Ts)
     assert np.linalg.eigvalsh(P).min() > 0
     assert np.linalg.eigvalsh(F.T @ P @ F - P).max() < 0
 
 
 def test_dropout_of_one_output_alone_counts() -> None:
     schedule = visiting([True, True], [True, True], 0.01)
-    judged = arriving(schedule, np.array([1 - 1e-12, 0.0]), 0.01, 1.0, 2)
+    judged = drop_rare_branches(schedule, np.array([1 - 1e-12, 0.0]), 0.01, 1.0, 2)
     assert (judged.sides[:, 0] == 0).all()
     np.testing.assert_array_equal(judged.sides[:, 1], schedule.sides[:, 1])
     assert (schedule.sides[:, 0] != 0).any()
@@ -70,7 +70,7 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 ) -> None:
     q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
     belief = Gaussian(ca.SX([0.0, 3.0 + excess]), ca.SX(np.diag([1.0, 1 / FAR**2])))
-    shown, consistent = clip_widths(1, q, belief, doubts=True)
+    shown, consistent = clip_to_ranges(1, q, belief, doubts=True)
     variance = 1 / FAR**2 + (excess**2 if refuted else 0.0)
     np.testing.assert_allclose(ca.DM(shown.mean).full().ravel(), [0.0, 3.0])
     np.testing.assert_allclose(np.diag(ca.DM(shown.cov).full()), [1.0, variance])
@@ -79,7 +79,7 @@ def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
 
 def test_a_bound_of_widths_must_be_positive_for_each_output() -> None:
     with pytest.raises(InputError, match="must be positive, found -1"):
-        initial_widths_and_bound(0.0, [3.0, -1.0], 2)
+        read_initial_widths(0.0, [3.0, -1.0], 2)
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9])
@@ -112,7 +112,7 @@ def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
 def test_a_run_ends_where_one_entry_of_a_derivative_is_not_finite(part: str) -> None:
     steps, outputs = np.zeros((5, 2, 4)), np.zeros((5, 1, 4))
     {"steps": steps, "outputs": outputs}[part][3, 0, 1] = np.nan
-    cut = _simulate_derivatives(steps, outputs, np.arange(5), 1e-9)
+    cut = _assemble_run(steps, outputs, np.arange(5), 1e-9)
     assert len(cut.steps) == len(cut.outputs) == 3
 
 
@@ -172,7 +172,7 @@ def test_newton_refines_a_riccati_solution() -> None:
     A = rng.normal(size=(5, 5)) * scale[:, None] / scale
     B = rng.normal(size=(5, 1)) * scale[:, None]
     Q = np.diag(10 ** rng.uniform(-3, 3, 5))
-    assert riccati(Matrices(A, B, np.zeros((0, 5))), Q, np.array([[1e-6]])).residual < 1e-8
+    assert solve_riccati(Matrices(A, B, np.zeros((0, 5))), Q, np.array([[1e-6]])).residual < 1e-8
 
 
 def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
@@ -192,16 +192,16 @@ def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
 ) -> None:
     A = np.diag([0.0, 0.0, -0.3])
     A[0, 1] = float(chain)
-    assert defective(A, Ts) is chain
+    assert is_defective(A, Ts) is chain
     if Ts is not None:  # a pole at z = -1 of two states, which a sign would take for one at z = 3
         flip = np.array([[-2.0, float(chain)], [0.0, -2.0]]) / Ts
-        assert defective(flip, Ts) is chain
+        assert is_defective(flip, Ts) is chain
 
 
 def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
     e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 3.0, 1.0])
     expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
-    assert float(log_density(ca.DM(e), ca.DM(std))) == pytest.approx(expected)
+    assert float(innovation_log_density(ca.DM(e), ca.DM(std))) == pytest.approx(expected)
 
 
 def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
@@ -221,7 +221,7 @@ def test_a_swing_that_cures_reaches_both_edges(mean: float) -> None:
         low=np.array([mean]), mean=np.array([mean]), high=np.array([mean])
     )
     swing, about = map(
-        float, re.findall(r"of (\S+) about (\S+) reaches", reaching(still, 0).text)[0]
+        float, re.findall(r"of (\S+) about (\S+) reaches", remedy_to_reach_edges(still, 0).text)[0]
     )
     assert about == mean
     assert mean + swing > 1.0
@@ -229,6 +229,6 @@ def test_a_swing_that_cures_reaches_both_edges(mean: float) -> None:
 
 
 def test_a_period_that_samples_never_meet_is_none() -> None:
-    assert _samples(0.5, 0.1, 30.0) == (5, True)
-    assert _samples(0.25, 0.1, 30.0) == (5, True)
-    assert _samples(np.pi / 10, 0.1, 30.0) == (300, False)
+    assert _count_samples(0.5, 0.1, 30.0) == (5, True)
+    assert _count_samples(0.25, 0.1, 30.0) == (5, True)
+    assert _count_samples(np.pi / 10, 0.1, 30.0) == (300, False)

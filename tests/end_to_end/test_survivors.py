@@ -12,33 +12,33 @@ from scipy.stats import norm
 from test_identifiability import visiting
 
 from scenes import PAPER_PLANT, linear
-from undeadzone.analysis.branch_schedule import arriving, schedule_of_record
+from undeadzone.analysis.branch_schedule import drop_rare_branches, schedule_of_record
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.analysis.convergence import trajectories
-from undeadzone.analysis.convergence.floquet import spans
-from undeadzone.analysis.convergence.trajectories import settling
-from undeadzone.analysis.dissipation import Inequality, check
+from undeadzone.analysis.convergence.floquet import integrate_spans
+from undeadzone.analysis.convergence.trajectories import worst_settling_time
+from undeadzone.analysis.dissipation import Inequality, check_inequality
 from undeadzone.analysis.identifiability import nonlinear
-from undeadzone.analysis.identifiability.information import Readings, deviations
-from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends
+from undeadzone.analysis.identifiability.information import ReadingConditions, optimal_deviations
+from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Estimate, Reading
 from undeadzone.linalg import riccati
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.poles import place
+from undeadzone.linalg.poles import pole_placement_gain
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.numerics.dense_output import Levels, _find_crossing
 from undeadzone.numerics.gaussian import TAIL
 from undeadzone.observers import Kalman
 from undeadzone.observers.adaptive.adaptation_laws import e_modification_move
 from undeadzone.observers.adaptive.branch_observer import correct_jump
-from undeadzone.observers.filtering.augmented_state import agitation
+from undeadzone.observers.filtering.augmented_state import white_disturbance_rms
 from undeadzone.observers.filtering.consistency import LOST, widen_intervals
-from undeadzone.observers.filtering.constant_states import against_friction, width_correlation
+from undeadzone.observers.filtering.constant_states import information_shares, subtract_friction
 from undeadzone.observers.filtering.innovation_tests import start_scores
-from undeadzone.observers.filtering.measurement_update import downweight_outliers
-from undeadzone.observers.filtering.prior import _require_noise as claimed_noise
-from undeadzone.observers.filtering.unknown_inputs import span
+from undeadzone.observers.filtering.measurement_update import reject_impossible
+from undeadzone.observers.filtering.prior import _read_noise as claimed_noise
+from undeadzone.observers.filtering.unknown_inputs import read_time_span
 from undeadzone.plants.system import sample_plant
 from undeadzone_arena.observers.parts import learned_residual
 from undeadzone_arena.observers.parts.boxes import cut_box
@@ -63,7 +63,7 @@ def test_the_state_that_shifts_is_that_of_the_lost_edge(
     hidden.within = lambda part: SimpleNamespace(basis=hidden.basis, width=lambda i, name: False)
     known: Any = SimpleNamespace(hidden=hidden, follow=np.eye(2, 4, k=2))
     model: Any = SimpleNamespace(arm=None, n=2)
-    words = nonlinear._state_shift(model, known, 1, lost, "edge", "rest")
+    words = nonlinear._describe_state_shift(model, known, 1, lost, "edge", "rest")
     assert f"along this run {state} can shift with the edges" in words
 
 
@@ -72,7 +72,9 @@ def test_readings_without_noise_are_as_exact_as_the_larger_edge(larger: int) -> 
     stds = []
     for levels in ([1.0, 1.0], [8.0, 8.0], np.eye(2)[larger] * 7 + 1):
         schedule = visiting([True], [True])._replace(levels=np.array([levels]))
-        known = deviations(PAPER_PLANT.linear, schedule, Readings(np.zeros(1), 0.01, 15.0))
+        known = optimal_deviations(
+            PAPER_PLANT.linear, schedule, ReadingConditions(np.zeros(1), 0.01, 15.0)
+        )
         stds.append(known.widths[0]["width"])
     assert stds[1] == pytest.approx(8 * stds[0], rel=1e-9)
     assert stds[2] == pytest.approx(stds[1], rel=1e-9)
@@ -90,7 +92,7 @@ def test_a_side_is_lost_by_its_own_readings() -> None:
     """Of 100 readings on the right and 2 on the left, half are missing."""
     sides, spans = np.array([[1.0], [0.0], [-1.0]]), np.array([1.0, 0.5, 0.02])
     schedule = visiting([True], [True])._replace(sides=sides, spans=spans)
-    judged = arriving(schedule, np.array([0.5]), 0.01, spans.sum(), 2)
+    judged = drop_rare_branches(schedule, np.array([0.5]), 0.01, spans.sum(), 2)
     np.testing.assert_array_equal(judged.sides[:, 0], [1.0, 0.0, 0.0])
 
 
@@ -123,7 +125,7 @@ def test_a_bias_that_does_nothing_tells_as_much_of_an_actuator() -> None:
     drive: Any = SimpleNamespace(slope_right=1.0, slope_left=1.0)
     modes, schedule = np.array([[1.0], [-1.0], [0.0]]), visiting([True], [True])
     without, with_bias = (
-        both_ends(PAPER_PLANT.linear, schedule, modes, drive, bias)
+        sensor_actuator_identifiability(PAPER_PLANT.linear, schedule, modes, drive, bias)
         for bias in (None, np.zeros((2, 1)))
     )
     assert without.inputs == with_bias.inputs
@@ -145,7 +147,7 @@ def test_unknown_friction_is_taken_off_what_drives() -> None:
     """It stands ahead of `after` other unknowns."""
     sensor: Any = SimpleNamespace(friction_std=np.array([0.1]))
     X = np.array([1.0, 2.0, 0.5, 7.0])
-    given = against_friction(sensor, 1, lambda X: 10.0, -1.0)(X)
+    given = subtract_friction(sensor, 1, lambda X: 10.0, -1.0)(X)
     assert given == 10.5
 
 
@@ -157,10 +159,10 @@ def test_one_output_without_noise_is_no_claim() -> None:
 
 def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
     for time in (0.101, 0.99e6):
-        assert span("washout", time * 0.02, 0.02) == time * 0.02
+        assert read_time_span("washout", time * 0.02, 0.02) == time * 0.02
     for time in (0.099, 1.01e6):
         with pytest.raises(InputError, match=r"between 0\.1 and 1e6 sample times"):
-            span("washout", time * 0.02, 0.02)
+            read_time_span("washout", time * 0.02, 0.02)
 
 
 def test_unknowns_behind_gaps_are_taken_for_told() -> None:
@@ -170,12 +172,12 @@ def test_unknowns_behind_gaps_are_taken_for_told() -> None:
     zones = SimpleNamespace(middle=np.zeros(2))
     doubt = SimpleNamespace(std=np.ones(3))
     q: Any = SimpleNamespace(doubt=doubt, gaps=SimpleNamespace(std=np.ones(1)), zones=zones)
-    told = ca.DM(width_correlation(q, model, cov)).full()[:, 0]
+    told = ca.DM(information_shares(q, model, cov)).full()[:, 0]
     np.testing.assert_allclose(told, [1.0, 0.5, 0.0, 1.0, np.sqrt(0.5), 1.0, 1.0])
 
 
 def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
-    K = place(
+    K = pole_placement_gain(
         np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
     )
     np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
@@ -230,7 +232,7 @@ def test_a_leak_grows_with_the_way_from_the_first_width() -> None:
 
 
 def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
-    trusted = downweight_outliers(
+    trusted = reject_impossible(
         ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0]))
     )
     assert ca.DM(trusted).full()[:, 0].tolist() == [0.7, 0.0]
@@ -250,24 +252,24 @@ def test_a_fair_adversary_takes_each_full_mode_in_every_window(
     maps = np.array([0.5, 0.6, 1.1])[:, None, None] * np.eye(2)
     moves = trajectories._Moves(maps, np.array([0, 1]), window)
     V: Any = None
-    taken = trajectories._adversary(V, np.ones(2), moves, fair=True)
+    taken = trajectories._adversary_modes(V, np.ones(2), moves, fair=True)
     for one in taken.reshape(-1, window):
         assert set(one) >= {0, 1}
-    assert set(trajectories._adversary(V, np.ones(2), moves, fair=False)) == {2}
+    assert set(trajectories._adversary_modes(V, np.ones(2), moves, fair=False)) == {2}
 
 
 @pytest.mark.parametrize("Ts", [None, 0.02])
 def test_a_pass_lasts_as_long_as_its_schedule(Ts: float | None) -> None:
     schedule = visiting([True], [True], Ts)
     errors: Any = SimpleNamespace(A=np.zeros((1, 2, 2)), Ts=Ts, C=np.ones((1, 2)))
-    modes = trajectories._passes(errors, schedule, 2 * schedule.duration)
+    modes = trajectories._modes_of_schedule(errors, schedule, 2 * schedule.total_duration)
     lengths = schedule.spans * (Ts or 1.0)
     assert [mode.seconds for mode in modes[:6]] == pytest.approx([*lengths, *lengths])
 
 
 def test_what_does_not_move_grows_as_time_and_its_square() -> None:
     schedule = visiting([True], [True])
-    still = spans(np.zeros((3, 2, 2)), [np.eye(2)], schedule, 1)
+    still = integrate_spans(np.zeros((3, 2, 2)), [np.eye(2)], schedule, 1)
     for k, t in enumerate(schedule.spans):
         np.testing.assert_allclose(still.G[0, k], t * np.eye(2), rtol=1e-12)
         np.testing.assert_allclose(still.GG[0, k], t**2 / 2 * np.eye(2), rtol=1e-12)
@@ -278,11 +280,11 @@ def test_errors_may_need_many_passes_to_settle() -> None:
     found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
     usual = visiting([True], [True])
     brief = usual._replace(spans=usual.spans / 1000)
-    slow = settling(found.dynamics, found.V, usual)
-    fast = settling(found.dynamics, found.V, brief)
+    slow = worst_settling_time(found.dynamics, found.V, usual)
+    fast = worst_settling_time(found.dynamics, found.V, brief)
     assert slow is not None
     assert fast is not None
-    assert fast / brief.duration > 1000
+    assert fast / brief.total_duration > 1000
     assert fast == pytest.approx(slow, rel=0.5)
 
 
@@ -291,7 +293,7 @@ def test_the_margin_that_a_check_shows_is_that_of_the_worst_matrix() -> None:
     A = (np.array([[-1.0, 0.0], [0.0, -1.0]]),)
     supplies = tuple(2 * np.array([[0.0, c], [c, 0.0]]) for c in (0.9, 0.1))
     sizes = tuple(np.abs(supply) for supply in supplies)
-    proof = check(Inequality(A, np.zeros((2, 0)), supplies, sizes, None, 0.0), np.eye(2))
+    proof = check_inequality(Inequality(A, np.zeros((2, 0)), supplies, sizes, None, 0.0), np.eye(2))
     assert proof.proved
     assert proof.lmi == pytest.approx(-0.1, rel=1e-12)
 
@@ -300,7 +302,7 @@ def test_a_gain_of_which_some_entries_are_not_finite_is_refused() -> None:
     """The square of the last entry of A overflows, which spoils one entry of K."""
     A, B = np.array([[0.0, 1.0], [1.0, 1e200]]), np.array([[0.0], [1.0]])
     with np.errstate(all="ignore"), pytest.raises(StructureError, match="too far apart"):
-        place(A, B, np.array([-1.0, -2.0], complex), "controller.poles")
+        pole_placement_gain(A, B, np.array([-1.0, -2.0], complex), "controller.poles")
 
 
 def test_a_refinement_that_does_not_halve_the_residual_is_not_taken(
@@ -311,17 +313,17 @@ def test_a_refinement_that_does_not_halve_the_residual_is_not_taken(
     exact = np.sqrt(2) - 1
     monkeypatch.setattr(riccati, "_solution", lambda equation: np.array([[exact + 1e-3]]))
     monkeypatch.setattr(riccati, "storage_of", lambda *_: np.array([[-2e-4]]))
-    found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
+    found = riccati.solve_riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
     assert found.P[0, 0] == exact + 1e-3
     monkeypatch.setattr(riccati, "storage_of", lambda *_: np.array([[-6e-4]]))
-    found = riccati.riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
+    found = riccati.solve_riccati(Matrices(A, B, np.eye(1)), np.eye(1), np.eye(1))
     assert found.P[0, 0] == exact + 1e-3 - 6e-4
 
 
 def test_one_stable_pole_does_not_make_the_sampled_gain_of_34_stable() -> None:
     plant = Matrices(np.diag([3.0, 0.1]), np.array([[1.0], [1.0]]), np.eye(2))
     with pytest.raises(StructureError, match="does not stabilise"):
-        riccati.feedback(plant, 1.0, np.eye(2), 1.0)
+        riccati.paper_feedback(plant, 1.0, np.eye(2), 1.0)
 
 
 @pytest.mark.parametrize("times", [1, 4])
@@ -339,7 +341,7 @@ def test_the_default_disturbance_is_that_of_the_output_that_it_moves_most() -> N
     both = []
     for C in ([[1.0, 0.0], [0.0, 0.1]], [[2.0, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 0.05]]):
         plant = linear([[-1.0, 0.0], [0.0, -1.0]], [[1.0], [1.0]], C)
-        both.append(float(agitation(sample_plant(plant, 0.01), 1.0)[0]))
+        both.append(float(white_disturbance_rms(sample_plant(plant, 0.01), 1.0)[0]))
     assert both[1] == pytest.approx(both[0] / 2)
     assert both[2] == pytest.approx(both[0])
 

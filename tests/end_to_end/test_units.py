@@ -13,8 +13,8 @@ from scipy.linalg import expm
 
 import undeadzone as uz
 from undeadzone.ensemble.metrics import Tally, rows
-from undeadzone.linalg.hold import discrete_noise_covariance, zoh, zoh_slopes
-from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.linalg.hold import discretise_noise, zoh, zoh_slopes
+from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
@@ -43,7 +43,7 @@ def scenario(time: float, z: float, u: float, method: str, duration: float = 3.0
     }
 
     def matrices(shares: Any) -> dict[str, Any]:
-        A, B, C = companion(np.poly(POLES / time)[:0:-1] * shares)
+        A, B, C = companion_form(np.poly(POLES / time)[:0:-1] * shares)
         gain = np.prod(POLES / time) * z / u
         return {"A": A.tolist(), "B": (gain * B).tolist(), "C": C.tolist()}
 
@@ -140,8 +140,8 @@ def test_sampling_does_not_depend_on_units(seed: int, n: int, decades: float, st
             zoh_slopes(np.hstack(other[:2]), [direction * both / time], Ts * time),
         ),
         (
-            discrete_noise_covariance(usual.A, W, Ts)[1] / np.outer(states, states),
-            discrete_noise_covariance(other.A, W / np.outer(states, states) / time, Ts * time)[1],
+            discretise_noise(usual.A, W, Ts)[1] / np.outer(states, states),
+            discretise_noise(other.A, W / np.outer(states, states) / time, Ts * time)[1],
         ),
     ]
     scales = [square, across, both, 1 / np.outer(states, states)]
@@ -153,9 +153,9 @@ def test_sampling_does_not_depend_on_units(seed: int, n: int, decades: float, st
 def test_slopes_of_a_fast_companion_are_those_of_the_slow_one() -> None:
     """By differences of the exponential of the slow plant, scaled."""
     n, time, Ts, h = 4, 1e-4, 0.02, 1e-6
-    slow = companion(np.poly(POLES)[:0:-1])
+    slow = companion_form(np.poly(POLES)[:0:-1])
     states = time ** -np.arange(n, dtype=float)
-    fast = companion(np.poly(POLES / time)[:0:-1])
+    fast = companion_form(np.poly(POLES / time)[:0:-1])
     for row, column in ((3, 0), (3, 3)):
         direction = np.zeros((n, n + 1))
         direction[row, column] = fast.A[row, column]
@@ -226,6 +226,6 @@ def test_integrators_and_slow_poles_are_told_apart_in_any_unit_of_time() -> None
         motor = np.array([[0.0, 1.0], [0.0, -rate]])
         assert rates_of_motion(motor) == pytest.approx([rate])
     assert rates_of_motion(np.eye(3, k=1)).size == 0
-    equal = companion(np.poly(-np.full(4, 2.5))[:0:-1])
+    equal = companion_form(np.poly(-np.full(4, 2.5))[:0:-1])
     assert pace(equal) == pytest.approx(2.5, rel=1e-12)
     assert state_units(equal) == pytest.approx(2.5 ** np.arange(4), rel=1e-12)

@@ -23,7 +23,7 @@ from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linalg.matrices import companion
+from undeadzone.linalg.matrices import companion_form
 from undeadzone.linalg.poles import state_gain
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, side
@@ -771,7 +771,7 @@ def test_wrong_sliding_mode_controllers(
 
 
 def test_canonical_coordinates_of_a_chain_are_its_states() -> None:
-    chains = output_chains(*companion([0.0, 0.0, 0.0])[::2])
+    chains = output_chains(*companion_form([0.0, 0.0, 0.0])[::2])
     assert chains.O.tolist() == np.eye(3).tolist()
     assert chains.rows == [[0, 1, 2]]
 

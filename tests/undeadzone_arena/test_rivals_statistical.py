@@ -20,12 +20,24 @@ from scipy.optimize import minimize
 import undeadzone_arena.unscented as unscented
 from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import COLUMNS, Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.interfaces import (
+    COLUMNS,
+    Estimate,
+    Observer,
+    PythonObserver,
+    Reading,
+    Traits,
+    build_python_observer,
+)
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics.gaussian import from_upper_entries, to_upper_entries
 from undeadzone.observers import Kalman
-from undeadzone.observers.filtering.augmented_state import agitation, even_units, quarter_period
+from undeadzone.observers.filtering.augmented_state import (
+    power_of_two_units,
+    quarter_period,
+    white_disturbance_rms,
+)
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
@@ -148,7 +160,7 @@ def test_filters_on_the_dead_zone_are_kalmans_filter_while_belief_and_readings_s
     kalman = Kalman(**claims, glitches=0.0).build(model, where)
     x = np.linalg.solve(model.linear.C, np.array([40.0, -40.0]))
     s, t = rival.init(rival.params), kalman.init(kalman.params)
-    mean = np.concatenate([x / even_units(model), s.filter.mean[2:]])
+    mean = np.concatenate([x / power_of_two_units(model), s.filter.mean[2:]])
     s = s._replace(filter=s.filter._replace(mean=mean))
     t = t._replace(filter=t.filter._replace(mean=mean))
     one, other = OnNumbers(rival, model), OnNumbers(kalman, model)
@@ -172,7 +184,7 @@ def test_tobit_foretells_the_mean_of_the_reading_over_both_branches(z: float) ->
     claims: dict[str, Any] = {"right": [0.5, 1.5], "noise": 0.2, "x_std": 0.7, "drift": 0.0}
     model = sample_plant(system(Plant(A=[[-1.0]], B=[[1.0]], C=[[1.0]])), TS)
     observer = Tobit(**claims, disturbance=0.0, glitches=0.0).build(model, zone())
-    units = even_units(model)
+    units = power_of_two_units(model)
     s = observer.init(observer.params)
     s = s._replace(filter=s.filter._replace(mean=np.array([z / units[0], 1.0, 1.0])))
     cov = full(s.filter.cov, 3)
@@ -228,7 +240,7 @@ def test_the_ukf_agrees_with_filterpy(plant: System) -> None:
 
     points = kalman.MerweScaledSigmaPoints(4, 0.7, 2.0, 1.0)
     theirs = kalman.UnscentedKalmanFilter(4, 1, TS, reading, motion, points)
-    units = np.concatenate([even_units(model), np.ones(2)])
+    units = np.concatenate([power_of_two_units(model), np.ones(2)])
     square = np.outer(units, units)
     theirs.x, theirs.P = units * state.filter.mean, square * full(state.filter.cov, 4)
     theirs.Q, theirs.R = np.diag([0.0, 0.0, 0.01 * TS, 0.01 * TS]), np.array([[0.01]])
@@ -599,12 +611,12 @@ def test_the_live_loop_is_the_loop() -> None:
     def correct(s: Any, reading: Reading) -> Any:
         return (s, reading), step(s, np.zeros(1), reading.y, reading.side)[1]
 
-    how = InPython(
+    how = PythonObserver(
         lambda seed: graph.init(graph.params),
         correct,
         lambda s, u: step(s[0], u, s[1].y, s[1].side)[0],
     )
-    wrapped = problem._replace(observer=in_python(how, problem.plant.p, Traits()))
+    wrapped = problem._replace(observer=build_python_observer(how, problem.plant.p, Traits()))
     ticks: list[int] = []
     outcome = live.run_sample_by_sample(wrapped, inputs.exogenous(problem), ticks.append)
     assert sum(ticks) == expected.t.size
@@ -675,7 +687,9 @@ def test_the_default_disturbance_moves_z_as_far_as_it_says() -> None:
         at, reached = B, 0.0
         for _ in range(round(quarter_period(model) / 0.002)):
             reached, at = reached + float((C @ at)[0, 0]) ** 2, A @ at
-        assert np.sqrt(reached) * agitation(model, 0.4)[0] == pytest.approx(0.4, rel=0.01)
+        assert np.sqrt(reached) * white_disturbance_rms(model, 0.4)[0] == pytest.approx(
+            0.4, rel=0.01
+        )
 
 
 def test_python_observers_say_where_they_cannot_run() -> None:

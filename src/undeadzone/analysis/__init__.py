@@ -1,1 +1,1 @@
-"""What can be proved and known, of matrices and schedules alone."""
+"""Proofs and identifiability from matrices and schedules alone."""

@@ -1,4 +1,4 @@
-"""Schedules say which side the sensor shows when, along a planned reference or a recorded run.
+"""Schedules: the sensor's branch over time, along a planned reference or a recorded run.
 
 docs/rates.md says what they are for. A reference is the output Q w of an exosystem w' = S w. Sides
 change where z crosses the levels between those that a noise-free sensor reads.
@@ -26,7 +26,7 @@ MEAN = 4096  # points of the mean over a period: exact for sines below that many
 
 
 class Schedule(NamedTuple):
-    """Constant sides one after another: K spans of p outputs.
+    """Sequence of constant branches: K spans of p outputs.
 
     Attributes:
         sides: +1 (right), 0 (silent, or at a limit of the range), -1 (left) in each span (K x p).
@@ -55,12 +55,12 @@ class Schedule(NamedTuple):
     contacts: Floats | None = None
 
     @property
-    def duration(self) -> float:
-        """Of the whole [s]."""
+    def total_duration(self) -> float:
+        """Return the duration of the whole schedule [s]."""
         return float(self.spans.sum()) * (1.0 if self.Ts is None else self.Ts)
 
-    def visited_sides(self, samples: int = 0) -> np.ndarray:
-        """Return whether the [right, left] side of each output is visited (p x 2).
+    def branch_visits(self, samples: int = 0) -> np.ndarray:
+        """Return whether the [right, left] branch of each output is visited (p x 2, bool).
 
         Args:
             samples: a side counts if it lasts, in all, for more than this many (if sampled).
@@ -74,7 +74,8 @@ class Schedule(NamedTuple):
 def plan_schedule(
     model: System, reference: Exosystem, tracked: list[int], sensor: Zone, horizon: float
 ) -> Schedule:
-    """Return the schedule of a reference that is followed exactly, over its period if it has one.
+    """Return the schedule of a reference that is followed exactly, over its period if that
+    exists.
 
     In continuous time the sides change at roots of the exact signal; sampled, the sides are those
     at the samples. Spans end at corners of the reference too.
@@ -100,31 +101,31 @@ def plan_schedule(
     ends = np.unique(np.concatenate([[0.0], reference.corners[inner], [end]]))
     limits = limit_levels(sensor)
     every = [levels] if limits is None else [levels, limits]
-    times = _changes(reference, rows, every, ends)
+    times = _change_times(reference, rows, every, ends)
     z = reference.state((times[:-1] + times[1:]) / 2) @ rows.T
-    low, high = extremes(reference, rows, ends)
+    low, high = extreme_values(reference, rows, ends)
     mean = (reference.state((np.arange(MEAN) + 0.5) / MEAN * end) @ rows.T).mean(axis=0)
-    read, spans = reading(z, sensor), np.diff(times)
-    exact = read.share(spans)
+    read, spans = noiseless_reading(z, sensor), np.diff(times)
+    exact = read.exact_share(spans)
     return Schedule(read.side, spans, None, periodic, 0.0, low, mean, high, levels, exact)
 
 
 def _plan_samples(
     rows: Floats, reference: Exosystem, sensor: Zone, Ts: float, horizon: float
 ) -> Schedule:
-    """Return `planned` at samples of Ts [s]; rows (p x k): z = rows w."""
-    samples, periodic = _samples(reference.period, Ts, horizon)
+    """Return `plan_schedule` at samples of Ts [s], with z = rows w (rows: p x k)."""
+    samples, periodic = _count_samples(reference.period, Ts, horizon)
     z = reference.state(np.arange(samples) * Ts) @ rows.T
     corners = reference.corners
     if reference.period is not None:
         repeats = np.arange(samples * Ts / reference.period)
         corners = np.add.outer(repeats * reference.period, corners).ravel()
-    read = reading(z, sensor, periodic)
-    return _from_samples(read, z, reading_levels(sensor), Ts, Ts, periodic, corners)
+    read = noiseless_reading(z, sensor, periodic)
+    return _schedule_from_samples(read, z, reading_levels(sensor), Ts, Ts, periodic, corners)
 
 
-def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floats) -> Floats:
-    """Return the times [s] at which a side changes or the reference has a corner, none twice.
+def _change_times(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floats) -> Floats:
+    """Return the distinct times at which a branch changes or the reference has a corner [s].
 
     Args:
         reference: of the tracked outputs.
@@ -135,8 +136,8 @@ def _changes(reference: Exosystem, rows: Floats, every: list[Floats], ends: Floa
     times: list[Floats] = [ends]
     for one in every:
         for row, (right, left) in zip(rows, one, strict=True):
-            times.append(roots(reference, row, right, ends))
-            times.append(roots(reference, row, -left, ends))
+            times.append(level_crossing_times(reference, row, right, ends))
+            times.append(level_crossing_times(reference, row, -left, ends))
     unique = np.unique(np.concatenate(times))
     apart = np.concatenate([np.diff(unique) > ROUNDING * ends[-1], [True]])
     return np.asarray(unique[apart])
@@ -157,15 +158,17 @@ def schedule_of_record(
         Ts: sample time [s]; None in continuous time.
         arrived: whether each reading did (N x p); all of them if not given.
     """
-    read = reading(z, sensor)
+    read = noiseless_reading(z, sensor)
     if arrived is not None:
         side = np.where(arrived, read.side, 0.0)
-        read = Read(side, read.limited & arrived, read.contact)
-    return _from_samples(read, z, reading_levels(sensor), step, Ts, False, np.empty(0))
+        read = NoiselessReading(side, read.limited & arrived, read.contact)
+    return _schedule_from_samples(read, z, reading_levels(sensor), step, Ts, False, np.empty(0))
 
 
-def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, n: int) -> Schedule:
-    """Return the schedule without the sides from which too few readings can be expected to arrive.
+def drop_rare_branches(
+    schedule: Schedule, dropout: Floats, step: float, duration: float, n: int
+) -> Schedule:
+    """Return the schedule without the branches from which too few readings can be expected.
 
     Args:
         schedule: of the sides.
@@ -176,7 +179,7 @@ def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, 
     """
     if not dropout.any():
         return schedule
-    passes = max(1.0, duration / schedule.duration)
+    passes = max(1.0, duration / schedule.total_duration)
     unit = step if schedule.Ts is None else 1.0
     sides = schedule.sides.copy()
     for sign in (1.0, -1.0):
@@ -187,14 +190,16 @@ def arriving(schedule: Schedule, dropout: Floats, step: float, duration: float, 
 
 
 def merge_equal_neighbours(schedule: Schedule) -> Schedule:
-    """Return the same schedule with neighbours of equal sides put together."""
+    """Return the schedule with neighbouring spans of equal branches merged; contacts are
+    dropped.
+    """
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
     spans = np.add.reduceat(schedule.spans, np.flatnonzero(first))
     return schedule._replace(sides=schedule.sides[first], spans=spans, contacts=None)
 
 
 def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Floats:
-    """Return (p x k) such that z = output_map w while the reference is followed.
+    """Return the matrix (p x k) such that z = output_map w while the reference is followed.
 
     Raises:
         TrackingError: where the reference cannot be followed.
@@ -211,8 +216,8 @@ def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Float
     return rows
 
 
-def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floats:
-    """Return every time [s] between ends[0] and ends[-1] at which row w meets the level.
+def level_crossing_times(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floats:
+    """Return all times between ends[0] and ends[-1] at which row w meets the level [s].
 
     Intervals are halved until the exact signal and a bound on its second derivative show that one
     holds no root, or that the signal is monotone on it; then bisection. Only a visit beyond the
@@ -226,25 +231,25 @@ def roots(reference: Exosystem, row: Floats, level: float, ends: Floats) -> Floa
     """
     S = reference.S
     slope, curvature = row @ S, np.abs(row @ S @ S)
-    middle, half = _pieces(S, ends)
+    middle, half = _initial_intervals(S, ends)
     times: list[Floats] = [np.empty(0)]
     while middle.size:
         w = reference.state(middle)
-        f, reach = w @ row - level, _reach(np.abs(S), float(half.max()))
+        f, reach = w @ row - level, _exponential_bound(np.abs(S), float(half.max()))
         # By how much the signal changes on half an interval: by its slope, and by its bend at most.
         tangent = np.abs(w @ slope) * half
         bend = np.abs(w) @ (curvature @ reach) * half**2
         rounding = ROUNDING * (np.abs(w) @ np.abs(row) + abs(level))
         open_ = (np.abs(f) <= tangent + bend / 2) & (tangent + bend > rounding)
         monotone = open_ & (tangent > bend)
-        times.append(_bisect(reference, row, level, middle[monotone], half[monotone]))
+        times.append(_bisect_crossings(reference, row, level, middle[monotone], half[monotone]))
         middle, half = middle[open_ & ~monotone], half[open_ & ~monotone] / 2
         middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
     return np.sort(np.concatenate(times))
 
 
-def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """Return (middles, half widths) [s] of the first intervals, short against the fastest mode of
+def _initial_intervals(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return (middles, half widths) of the first intervals [s], short for the fastest mode of
     S.
     """
     fastest = float(np.abs(np.linalg.eigvals(S)).max(initial=0.0))
@@ -256,24 +261,27 @@ def _pieces(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
     return np.concatenate(middles), half
 
 
-def extremes(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, Floats]:
-    """Return (least, greatest) value of every row w between ends[0] and ends[-1]."""
+def extreme_values(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, Floats]:
+    """Return the (least, greatest) value of every row w between ends[0] and ends[-1] (p each)."""
     low, high = [], []
     for row in rows:
-        t = np.concatenate([ends, roots(reference, row @ reference.S, 0.0, ends)])
+        t = np.concatenate([ends, level_crossing_times(reference, row @ reference.S, 0.0, ends)])
         z = reference.state(t) @ row
         low.append(z.min())
         high.append(z.max())
     return np.array(low), np.array(high)
 
 
-def _bisect(
+def _bisect_crossings(
     reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats
 ) -> Floats:
-    """Return the roots on intervals where the signal is monotone; none where it does not cross."""
+    """Return the crossing times on intervals with a monotone signal [s]; an interval may hold
+    none.
+    """
     a, b = middle - half, middle + half
 
     def above(t: Floats) -> Any:
+        """Return whether the signal is above the level at times t."""
         return reference.state(t) @ row > level
 
     crossing = above(a) != above(b)
@@ -286,16 +294,17 @@ def _bisect(
     return (a + b) / 2
 
 
-def _reach(S: Floats, half: float) -> Floats:
-    """Return a bound, entry by entry, on e^{S t} for |t| <= half: e^{|S| half}."""
+def _exponential_bound(S: Floats, half: float) -> Floats:
+    """Return a bound by entries on e^(S t) for |t| <= half: e^(|S| half)."""
     from scipy.linalg import expm
 
     return np.asarray(expm(S * half))
 
 
-def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool]:
-    """Return (how many samples make a period, True); (those of the horizon, False) if there is
-    none.
+def _count_samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool]:
+    """Return (samples per period, True), or (samples of the horizon, False) without a period.
+
+    Several periods count as a single period if their total is a whole number of samples.
 
     Several periods count as one if it takes these.
     """
@@ -306,8 +315,8 @@ def _samples(period: float | None, Ts: float, horizon: float) -> tuple[int, bool
     return max(1, round(horizon / Ts)), False
 
 
-def _from_samples(
-    read: Read,
+def _schedule_from_samples(
+    read: NoiselessReading,
     z: Floats,
     levels: Floats,
     step: float,
@@ -315,7 +324,7 @@ def _from_samples(
     periodic: bool,
     corners: Floats,
 ) -> Schedule:
-    """Return the schedule of what is read (N x p) at samples, `step` [s] apart.
+    """Return the schedule of noise-free readings (N x p) at samples, `step` [s] apart.
 
     Sampled, a span starts at the first sample from each corner on, too.
     """
@@ -335,15 +344,15 @@ def _from_samples(
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
         low, mean, high = z.min(axis=0), z.mean(axis=0), z.max(axis=0)
-        exact = read.share(np.ones(len(side)))
+        exact = read.exact_share(np.ones(len(side)))
         contact = None if read.contact is None else read.contact[first]
         return Schedule(
             side[first], spans, Ts, periodic, grain, low, mean, high, levels, exact, contact
         )
 
 
-class Read(NamedTuple):
-    """What a noise-free sensor reads of outputs (N x p each).
+class NoiselessReading(NamedTuple):
+    """Noise-free readings of outputs (N x p each).
 
     Attributes:
         side: +1, -1 where a reading is exact, else 0.
@@ -355,9 +364,9 @@ class Read(NamedTuple):
     limited: np.ndarray
     contact: Floats | None = None
 
-    def share(self, weight: Floats) -> Floats:
-        """Return the share of the readings beyond an edge that are exact (p); 1 if none is beyond
-        one.
+    def exact_share(self, weight: Floats) -> Floats:
+        """Return the share of exact readings among all beyond an edge (p); 1 if none is
+        beyond.
 
         Args:
             weight: of each row (N), such as how long it lasts.
@@ -368,7 +377,7 @@ class Read(NamedTuple):
 
 
 def reading_levels(sensor: Zone) -> Floats:
-    """Return levels (p x 2) of z: a noise-free sensor reads right above the first, left below
+    """Return the levels of z (p x 2): without noise, right above the first, left below
     -second.
 
     Of a play they are its gaps: no level of z tells its side. Of a play ahead of a dead zone they
@@ -377,28 +386,32 @@ def reading_levels(sensor: Zone) -> Floats:
     if sensor.kind == "play":
         return np.stack((sensor.right, sensor.left), axis=1)
     right, left = edges(sensor.right, sensor.left, sensor.slope, sensor.kind, sensor.threshold)
-    return np.stack((right, left), axis=1) + _gaps(sensor)
+    return np.stack((right, left), axis=1) + _play_gaps(sensor)
 
 
 def limit_levels(sensor: Zone) -> Floats | None:
-    """Return levels (p x 2) of z: at a limit above the first and below -second; None: no range."""
+    """Return the levels of z beyond which readings are at a limit of the range (p x 2), or None.
+
+    A reading is at a limit above the first level and below -second. None means that the sensor
+    has no range.
+    """
     if sensor.limits is None:
         return None
     low, high = sensor.limits
     widths = sensor.right, sensor.left, sensor.slope, sensor.kind
     levels_of_zone = np.stack((edges(*widths, high)[0], edges(*widths, -low)[1]), axis=1)
-    return np.asarray(levels_of_zone + _gaps(sensor))
+    return np.asarray(levels_of_zone + _play_gaps(sensor))
 
 
-def _gaps(sensor: Zone) -> Floats:
-    """Return [c_r, c_l] of the play ahead of each dead zone (p x 2) [z]; 0 without one."""
+def _play_gaps(sensor: Zone) -> Floats:
+    """Return [c_r, c_l] of the play ahead of each dead zone (p x 2) [z]; 0 without a play."""
     if sensor.play is None:
         return np.zeros((sensor.right.size, 2))
     return np.stack((sensor.play.right, sensor.play.left), axis=1)
 
 
-def reading(z: Floats, sensor: Zone, again: bool = False) -> Read:
-    """What the sensor reads of outputs z (N x p) without noise.
+def noiseless_reading(z: Floats, sensor: Zone, again: bool = False) -> NoiselessReading:
+    """Return the noise-free readings of outputs z (N x p).
 
     Args:
         z: outputs (N x p), one after the other.
@@ -412,8 +425,8 @@ def reading(z: Floats, sensor: Zone, again: bool = False) -> Read:
         if sensor.limits is not None:
             low, high = (limit / sensor.slope for limit in sensor.limits)
             limited = (z - sensor.right >= high) | (z + sensor.left <= low)
-        return Read(np.where(limited, 0.0, side), limited)
-    gaps, level, contact = _gaps(sensor), z, None
+        return NoiselessReading(np.where(limited, 0.0, side), limited)
+    gaps, level, contact = _play_gaps(sensor), z, None
     if sensor.play is not None:  # exact beyond an edge, while the level moves
         play = sensor.play.right, sensor.play.left, sensor.start
         level, contact = (along(passes, *play)[-len(z) :] for along in (levels, contacts))
@@ -421,4 +434,4 @@ def reading(z: Floats, sensor: Zone, again: bool = False) -> Read:
     if limits is not None:
         limited = zone(level, *(limits - gaps).T) != 0
     silent = limited if contact is None else limited | (contact == 0)
-    return Read(np.where(silent, 0.0, side), limited, contact)
+    return NoiselessReading(np.where(silent, 0.0, side), limited, contact)

@@ -18,7 +18,9 @@ CANCELLED = 1e-7  # of its terms, below which a diagonal entry counts as cancell
 
 
 class Inequality(NamedTuple):
-    """V' + 2 decay V + supply < 0 in (x, b) along x' = A x + B b, for every vertex and supply.
+    """Inequality V' + 2 decay V + supply < 0 in (x, b) along x' = A x + B b.
+
+    The inequality holds for every vertex and supply.
 
     Sampled, A and B are in delta form, x+ = x + Ts (A x + B b), and V' stands for (V+ - V)/Ts.
 
@@ -38,28 +40,29 @@ class Inequality(NamedTuple):
     Ts: float | None
     decay: float = 0.0
 
-    def matrices(self, P: Floats) -> list[Floats]:
-        """Return one matrix per vertex and supply, affine in P; the sampled square term is bordered
-        by -P.
+    def lmi_matrices(self, P: Floats) -> list[Floats]:
+        """Return a matrix per vertex and supply, affine in P.
+
+        The sampled square term is bordered by -P.
 
         Args:
             P: of V = x'Px (n x n).
         """
         pairs = product(self.A, self.supply)
-        return [_matrix(P, A, self.B, supply, self.Ts, self.decay) for A, supply in pairs]
+        return [_vertex_matrix(P, A, self.B, supply, self.Ts, self.decay) for A, supply in pairs]
 
-    def magnitudes(self, P: Floats) -> list[Floats]:
-        """Return the same sums with every term replaced by its magnitude."""
+    def term_magnitudes(self, P: Floats) -> list[Floats]:
+        """Return the sums of `lmi_matrices` with every term replaced by its magnitude."""
         P_size, B_size = np.abs(P), np.abs(self.B)
         magnitudes = []
         for A in self.A:
             for size in self.size:
-                sums = _matrix(P_size, np.abs(A), B_size, size, self.Ts, self.decay)
+                sums = _vertex_matrix(P_size, np.abs(A), B_size, size, self.Ts, self.decay)
                 magnitudes.append(np.abs(sums))
         return magnitudes
 
-    def transform(self, T: Floats, inverse: Floats) -> Inequality:
-        """Return the same inequality in coordinates x = T xi.
+    def transform_coordinates(self, T: Floats, inverse: Floats) -> Inequality:
+        """Return the inequality in coordinates x = T xi.
 
         Args:
             T: the change of coordinates (n x n).
@@ -68,12 +71,12 @@ class Inequality(NamedTuple):
         return self._replace(
             A=tuple(inverse @ A @ T for A in self.A),
             B=inverse @ self.B,
-            supply=tuple(_congruent(supply, T) for supply in self.supply),
+            supply=tuple(_transform_supply(supply, T) for supply in self.supply),
         )
 
 
-def _congruent(supply: Floats, T: Floats) -> Floats:
-    """Return a supply in (x, b) as one in (xi, b), x = T xi."""
+def _transform_supply(supply: Floats, T: Floats) -> Floats:
+    """Return a supply in (x, b) as a supply in (xi, b), x = T xi."""
     n = T.shape[0]
     supply = supply.copy()
     supply[:n] = T.T @ supply[:n]
@@ -81,10 +84,10 @@ def _congruent(supply: Floats, T: Floats) -> Floats:
     return supply
 
 
-def _matrix(
+def _vertex_matrix(
     P: Floats, A: Floats, B: Floats, supply: Floats, Ts: float | None, decay: float
 ) -> Floats:
-    """Return the matrix of V' + 2 decay V + supply at one vertex, with a third block row if
+    """Return the matrix of V' + 2 decay V + supply at a vertex, with a third block row if
     sampled.
     """
     n = A.shape[0]
@@ -99,7 +102,9 @@ def _matrix(
     return np.block([[top, border], [border.T, -P]])
 
 
-def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[Floats, Floats]:
+def build_quadratic_form(
+    sizes: list[int], terms: list[tuple[int, int, Floats]]
+) -> tuple[Floats, Floats]:
     """Return a symmetric matrix from blocks, and the sum of the blocks' magnitudes.
 
     Args:
@@ -121,7 +126,7 @@ def quadratic(sizes: list[int], terms: list[tuple[int, int, Floats]]) -> tuple[F
 
 
 class Solution(NamedTuple):
-    """What the solver found.
+    """Solution of the semidefinite program.
 
     Attributes:
         P: of V = x'Px (n x n).
@@ -136,20 +141,20 @@ Family = Callable[[Floats], Inequality]  # the inequality for multipliers q, aff
 Extra = Callable[[Floats, Floats], list[Floats]]  # more (P, q) that must be >= 0, affine in them
 
 
-def no_more(P: Floats, q: Floats) -> list[Floats]:
-    """No further constraint on P and q."""
+def no_constraints(P: Floats, q: Floats) -> list[Floats]:
+    """Return no further constraint on P and q."""
     return []
 
 
-def optimise(
+def optimise_storage(
     family: Family,
     cost: Floats,
     start: Floats,
-    extra: Extra = no_more,
+    extra: Extra = no_constraints,
     deep: bool = False,
     passes: int = 2,
 ) -> Solution | None:
-    """Return P, q that minimise cost'q, or lie deepest inside, under `family(q)` and `extra`.
+    """Return P, q of least cost'q, or deepest inside, under `family(q)` and `extra`, or None.
 
     Each pass works in coordinates where the last P was the identity and the last matrices had a
     unit diagonal; a stiff plant needs that. The first P is of Lyapunov's equation, or else the
@@ -168,28 +173,29 @@ def optimise(
         The last pass's solution; None if there is none.
     """
     A, Ts = family(start).A[0], family(start).Ts
-    for first in (_lyapunov(A, Ts), np.eye(len(A))):
+    for first in (_lyapunov_storage(A, Ts), np.eye(len(A))):
         best = None
         if not np.isfinite(first).all():
             continue
         near = Solution(first, start)
         for _ in range(passes):
-            solution = _pass(family, cost, extra, deep, near)
+            solution = _solve_in_local_units(family, cost, extra, deep, near)
             if solution is None:
                 break
             best = near = solution
-            if deep and check(family(solution.q), solution.P).proved:
+            if deep and check_inequality(family(solution.q), solution.P).proved:
                 break
         if best is not None:
             return best
     return None
 
 
-def _pass(
+def _solve_in_local_units(
     family: Family, cost: Floats, extra: Extra, deep: bool, near: Solution
 ) -> Solution | None:
-    """Return one solution, in coordinates where P of `near` is I and its matrices have a unit
-    diagonal.
+    """Return a solution or None, in coordinates with P of `near` = I.
+
+    The matrices of `near` have a unit diagonal there.
     """
     P, q = near
     n = len(P)
@@ -199,15 +205,16 @@ def _pass(
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
     T, inverse = vectors / root, (vectors * root).T
     units = (np.zeros(cost.size), *np.eye(cost.size))
-    at = _affine([family(unit).transform(T, inverse) for unit in units])
-    scales = _unit_diagonals(at(q), np.eye(n))
+    at = _affine_family([family(unit).transform_coordinates(T, inverse) for unit in units])
+    scales = _diagonal_scales(at(q), np.eye(n))
     entries = n * (n + 1) // 2  # of P; then come the multipliers, and the depth if it is sought
     part = at(q).supply[0].shape[0]
 
     def blocks(x: Floats) -> list[Floats]:
+        """Return the matrices that must be positive semidefinite."""
         local, q = symmetric_matrix(x[:entries], n), x[entries : entries + cost.size]
         scaled = []
-        for M, scale in zip(at(q).matrices(local), scales, strict=True):
+        for M, scale in zip(at(q).lmi_matrices(local), scales, strict=True):
             block = -M * np.outer(scale, scale)
             if deep:
                 block[np.arange(part), np.arange(part)] -= x[-1]
@@ -221,19 +228,19 @@ def _pass(
     return Solution((P + P.T) / 2, x[entries : entries + cost.size])
 
 
-def _unit_diagonals(inequality: Inequality, P: Floats) -> list[Floats]:
-    """What rows and columns of each matrix are multiplied by for a diagonal of -1.
+def _diagonal_scales(inequality: Inequality, P: Floats) -> list[Floats]:
+    """Return the factors of rows and columns that give each matrix a diagonal of -1.
 
     A diagonal entry whose terms cancel to nothing says nothing of its size: their magnitude does.
     """
     scales = []
-    for M, size in zip(inequality.matrices(P), inequality.magnitudes(P), strict=True):
+    for M, size in zip(inequality.lmi_matrices(P), inequality.term_magnitudes(P), strict=True):
         diagonal = np.maximum(np.abs(np.diag(M)), CANCELLED * np.diag(size))
         scales.append(np.maximum(diagonal, 1e-300) ** -0.5)
     return scales
 
 
-def _affine(points: list[Inequality]) -> Family:
+def _affine_family(points: list[Inequality]) -> Family:
     """Return q -> Inequality from its values at q = 0 and the unit vectors; only the supplies
     vary.
     """
@@ -242,29 +249,34 @@ def _affine(points: list[Inequality]) -> Family:
     return lambda q: points[0]._replace(supply=tuple(base + np.tensordot(q, slopes, 1)))
 
 
-def storage(inequality: Inequality) -> Floats | None:
-    """Return P (n x n), to be checked, deep inside the inequality or near to it; None if none is
+def find_storage(inequality: Inequality) -> Floats | None:
+    """Return a candidate P (n x n) deep inside the inequality or near it; None if none is
     found.
     """
-    found = deepest(lambda q: inequality, np.zeros(0))
+    found = deepest_solution(lambda q: inequality, np.zeros(0))
     return None if found is None else found.P
 
 
-def deepest(family: Family, start: Floats, extra: Extra = no_more) -> Solution | None:
-    """Return P, q deepest inside the inequality and `extra`, or as far as the check needs."""
-    return optimise(family, np.zeros(start.size), start, extra, deep=True, passes=4)
+def deepest_solution(
+    family: Family, start: Floats, extra: Extra = no_constraints
+) -> Solution | None:
+    """Return P, q deepest inside the inequality and `extra`, or as deep as the check needs."""
+    return optimise_storage(family, np.zeros(start.size), start, extra, deep=True, passes=4)
 
 
-def _lyapunov(A: Floats, Ts: float | None) -> Floats:
-    """Return P of A'P + PA = -I; a sampled A is mapped by Tustin's rule, which keeps P."""
+def _lyapunov_storage(A: Floats, Ts: float | None) -> Floats:
+    """Return P of A'P + PA = -I (n x n).
+
+    A sampled A is mapped by Tustin's rule, which keeps P.
+    """
     identity = np.eye(A.shape[0])
     if Ts is not None:
         A = np.linalg.solve(identity + Ts / 2 * A, A)
     return storage_of(A, identity, None)
 
 
-class Check(NamedTuple):
-    """Whether P and the inequality are definite beyond rounding.
+class DefinitenessCheck(NamedTuple):
+    """Check that P and the inequality are definite beyond rounding.
 
     Attributes:
         proved: whether both are.
@@ -279,12 +291,12 @@ class Check(NamedTuple):
     rounding: float
 
 
-NOTHING = Check(False, np.inf, -np.inf, 0.0)  # what is no proof at all
+NO_PROOF = DefinitenessCheck(False, np.inf, -np.inf, 0.0)  # what is no proof at all
 
 
-def check(inequality: Inequality, P: Floats) -> Check:
-    """Return whether P proves the inequality: by eigenvalues and a bound on rounding, without a
-    solver.
+def check_inequality(inequality: Inequality, P: Floats) -> DefinitenessCheck:
+    """Check by eigenvalues and a bound on rounding, without a solver, that P proves the
+    inequality.
 
     P must be symmetric to the last bit. x'Px holds only the symmetric part, and PA + A'P' of
     another P can be negative although A is unstable.
@@ -295,17 +307,20 @@ def check(inequality: Inequality, P: Floats) -> Check:
     """
     n = inequality.A[0].shape[0]
     if P.shape != (n, n) or not np.isfinite(P).all() or not np.array_equal(P, P.T):
-        return NOTHING
-    matrices, magnitudes = inequality.matrices(P), inequality.magnitudes(P)
-    least_of_P, slack_of_P = _definite(P, np.abs(P))
-    of_lmi = [_definite(-M, size) for M, size in zip(matrices, magnitudes, strict=True)]
+        return NO_PROOF
+    matrices, magnitudes = inequality.lmi_matrices(P), inequality.term_magnitudes(P)
+    least_of_P, slack_of_P = _least_eigenvalue_and_rounding(P, np.abs(P))
+    of_lmi = [
+        _least_eigenvalue_and_rounding(-M, size)
+        for M, size in zip(matrices, magnitudes, strict=True)
+    ]
     least = min(value for value, _ in of_lmi)
     rounding = max(slack_of_P, *(slack for _, slack in of_lmi))
     proved = least_of_P > slack_of_P and all(value > slack for value, slack in of_lmi)
-    return Check(proved, -least, least_of_P, rounding)
+    return DefinitenessCheck(proved, -least, least_of_P, rounding)
 
 
-def _definite(M: Floats, size: Floats) -> tuple[float, float]:
+def _least_eigenvalue_and_rounding(M: Floats, size: Floats) -> tuple[float, float]:
     """Return (least eigenvalue of M scaled to a unit diagonal, bound on its rounding).
 
     The first is -inf if a diagonal entry is not positive. size: the sums of magnitudes behind M.

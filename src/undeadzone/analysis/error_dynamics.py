@@ -1,4 +1,4 @@
-"""The error dynamics are one object: what switches, what adapts, and the scaling that solvers use.
+"""Error dynamics: switching, adaptation, and the scaling that solvers use.
 
 Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~),
 0 <= theta <= 1, where the measured side fixes S: +1 at d_r of an output read on the right, -1 at
@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.dissipation import Inequality, quadratic
+from undeadzone.analysis.dissipation import Inequality, build_quadratic_form
 from undeadzone.errors import InputError
-from undeadzone.linalg.matrices import Matrices, balancing, delta
+from undeadzone.linalg.matrices import Matrices, balance_states, delta_form
 from undeadzone.util.arrays import Floats, array, matrix, vector
 
 
@@ -38,7 +38,8 @@ class Dynamics(NamedTuple):
 
     @property
     def steps(self) -> list[Floats]:
-        """Return ts S Gamma S' (p x p) for the side patterns that no other one dominates.
+        """Return Ts S Gamma S' (p x p) for the branch patterns that no other pattern
+        dominates.
 
         One zero matrix in continuous time.
         """
@@ -47,12 +48,14 @@ class Dynamics(NamedTuple):
             return [np.zeros((p, p))]
         if not (self.gamma - np.diag(np.diag(self.gamma))).any():
             return [self.Ts * np.diag(np.diag(self.gamma).reshape(p, 2).max(axis=1))]
-        patterns = [pattern(sides) for sides in itertools.product((1, -1), repeat=p)]
+        patterns = [branch_pattern(sides) for sides in itertools.product((1, -1), repeat=p)]
         return [self.Ts * S @ self.gamma @ S.T for S in patterns]
 
     @property
     def groups(self) -> Floats:
-        """Return Z (p x groups): outputs that Gamma couples must share their weight, W = Z w."""
+        """Return Z (p x groups): outputs coupled by Gamma must share their weight, W = Z
+        w.
+        """
         p = self.C.shape[0]
         coupling = np.abs(self.gamma).reshape(p, 2, p, 2).sum(axis=(1, 3))
         linked = (coupling > 0) | np.eye(p, dtype=bool)
@@ -60,7 +63,8 @@ class Dynamics(NamedTuple):
         return np.unique(reach, axis=0).T.astype(float)
 
     def inequality(self, W: Floats) -> Inequality:
-        """Return V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and in P.
+        """Return V' < 0 for V = x~'P x~ + d~'(W Gamma^-1) d~, in (x~, e): affine in W and
+        in P.
 
         Args:
             W: weights of the outputs (p).
@@ -86,7 +90,7 @@ class Dynamics(NamedTuple):
                 (1, 1, -2 * np.diag(W)),
                 (1, 1, (W[:, None] * step + W * step) / 2),
             ]
-            supply, size = quadratic([n, p, E.shape[1]], own + terms)
+            supply, size = build_quadratic_form([n, p, E.shape[1]], own + terms)
             supplies.append(supply)
             sizes.append(size)
         return Inequality(
@@ -95,7 +99,7 @@ class Dynamics(NamedTuple):
 
 
 class Storage(NamedTuple):
-    """V = x~'P x~ + d~'R d~ with R = W Gamma^-1.
+    """Storage function V = x~'P x~ + d~'R d~ with R = W Gamma^-1.
 
     Attributes:
         P: weight of the state errors (n x n).
@@ -109,7 +113,7 @@ class Storage(NamedTuple):
 
     @property
     def R(self) -> Floats:
-        """Return the weight (2p x 2p) of the width errors; 0 where a width is not adapted."""
+        """Return the weight (2p x 2p) of the width errors; 0 if a width is not adapted."""
         rows = np.diag(self.gamma) > 0
         adapted = np.ix_(rows, rows)
         R = np.zeros_like(self.gamma)
@@ -118,14 +122,14 @@ class Storage(NamedTuple):
 
     @property
     def visible_errors(self) -> tuple[np.ndarray, Floats]:
-        """Return (which of [x~; d~] V sees, M with V = e'M e on these)."""
+        """Return (mask of the entries e of [x~; d~] that enter V, M with V = e'M e)."""
         R, n = self.R, len(self.P)
         widths = np.diag(R) > 0
         M = np.zeros((n + widths.sum(), n + widths.sum()))
         M[:n, :n], M[n:, n:] = self.P, R[np.ix_(widths, widths)]
         return np.concatenate([np.ones(n, bool), widths]), M
 
-    def value(self, x_error: Floats, d_error: Floats) -> Floats:
+    def evaluate_storage(self, x_error: Floats, d_error: Floats) -> Floats:
         """Return V (N) along errors.
 
         Args:
@@ -137,12 +141,12 @@ class Storage(NamedTuple):
 
 
 def identity_storage(errors: Dynamics) -> Storage:
-    """Return V = |x~|^2 + d~'Gamma^-1 d~, where nothing better was found."""
+    """Return V = |x~|^2 + d~'Gamma^-1 d~, used if no better V was found."""
     n, p = errors.L.shape
     return Storage(np.eye(n), np.ones(p), errors.gamma)
 
 
-def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
+def build_error_dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dynamics:
     """Return the error dynamics of a model with n states and p outputs.
 
     Args:
@@ -156,19 +160,21 @@ def dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None) -> Dy
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     L = matrix("L", L, n, p, "states x outputs")
-    return Dynamics((delta(linear, Ts).A,), linear.C, L, adaptation(gamma, p), Ts)
+    return Dynamics((delta_form(linear, Ts).A,), linear.C, L, adaptation_matrix(gamma, p), Ts)
 
 
-def growth(A: Floats, Ts: float | None) -> float:
-    """Return the largest growth rate [1/s] of x' = A x, or of x+ = x + Ts A x as (|z| - 1) / Ts."""
+def largest_growth_rate(A: Floats, Ts: float | None) -> float:
+    """Return the largest growth rate [1/s] of x' = A x, or of x+ = x + Ts A x as (|z| - 1) /
+    Ts.
+    """
     poles = np.linalg.eigvals(A)
     if Ts is None:
         return float(poles.real.max())
     return float((np.abs(1 + Ts * poles).max() - 1) / Ts)
 
 
-def adaptation(gamma: Floats, p: int) -> Floats:
-    """Return gamma (2p x 2p), [right, left] per output, from one of the ways to write it.
+def adaptation_matrix(gamma: Floats, p: int) -> Floats:
+    """Return Gamma (2p x 2p), [right, left] per output, from any of its accepted forms.
 
     Args:
         gamma: one number, one per output (p), one per edge (p x 2), or Gamma itself [1/s].
@@ -194,8 +200,8 @@ def adaptation(gamma: Floats, p: int) -> Floats:
     return np.diag(per_edge)
 
 
-def pattern(sides: tuple[int, ...]) -> Floats:
-    """Return S (p x 2p) of the sides read: C x~ - S d~ is the innovation on them.
+def branch_pattern(sides: tuple[int, ...]) -> Floats:
+    """Return S (p x 2p) of the active branches: C x~ - S d~ is the innovation there.
 
     Args:
         sides: +1 (right), 0 (silent) or -1 (left) of each output.
@@ -208,7 +214,7 @@ def pattern(sides: tuple[int, ...]) -> Floats:
 
 
 class Scaling(NamedTuple):
-    """Units that are powers of two, so that nothing is rounded.
+    """Units that are powers of two, so that scaling rounds nothing.
 
     Attributes:
         state: x = state x_scaled (n).
@@ -220,8 +226,8 @@ class Scaling(NamedTuple):
     output: Floats
     time: float
 
-    def dynamics(self, errors: Dynamics) -> Dynamics:
-        """Return the same error dynamics in scaled quantities."""
+    def scale_dynamics(self, errors: Dynamics) -> Dynamics:
+        """Return the error dynamics in scaled quantities."""
         x, y, t = self
         return Dynamics(
             tuple(t * A * x / x[:, None] for A in errors.A),
@@ -231,17 +237,19 @@ class Scaling(NamedTuple):
             None if errors.Ts is None else errors.Ts / t,
         )
 
-    def storage(self, P: Floats) -> Floats:
-        """Return P in original quantities."""
+    def unscale_storage(self, P: Floats) -> Floats:
+        """Return P in original quantities (n x n)."""
         return np.asarray(self.time * P / np.outer(self.state, self.state))
 
-    def weights(self, W: Floats) -> Floats:
-        """Return W in original quantities."""
+    def unscale_weights(self, W: Floats) -> Floats:
+        """Return W in original quantities (p)."""
         return W / self.output**2
 
 
-def _speed(A: Floats, errors: Dynamics) -> float:
-    """How fast the errors move [1/s]: the fastest pole of A, or a size where all poles are 0."""
+def _fastest_error_rate(A: Floats, errors: Dynamics) -> float:
+    """Return the rate of the errors [1/s]: the fastest pole of A, or a size if all poles are
+    0.
+    """
     sizes = (
         np.abs(np.linalg.eigvals(A)).max(),
         np.linalg.norm(A),
@@ -251,16 +259,15 @@ def _speed(A: Floats, errors: Dynamics) -> float:
     return next(float(size) for size in sizes if size > 1e-100)
 
 
-def balance(errors: Dynamics) -> Scaling:
-    """Return the scaling that balances rows and columns of x~ and e, which drive each other by L
-    and C.
+def balance_dynamics(errors: Dynamics) -> Scaling:
+    """Return the scaling that balances rows and columns of x~ and e, coupled by L and C.
 
     Outputs that share a weight keep a common unit.
     """
     A = np.mean(errors.A, axis=0)
     n, p = A.shape[0], errors.C.shape[0]
-    time = 2.0 ** -np.round(np.log2(_speed(A, errors)))
+    time = 2.0 ** -np.round(np.log2(_fastest_error_rate(A, errors)))
     joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
-    scale = balancing(joined)
+    scale = balance_states(joined)
     leaders = np.argmax(errors.groups, axis=0)  # one output of each group
     return Scaling(scale[:n], errors.groups @ scale[n:][leaders], float(time))

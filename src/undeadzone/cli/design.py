@@ -152,7 +152,7 @@ def _words(design: uz.Design, judged: uz.Check) -> list[Block]:
     """Return a design in words, and what `check` says of it."""
     import msgspec
 
-    from undeadzone.analysis.certificate.design_file import in_words as design_in_words
+    from undeadzone.analysis.certificate.design_file import describe_design as design_in_words
 
     first, *others = judged.blocks()
     assert isinstance(first, dict)

@@ -1,4 +1,4 @@
-"""The compensators of an actuator's dead zone: one file each.
+"""Compensators of an actuator's dead zone, a file for each.
 
 The names stand in `__init__.pyi`; compensators that other packages register are found here too.
 """

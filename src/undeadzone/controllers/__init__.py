@@ -1,4 +1,4 @@
-"""The controllers that the tool recommends: one file each (docs/which.md).
+"""Controllers that the tool recommends, a file for each (docs/which.md).
 
 The names stand in `__init__.pyi`; controllers that other packages register are found here too.
 """

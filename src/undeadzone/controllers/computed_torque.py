@@ -1,4 +1,4 @@
-"""Computed torque makes a rigid arm as many double integrators as it has joints.
+"""Computed torque: a rigid arm becomes as many double integrators as joints.
 
 Behind gears motors lead their links, and cross the gaps in time. A link follows its path where its
 motor stands on the flank that carries the load, theta = q_ref - c + a sign(tau_ref) with tau_ref =
@@ -61,7 +61,10 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
     crossing: float = 30.0
 
     def build(self, model: System) -> Controller:
-        """Return the controller for the model of a rigid arm, continuous or sampled."""
+        """Return the controller for the model of a rigid arm, continuous or sampled.
+
+        Raises InputError.
+        """
         arm = model.arm
         if arm is None or arm.size != model.m:
             raise InputError(
@@ -69,34 +72,36 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
                 "motor; use 'state_feedback' or 'lqr'"
             )
         N = arm.size
-        k_p, k_d = self._gains(N)
+        k_p, k_d = self._joint_gains(N)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
         if model.gears is not None:
-            return build_geared_torque(model, k_p, k_d, self.crossing, self.reject)
+            return build_gear_controller(model, k_p, k_d, self.crossing, self.reject)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            """Return the state unchanged, and the torques of the joints (N) [N m]."""
             q, v = estimate.x[:N], estimate.x[N:]
-            drift, push = self._unmodelled_rates(estimate, N)
+            drift, push = self._model_residual(estimate, N)
             speed_error = target.x_ref[N:] - v - drift
             error = target.x_ref[:N] - q
             wanted = target.plan + p.k_d * speed_error + p.k_p * error
             return s, torque(arm, p.model, q, v, wanted - push)
 
-        plan = Plan(N, model.params, lambda params, target: accelerations(arm, params, target))
+        plan = Plan(N, model.params, lambda params, target: path_accelerations(arm, params, target))
         return Controller(Params(model.params, k_p, k_d), lambda p: None, step, plan)
 
-    def _unmodelled_rates(self, estimate: Estimate, N: int) -> tuple[Any, Any]:
-        """What the model leaves out of q' and q'' (N each), 0 where that is not to be rejected."""
+    def _model_residual(self, estimate: Estimate, N: int) -> tuple[Any, Any]:
+        """Return the estimated w^ in q' and q'' (N each), or 0 if not rejected."""
         if self.reject and estimate.w.shape[0] > 0:
             return estimate.w[:N], estimate.w[N:]
         return 0.0, 0.0
 
-    def _gains(self, N: int) -> tuple[Floats, Floats]:
-        """Return (K_p, K_d) (N each). Raises InputError, ShapeError."""
+    def _joint_gains(self, N: int) -> tuple[Floats, Floats]:
+        """Return (K_p, K_d) (N each) [1/s^2, 1/s]. Raises InputError, ShapeError."""
         chosen = [name for name in ("bandwidth", "k_p", "k_d") if getattr(self, name) is not None]
 
         def per_joint(name: str) -> Floats:
+            """Return a positive option per joint (N)."""
             return positive(f"controller.{name}", getattr(self, name), N, "one per joint")
 
         if chosen == ["bandwidth"]:
@@ -111,7 +116,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
 
 
 class Params(NamedTuple):
-    """The arm's parameters, K_p and K_d (N); behind gears the numbers of the way across."""
+    """Parameters of the arm, K_p and K_d (N). Behind gears also those of the gap crossing."""
 
     model: Any
     k_p: Floats
@@ -119,8 +124,8 @@ class Params(NamedTuple):
     crossing: Any = None
 
 
-def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
-    """Return the joints' acceleration on the path (instants x N).
+def path_accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
+    """Return the joints' acceleration on the path (instants x N) [rad/s^2].
 
     It is what u_ff does at x_ref, so that on the path u = u_ff.
 
@@ -137,7 +142,7 @@ def accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
 
 
 def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:
-    """Raise StepError where the double integrators are not stable (Jury's conditions).
+    """Raise StepError if the double integrators are unstable (Jury's conditions).
 
     Their input is held over Ts.
     """
@@ -156,7 +161,7 @@ def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:
 
 
 class State(NamedTuple):
-    """What is known of the ways across.
+    """State of the gap crossing.
 
     Attributes:
         moved: by how much motors are ahead of their links' path, and how fast that changes (2 N).
@@ -167,7 +172,7 @@ class State(NamedTuple):
     towards: Any
 
 
-def build_geared_torque(
+def build_gear_controller(
     model: System, k_p: Floats, k_d: Floats, crossing: float, reject: bool
 ) -> Controller:
     """Return the controller for the sampled model of an arm with gears.
@@ -189,16 +194,18 @@ def build_geared_torque(
     ahead = round(LEAD / crossing / Ts)
 
     def init(p: Params) -> State:
+        """Return the state at t = 0."""
         return State(np.zeros(2 * N), np.zeros(N))
 
     def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+        """Return the next state, and the torques of the motors (N) [N m]."""
         a, *later, swung = ca.vertsplit(target.plan, N)
         q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
         motor, link, spin, speed = ca.vertsplit(estimate.x, N)
         astray = q - link + (LEAD / crossing + 2 * p.k_d / p.k_p) * (v - speed)
         half = gears.number(p.model, "half")
         back = swung + p.k_p / 4 * deadzone(astray, FLOATS * half, FLOATS * half)
-        towards = carrying(gears, p.model, (*later, back), s.towards)
+        towards = carrying_flank(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
         push, following = step_filters(p.crossing, moved, (towards * half).T)
         place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
@@ -210,8 +217,9 @@ def build_geared_torque(
         return State(ca.reshape(following.T, 2 * N, 1), towards), links + motors
 
     def along(params: Any, target: Target) -> Floats:
+        """Return accelerations now, and the links' path ahead (instants x 4N)."""
         path = np.hstack([target.x_ref[:, N : 2 * N], target.x_ref[:, 3 * N :]])
-        a = accelerations_of_gears(gears, params, target)
+        a = link_accelerations(gears, params, target)
         later = np.minimum(np.arange(len(a)) + ahead, len(a) - 1)
         return np.hstack([a, path[later], a[later]])
 
@@ -219,9 +227,10 @@ def build_geared_torque(
     return Controller(Params(model.params, k_p, k_d, numbers), init, step, plan)
 
 
-def carrying(gears: Geared, params: Any, path: Any, before: Any) -> Any:
-    """Return the flank that carries each link on its path (N): +1 right, -1 left, the last one at
-    rest.
+def carrying_flank(gears: Geared, params: Any, path: Any, before: Any) -> Any:
+    """Return the flank that carries each link on its path (N): +1 right, -1 left.
+
+    At rest the last flank stays.
 
     Args:
         gears: the arm.
@@ -233,8 +242,10 @@ def carrying(gears: Geared, params: Any, path: Any, before: Any) -> Any:
     return choose_flank(ca.sign(load) * (ca.fabs(load) > ROUNDING), before)
 
 
-def accelerations_of_gears(gears: Geared, params: Floats, target: Target) -> Floats:
-    """Return the links' acceleration on the path (instants x N), their motors turning with them.
+def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
+    """Return the links' acceleration on the path (instants x N) [rad/s^2].
+
+    The motors turn along.
 
     Args:
         gears: the arm.
@@ -244,6 +255,7 @@ def accelerations_of_gears(gears: Geared, params: Floats, target: Target) -> Flo
     N, p = gears.size, ca.SX(params)
 
     def turned_together(x: Any, u: Any) -> Any:
+        """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""
         q, v = x[N : 2 * N], x[3 * N :]
         held = torque(gears.arm, gears.links(p), q, v, ca.SX(N, 1)) + gears.friction(p, v)
         M = gears.arm.mass(gears.links(p), q) + ca.diag(gears.number(p, "inertia"))

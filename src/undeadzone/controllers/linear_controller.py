@@ -1,4 +1,4 @@
-"""A linear controller of one's own on the estimated output: state space or transfer function."""
+"""User-defined linear controller on the estimated output: state space or transfer function."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
 
-HELD = 1e-9  # relative difference of two sample times that are the same
+SAME_STEP = 1e-9  # relative difference of two sample times that are the same
 
 
 class LinearController(Options, frozen=True, tag="linear"):
-    """x_c' = A x_c + B e, u = C x_c + D e with e = r - z^, designed with any other tool.
+    """Linear controller x_c' = A x_c + B e, u = C x_c + D e with e = r - z^.
+
+    Any tool may design it.
 
     z^ is the observer's estimate of the hidden output. Give A, B, C, D, or numerator and
     denominator (one output and one input), or in Python the object itself:
@@ -47,30 +49,35 @@ class LinearController(Options, frozen=True, tag="linear"):
     feedforward: bool = False
 
     def __post_init__(self) -> None:
-        """Take the numbers out of a system of another package. Raises InputError."""
+        """Convert a system of a third-party package to matrices. Raises InputError."""
         if hasattr(self.A, "to_ss") or hasattr(self.A, "dt"):
-            _unpack(self, self.A)
+            _unpack_system(self, self.A)
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs.
+
+        Raises InputError, ShapeError.
+        """
         require_square("linear", model)
-        numbers = self._numbers(model)
-        params = self._in_time_of(model, numbers)
+        numbers = self._read_matrices(model)
+        params = self._to_model_time(model, numbers)
 
         def init(p: Params) -> State:
+            """Return the state at t = 0: zeros."""
             return State(np.zeros(params.A.shape[0]))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            """Return the state's derivative, or its next value if sampled, and u (m)."""
             e = target.r - select_tracked_output("linear", estimate, target)
             u = p.C @ s.x + p.D @ e
             if self.feedforward:
                 u = u + target.u_ff
             return State(p.A @ s.x + p.B @ e), u
 
-        return Controller(params, init, step, rate=_fastest(numbers.A, self.Ts))
+        return Controller(params, init, step, rate=_largest_pole(numbers.A, self.Ts))
 
-    def _numbers(self, model: System) -> Params:
-        """Return a, B, C, D as they stand. Raises InputError, ShapeError."""
+    def _read_matrices(self, model: System) -> Params:
+        """Return A, B, C, D as given. Raises InputError, ShapeError."""
         by_matrices = [name for name in "ABCD" if getattr(self, name) is not None]
         by_function = self.numerator is not None or self.denominator is not None
         if by_function and by_matrices:
@@ -79,7 +86,7 @@ class LinearController(Options, frozen=True, tag="linear"):
                 f"found {', '.join(by_matrices)} and a transfer function"
             )
         if by_function:
-            return self._realise()
+            return self._realise_transfer_function()
         m, p = model.m, model.p
         D: Floats = np.zeros((m, p))
         if self.D is not None:
@@ -90,7 +97,7 @@ class LinearController(Options, frozen=True, tag="linear"):
                     "controller: 'linear' needs A, B, C and D, or numerator and denominator, or D "
                     "alone"
                 )
-            return _static(D)
+            return _static_gain(D)
         absent = [name for name in "ABC" if getattr(self, name) is None]
         if absent:
             raise InputError(f"controller.{absent[0]}: 'linear' needs A, B and C together")
@@ -101,7 +108,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         C = matrix("controller.C", self.C, m, k, "inputs x controller's states")
         return Params(A, B, C, D)
 
-    def _realise(self) -> Params:
+    def _realise_transfer_function(self) -> Params:
         """Return a realisation of the transfer function. Raises InputError."""
         from scipy.signal import tf2ss
 
@@ -121,25 +128,25 @@ class LinearController(Options, frozen=True, tag="linear"):
         if numerator.size == 0:
             numerator = np.zeros(1)
         if denominator.size == 1:
-            return _static(np.array([[numerator[0] / denominator[0]]]))
+            return _static_gain(np.array([[numerator[0] / denominator[0]]]))
         return Params(*(np.asarray(part, float) for part in tf2ss(numerator, denominator)))
 
-    def _in_time_of(self, model: System, numbers: Params) -> Params:
-        """Return the numbers in the time of the model. Raises InputError, ShapeError."""
+    def _to_model_time(self, model: System, numbers: Params) -> Params:
+        """Return the matrices in the time of the model. Raises InputError, ShapeError."""
         if numbers.D.shape != (model.m, model.p):
             raise InputError(
                 "controller.numerator: a transfer function is for a plant of one input and one "
                 f"output, the plant has {model.m} and {model.p}; use A, B, C, D"
             )
         if self.Ts is None:
-            return numbers if model.Ts is None else _tustin(numbers, model.Ts)
+            return numbers if model.Ts is None else _discretise_tustin(numbers, model.Ts)
         Ts = scalar("controller.Ts", self.Ts, above=0.0)
         if model.Ts is None:
             raise InputError(
                 "controller.Ts: a controller in discrete time needs simulation.time = "
                 f'"sampled" and simulation.step = {Ts:g}'
             )
-        if abs(Ts - model.Ts) > HELD * model.Ts:
+        if abs(Ts - model.Ts) > SAME_STEP * model.Ts:
             raise InputError(
                 f"controller.Ts: must be simulation.step, {model.Ts:g} s, found {Ts:g} s"
             )
@@ -147,7 +154,7 @@ class LinearController(Options, frozen=True, tag="linear"):
 
 
 class Params(NamedTuple):
-    """Numbers of the controller.
+    """Parameters of the controller.
 
     Attributes:
         A: (k x k) [1/s], per step when sampled.
@@ -163,19 +170,19 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The controller's state (k)."""
+    """State of the controller (k)."""
 
     x: Any
 
 
-def _static(D: Floats) -> Params:
-    """Return a gain alone (m x p)."""
+def _static_gain(D: Floats) -> Params:
+    """Return the matrices of a gain without states (m x p)."""
     m, p = D.shape
     return Params(np.zeros((0, 0)), np.zeros((0, p)), np.zeros((m, 0)), D)
 
 
-def _unpack(options: LinearController, system: Any) -> None:
-    """Put a system's numbers in the place of the system. Raises InputError."""
+def _unpack_system(options: LinearController, system: Any) -> None:
+    """Replace a system in the options by its matrices. Raises InputError."""
     space = in_state_space(system, "controller", "LinearController")
     for name in "ABCD":
         numbers = np.atleast_2d(np.asarray(getattr(space, name), float))
@@ -187,8 +194,10 @@ def _unpack(options: LinearController, system: Any) -> None:
         msgspec.structs.force_setattr(options, "Ts", float(dt))
 
 
-def _tustin(numbers: Params, Ts: float) -> Params:
-    """Return a continuous controller by the bilinear rule s = 2/Ts (z - 1)/(z + 1).
+def _discretise_tustin(numbers: Params, Ts: float) -> Params:
+    """Return a continuous controller discretised by s = 2/Ts (z - 1)/(z + 1).
+
+    This is the bilinear rule.
 
     Raises InputError where it has a pole at 2/Ts.
     """
@@ -205,8 +214,8 @@ def _tustin(numbers: Params, Ts: float) -> Params:
     return Params(forward, driven, seen, D + seen @ (Ts / 2 * B))
 
 
-def _fastest(A: Floats, Ts: float | None) -> float | None:
-    """Return the largest |pole| of a continuous controller [1/s]; None without one."""
+def _largest_pole(A: Floats, Ts: float | None) -> float | None:
+    """Return the largest abs(pole) of a continuous controller [1/s], or None without poles."""
     if Ts is not None or A.size == 0:
         return None
     return float(np.abs(np.linalg.eigvals(A)).max()) or None

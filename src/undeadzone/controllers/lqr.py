@@ -1,4 +1,4 @@
-"""Linear-quadratic regulation about a trajectory takes gains from the Riccati equation along it."""
+"""Linear-quadratic regulation about a trajectory, with gains of a Riccati equation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.riccati import riccati, riccati_along, weight
+from undeadzone.linalg.riccati import require_weight, riccati_along, solve_riccati
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats
 
 
 class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
-    """u = u_ff - K(t) (x^ - x_ref), K(t) the linear-quadratic gain; sampled time only.
+    """Feedback u = u_ff - K(t) (x^ - x_ref), K(t) the linear-quadratic gain.
+
+    Sampled time only.
 
     The sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff. e follows the
     linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore
@@ -36,7 +38,7 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
     stride: int = 1
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a sampled model."""
+        """Return the controller for a sampled model. Raises InputError."""
         if model.Ts is None:
             raise InputError(
                 "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" "
@@ -47,30 +49,32 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
                 f"controller.stride: expected a number of samples, at least 1, found {self.stride}"
             )
         n, m = model.n, model.m
-        Q = weight("controller.Q", self.Q, n)
-        R = weight("controller.R", self.R, m, "inputs x inputs")
+        Q = require_weight("controller.Q", self.Q, n)
+        R = require_weight("controller.R", self.R, m, "inputs x inputs")
 
         def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            """Return the state unchanged, and u (m) by the planned gain."""
             K = ca.reshape(target.plan, m, n)
             return s, target.u_ff - K @ (estimate.x - target.x_ref)
 
         def along(params: Params, target: Target) -> Floats:
-            return gains(model, params, target).reshape(-1, m * n, order="F")
+            """Return the gains along the reference (instants x m n)."""
+            return trajectory_gains(model, params, target).reshape(-1, m * n, order="F")
 
         plan = Plan(m * n, Params(Q, R, self.stride), along)
         return Controller((), lambda p: None, step, plan)
 
 
 class Params(NamedTuple):
-    """Of the plan: Q (n x n), R (m x m), stride."""
+    """Parameters of the plan: Q (n x n), R (m x m), stride."""
 
     Q: Floats
     R: Floats
     stride: int
 
 
-def gains(model: System, params: Params, target: Target) -> Floats:
-    """Return K (instants x m x n) along a trajectory, whose end is taken for a steady state.
+def trajectory_gains(model: System, params: Params, target: Target) -> Floats:
+    """Return K along a trajectory (instants x m x n). The end counts as a steady state.
 
     Args:
         model: the sampled model.
@@ -82,10 +86,10 @@ def gains(model: System, params: Params, target: Target) -> Floats:
     """
     Q, R, stride = params
     if not model.nonlinear:
-        K = riccati(model.linear, Q, R, model.Ts).K
+        K = solve_riccati(model.linear, Q, R, model.Ts).K
         return np.broadcast_to(K, (len(target.u_ff), model.m, model.n))
     A, B = linearise_trajectory(model, target, stride)
-    last = riccati(Matrices(A[-1], B[-1], model.linear.C), Q, R, model.Ts)
+    last = solve_riccati(Matrices(A[-1], B[-1], model.linear.C), Q, R, model.Ts)
     return riccati_along(A, B, Q, R, last.P)
 
 

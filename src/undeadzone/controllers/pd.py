@@ -1,4 +1,4 @@
-"""The paper's PD law (42) is u = -k_p (y - y^) - k_d (y' - y^') + r(t).
+"""PD law (42) of the paper: u = -k_p (y - y^) - k_d (y' - y^') + r(t).
 
 The reference enters as a force.
 """
@@ -13,14 +13,14 @@ from undeadzone.controllers.parts.tracked_error import require_square
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linalg.riccati import paper_riccati, weight
+from undeadzone.linalg.riccati import paper_riccati, require_weight
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar, vector
 
 
 class PD(Options, frozen=True, kw_only=True, tag="pd"):
-    """(42) as printed, with k_p and k_d, or for a second-order plant alpha B'P of (34).
+    """PD law (42) as printed, with k_p and k_d, or alpha B'P of (34) for a second-order plant.
 
     (34) is taken with A - L C. The law tracks nothing by itself: r is a force here.
 
@@ -39,7 +39,10 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
     filter_time: float = 0.01
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs.
+
+        Raises InputError.
+        """
         require_square("pd", model)
         if model.delay:
             raise InputError(
@@ -47,12 +50,14 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
                 "plant.delay; use state_feedback"
             )
         tau = scalar("controller.filter_time", self.filter_time, above=0.0)
-        k_p, k_d = self._gains(model)
+        k_p, k_d = self._pd_gains(model)
 
         def init(p: Params) -> State:
+            """Return the state at t = 0: a filtered innovation of 0."""
             return State(np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            """Return the filter's derivative, or its next value if sampled, and u (m)."""
             lag = estimate.innovation - s.filtered
             u = -p.k_p * estimate.innovation - p.k_d * lag / p.tau + target.r
             return State(model.keep * s.filtered + p.rate * lag), u
@@ -60,8 +65,11 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         params = Params(k_p, k_d, np.float64(tau), np.float64(model.filtering(tau)))
         return Controller(params, init, step, rate=1.0 / tau)
 
-    def _gains(self, model: System) -> tuple[Floats, Floats]:
-        """Return (k_p, k_d) (p each) as given, or by (34). Raises InputError, StructureError."""
+    def _pd_gains(self, model: System) -> tuple[Floats, Floats]:
+        """Return (k_p, k_d) (p each) as given, or by (34).
+
+        Raises InputError, StructureError.
+        """
         if self.k_p is None or self.k_d is None:
             K = self._riccati_gains(model)
             return K[0], K[1]
@@ -79,11 +87,11 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
             )
         L = np.zeros((2, 1)) if self.L is None else vector("controller.L", self.L, 2)[:, None]
         alpha = scalar("controller.alpha", self.alpha, above=0.0)
-        return paper_riccati(A - L @ C, B, alpha, weight("controller.Q", self.Q, 2)).K.T
+        return paper_riccati(A - L @ C, B, alpha, require_weight("controller.Q", self.Q, 2)).K.T
 
 
 class Params(NamedTuple):
-    """Numbers of the controller.
+    """Parameters of the controller.
 
     Attributes:
         k_p, k_d: gains (p).
@@ -98,6 +106,6 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The filtered innovation (p)."""
+    """Filtered innovation (p)."""
 
     filtered: Any

@@ -17,7 +17,9 @@ from undeadzone.util.arrays import Array, Floats, matrix, nonnegative, positive,
 
 
 class PID(Options, frozen=True, kw_only=True, tag="pid"):
-    """u = k_p (b r - z^) + k_i int (r - z^) + k_d d/dt (c r - z^), the derivative filtered.
+    """PID law u = k_p (b r - z^) + k_i int (r - z^) + k_d d/dt (c r - z^).
+
+    The derivative is filtered.
 
     z^ is the observer's estimate of the hidden output, so that the loop acts inside the dead zone
     too. Input i acts on output i. Where `limits` cut u off, the integral follows what is left by
@@ -43,15 +45,20 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
     feedforward: bool = False
 
     def build(self, model: System) -> Controller:
-        """Return the controller for a model with as many inputs as outputs."""
+        """Return the controller for a model with as many inputs as outputs.
+
+        Raises InputError, ShapeError.
+        """
         require_square("pid", model)
-        params = self._params(model)
+        params = self._pid_params(model)
         limited = self.limits is not None
 
         def init(p: Params) -> State:
+            """Return the state at t = 0: zeros."""
             return State(np.zeros(model.p), np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
+            """Return the state's derivative, or its next value if sampled, and u (m)."""
             z = select_tracked_output("pid", estimate, target)
             lag = p.c * target.r - z - s.filtered
             wanted = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
@@ -67,15 +74,15 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         fastest = float(1.0 / params.tau.min()) if params.k_d.any() else None
         return Controller(params, init, step, rate=fastest)
 
-    def _params(self, model: System) -> Params:
-        """Return the controller's numbers. Raises InputError, ShapeError."""
+    def _pid_params(self, model: System) -> Params:
+        """Return the parameters of the controller. Raises InputError, ShapeError."""
         each = "one per output"
         k_p = vector("controller.k_p", self.k_p, model.p, each)
         k_i = vector("controller.k_i", self.k_i, model.p, each)
         k_d = vector("controller.k_d", self.k_d, model.p, each)
         tau = positive("controller.filter_time", self.filter_time, model.p, each)
         b, c = nonnegative("controller.reference_weights", self.reference_weights, 2, "b and c")
-        low, high = self._limits(model.m)
+        low, high = self._input_limits(model.m)
         tracking = self._tracking_time(k_p, k_i, k_d)
         unwind = model.per_step / tracking
         if model.Ts is not None:
@@ -84,8 +91,11 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         weights, rate = (np.float64(b), np.float64(c)), model.filtering(tau)
         return Params(k_p, k_i * model.per_step, k_d, tau, rate, *weights, low, high, unwind)
 
-    def _limits(self, m: int) -> tuple[Floats, Floats]:
-        """Return the least and the largest input (m each). Raises InputError, ShapeError."""
+    def _input_limits(self, m: int) -> tuple[Floats, Floats]:
+        """Return the least and the largest input (m each) [u].
+
+        Raises InputError, ShapeError.
+        """
         if self.limits is None:
             return np.zeros(m), np.zeros(m)
         pairs = np.atleast_2d(self.limits)
@@ -101,7 +111,10 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         return low, high
 
     def _tracking_time(self, k_p: Floats, k_i: Floats, k_d: Floats) -> Floats:
-        """Time constants of the anti-windup (p) [s]; 1 where nothing is integrated."""
+        """Return the time constants of the anti-windup (p) [s].
+
+        The value is 1 for an output without integration.
+        """
         if self.tracking_time is not None:
             return positive("controller.tracking_time", self.tracking_time, k_p.size)
         integral = np.where(k_i == 0, 1.0, np.abs(k_i))
@@ -111,7 +124,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
 
 
 class Params(NamedTuple):
-    """Numbers of the controller.
+    """Parameters of the controller.
 
     Attributes:
         k_p, k_i, k_d: gains (p); k_i per step when sampled.
@@ -135,7 +148,7 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """The filtered c r - z^ (p) and the integral term (p)."""
+    """Filtered c r - z^ (p) and the integral term (p)."""
 
     filtered: Any
     integral: Any

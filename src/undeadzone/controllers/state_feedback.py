@@ -1,4 +1,4 @@
-"""State feedback on the estimate plus feedforward is the working form of (29)."""
+"""State feedback on the estimate plus feedforward: the working form of (29)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.poles import state_gain
-from undeadzone.linalg.riccati import fast_feedback, feedback, lyapunov, weight
+from undeadzone.linalg.riccati import (
+    fast_feedback,
+    lyapunov_of_loop,
+    paper_feedback,
+    require_weight,
+)
 from undeadzone.plants.system import System, mean_pole, pace, state_units
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
@@ -22,7 +27,9 @@ SPEED = 5.0  # of the closed loop, in mean poles of the plant, where nothing is 
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The robust term of the paper's references [16], [17]: -gain * tanh(B'P (x^ - x_ref) / width).
+    """Robust term of references [16], [17] of the paper.
+
+    Its value is -gain * tanh(B'P (x^ - x_ref) / width).
 
     It acts against matched disturbances up to gain.
 
@@ -36,7 +43,9 @@ class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
-    """u = u_ff - K (x^ - x_ref) with at most one of: K; poles; alpha and Q of (34); speed.
+    """Feedback u = u_ff - K (x^ - x_ref) with at most one of:
+
+    K; poles; alpha and Q of (34); speed.
 
     With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of
     A - L C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and
@@ -65,11 +74,12 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 
     def build(self, model: System) -> Controller:
         """Return the controller for a model, continuous or sampled."""
-        Q = self._weight(model)
-        K = self._gain(model, Q)
-        params = self._params(model, K, Q)
+        Q = self._read_weight(model)
+        K = self._choose_gain(model, Q)
+        params = self._state_feedback_params(model, K, Q)
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            """Return the state unchanged, and u (m)."""
             u = (target.u_ff + p.K @ target.x_ref) - p.K @ estimate.x
             if self.reject and estimate.w.shape[0]:
                 u = u + p.counter @ estimate.w
@@ -80,8 +90,10 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 
         return Controller(params, lambda p: None, step, K=K)
 
-    def _weight(self, model: System) -> Floats:
-        """Return Q (n x n), once it is sure that one choice is made.
+    def _read_weight(self, model: System) -> Floats:
+        """Return Q (n x n) after checking that at most one design option is set.
+
+        Raises InputError, ShapeError.
 
         Raises InputError, ShapeError.
         """
@@ -91,10 +103,10 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
                 "controller: state_feedback takes exactly one of K, poles, alpha, speed; "
                 f"found {' and '.join(chosen)}"
             )
-        return weight("controller.Q", self.Q, model.n)
+        return require_weight("controller.Q", self.Q, model.n)
 
-    def _gain(self, model: System, Q: Floats) -> Floats:
-        """Return K (m x n) of the one choice that is made.
+    def _choose_gain(self, model: System, Q: Floats) -> Floats:
+        """Return K (m x n) of the chosen design option, or of the default speed.
 
         Raises:
             InputError, ShapeError: for numbers that cannot be.
@@ -111,22 +123,22 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
             speed = scalar("controller.speed", speed, above=0.0)
             return fast_feedback(model.linear, speed, model.Ts)
         alpha = scalar("controller.alpha", self.alpha, above=0.0)
-        return feedback(model.linear, alpha, Q, model.Ts)
+        return paper_feedback(model.linear, alpha, Q, model.Ts)
 
-    def _params(self, model: System, K: Floats, Q: Floats) -> Params:
-        """Return the controller's numbers. Raises InputError, StructureError."""
-        counter = np.hstack([K, np.eye(model.m)]) @ rest(model)
+    def _state_feedback_params(self, model: System, K: Floats, Q: Floats) -> Params:
+        """Return the parameters of the controller. Raises InputError, StructureError."""
+        counter = np.hstack([K, np.eye(model.m)]) @ rest_response(model)
         if self.robust is None:
             none = np.zeros((model.m, model.n))
             return Params(K, none, np.float64(0.0), np.float64(1.0), counter)
-        P = lyapunov(model.linear, K, Q, model.Ts)
+        P = lyapunov_of_loop(model.linear, K, Q, model.Ts)
         rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
         width = scalar("controller.robust.width", self.robust.width, above=0.0)
         return Params(K, model.linear.B.T @ P, np.float64(rho), np.float64(width), counter)
 
 
-def rest(model: System) -> Floats:
-    """Return [x; u] per unit of a constant w ((n + m) x n), at rest.
+def rest_response(model: System) -> Floats:
+    """Return [x; u] at rest per unit of a constant w ((n + m) x n).
 
     There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
     in which neither the unit of time nor that of u matters.
@@ -143,7 +155,7 @@ def rest(model: System) -> Floats:
 
 
 class Params(NamedTuple):
-    """Numbers of the controller.
+    """Parameters of the controller.
 
     Attributes:
         K: gains (m x n).

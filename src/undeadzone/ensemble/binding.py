@@ -10,7 +10,7 @@ from undeadzone.compile import normal
 from undeadzone.compile.lanes import Source, Supply
 from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
 from undeadzone.errors import InputError
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.linalg.hold import zoh_of_each
 from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -112,7 +112,7 @@ class Binding(NamedTuple):
         Raises:
             InputError
         """
-        u = sampling.points(self.sampling, self.seed, first, count, len(self.columns), runs)
+        u = sampling.design_points(self.sampling, self.seed, first, count, len(self.columns), runs)
         if not self.columns:
             return u
         values = [column.spread.quantile(u[:, i].copy()) for i, column in enumerate(self.columns)]
@@ -216,7 +216,7 @@ def initial_copies(problem: Problem, loop: Loop) -> list[tuple[int, int]]:
     """Which numbers of the initial state are copies of params: pairs of entries (state, params)."""
     column, p = tree.symbols(loop.params, "p")
     initial = loop.state._replace(
-        observer=graph_of(problem.observer).init(p.observer),
+        observer=require_graph(problem.observer).init(p.observer),
         controller=problem.controller.init(p.controller),
     )
     state = tree.stack(initial)
@@ -235,7 +235,7 @@ class RandomDisturbance(NamedTuple):
     """
 
     rms: Floats
-    colour: noise.Colour
+    colour: noise.FirstOrderNoise
     weights: tuple[tuple[float, float], ...]
 
 
@@ -296,7 +296,7 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
         for channel in range(problem.plant.p):
             slot = slots[f"scale.{name}[{channel}]"]
             if binding.params[slot] != 0 or slot in binding.indices:
-                words[f"{name}[{channel}]"] = noise.word(stream, channel)
+                words[f"{name}[{channel}]"] = noise.counter_word(stream, channel)
     return words
 
 
@@ -309,7 +309,7 @@ def _sensor_streams(problem: Problem) -> dict[str, int]:
     words = {}
     for name, first, (stream, has) in (("right", 0, wear), ("left", p, wear), ("lost", 0, loss)):
         for channel in np.flatnonzero(has).tolist():
-            words[f"{name}[{channel}]"] = noise.word(stream, first + channel)
+            words[f"{name}[{channel}]"] = noise.counter_word(stream, first + channel)
     return words
 
 
@@ -319,7 +319,7 @@ def _random_disturbance(problem: Problem) -> RandomDisturbance | None:
     if random is None:
         return None
     rms, correlation_time = random
-    colour = noise.colour(correlation_time, problem.scenario.simulation.step)
+    colour = noise.first_order_coefficients(correlation_time, problem.scenario.simulation.step)
     return RandomDisturbance(rms, colour, _weights(problem))
 
 
@@ -348,7 +348,7 @@ def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Inte
     order.
     """
     m = disturbance.rms.size
-    words = [noise.word(noise.DISTURBANCE, i) for i in range(m)]
+    words = [noise.counter_word(noise.DISTURBANCE, i) for i in range(m)]
     state = np.empty((m, runs.size))  # of the colouring filter
     last = np.empty((m, runs.size))  # the last knot of the steps before
 

@@ -207,7 +207,7 @@ class Ensemble:
             blocks = values.reshape(len(self.varied) + 2, -1)[:, :JUDGED]
             by_entry = [
                 one._replace(first_order=index.first, floor=None, total_order=index.total)
-                for one, index in zip(by_entry, sensitivity.saltelli(blocks), strict=False)
+                for one, index in zip(by_entry, sensitivity.saltelli_indices(blocks), strict=False)
             ]
         pairs = zip(self.varied, by_entry, strict=False)
         return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))

@@ -232,7 +232,7 @@ def compute_bands(batch: Batch, runs: int) -> Bands:
     true = [np.broadcast_to(true_width(edge, nominal, varied, geared), runs) for edge in edges]
     widths = np.stack(true, axis=1)
     scale = params[:, tree.slices(batch.loop.params).scale.reference, None]
-    r = scale * batch.problem.reference.value(t)
+    r = scale * batch.problem.reference.output_at(t)
     return bands(t, z, r, d_hat, widths, batch.problem.tracked)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import InputError
-from undeadzone.observers.filtering.actuator import build_behind_actuator
+from undeadzone.observers.filtering.actuator import build_with_actuator
 from undeadzone.plants.robots.arm import signless
 from undeadzone.plants.system import pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
@@ -124,7 +124,7 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
     read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
-    observer = build_behind_actuator(
+    observer = build_with_actuator(
         scenario.observer, model, resolve_sensor(told, *read), problem.belief
     )
     changed = problem._replace(sensor=resolve_sensor(sensor, *read), observer=observer)

@@ -14,7 +14,7 @@ from undeadzone.errors import InputError, TrackingError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.plants.robots.arm import Arm, Chain
 from undeadzone.plants.system import System
-from undeadzone.signals.exosystem import Exosystem, exosystem, piecewise
+from undeadzone.signals.exosystem import Exosystem, build_exosystem, piecewise_exosystem
 from undeadzone.signals.paths import Quintic, Swing
 from undeadzone.util.arrays import Floats, list_numbers, matrix, series
 
@@ -70,7 +70,7 @@ def joint_path(
             )
         return _refine_path(equations, task, at, nearby(at))
 
-    path = piecewise(derivatives, arm.size)._replace(corners=task.corners)
+    path = piecewise_exosystem(derivatives, arm.size)._replace(corners=task.corners)
     period = task.period if _closes(path, task.period, t[-1]) else None
     return path._replace(period=period)
 
@@ -85,9 +85,9 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     Raises:
         InputError: or a subclass, for points and times that cannot be.
     """
-    key, begin = "reference.swing", path.value(np.zeros(1))
+    key, begin = "reference.swing", path.output_at(np.zeros(1))
     joints = begin.shape[1]
-    if path.value(np.zeros(1), 1).any():
+    if path.output_at(np.zeros(1), 1).any():
         raise InputError(f"{key}: the path that follows must begin at rest; set reference.ramp")
     points = matrix(f"{key}.points", swing.points, None, joints, "a row per point")
     times = series(f"{key}.times", swing.times)
@@ -95,17 +95,17 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
         points=np.vstack([begin, points, begin]),
         times=np.concatenate([[0.0], times, [swing.until]]),
     )
-    first = exosystem(key, through, joints)
+    first = build_exosystem(key, through, joints)
 
     def derivatives(t: Floats) -> Floats:
         later = np.maximum(t - swing.until, 0.0)
         orders = range(3)
-        swung = np.stack([first.value(t, order) for order in orders], axis=1)
-        following = np.stack([path.value(later, order) for order in orders], axis=1)
+        swung = np.stack([first.output_at(t, order) for order in orders], axis=1)
+        following = np.stack([path.output_at(later, order) for order in orders], axis=1)
         return np.where((t < swing.until)[:, None, None], swung, following)
 
     corners = np.concatenate([first.corners, path.corners + swing.until])
-    return piecewise(derivatives, joints)._replace(corners=np.unique(corners))
+    return piecewise_exosystem(derivatives, joints)._replace(corners=np.unique(corners))
 
 
 def _interpolate_nodes(
@@ -115,7 +115,7 @@ def _interpolate_nodes(
 
     Raises TrackingError where the tip cannot get, and where the arm is singular or its joints jump.
     """
-    goals = equations.goals(task.value(t))
+    goals = equations.goals(task.output_at(t))
     q = follow_path(equations, goals, start)
     places, J = evaluate_at_inputs(equations.place, q)
     missed = ~(np.abs(places[:, :, 0] - goals).max(axis=1) < REACHED)
@@ -124,7 +124,7 @@ def _interpolate_nodes(
         stop = stops[0]
         before = q[max(stop - 1, 0)]
         raise _blocking_reason(equations, task, t[stop:], before, bool(missed[stop]))
-    v = solve_jacobians(J, equations.goals(task.value(t, 1)))
+    v = solve_jacobians(J, equations.goals(task.output_at(t, 1)))
     step = t[1] - t[0]
     expected = step / 2 * (v[:-1] + v[1:])
     jumps = np.flatnonzero(np.abs(np.diff(q, axis=0) - expected).max(axis=1) > JUMP)
@@ -139,14 +139,14 @@ def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Float
 
     By Newton's method from positions nearby (N x joints).
     """
-    q, goals = nearby, equations.goals(task.value(t))
+    q, goals = nearby, equations.goals(task.output_at(t))
     for _ in range(NEWTON):
         places, J = evaluate_at_inputs(equations.place, q)
         q = q - solve_jacobians(J, places[:, :, 0] - goals)
     _, J = evaluate_at_inputs(equations.place, q)
-    v = solve_jacobians(J, equations.goals(task.value(t, 1)))
+    v = solve_jacobians(J, equations.goals(task.output_at(t, 1)))
     (swing,) = evaluate_at_inputs(equations.swing, q, v)
-    a = solve_jacobians(J, equations.goals(task.value(t, 2)) - swing[:, :, 0])
+    a = solve_jacobians(J, equations.goals(task.output_at(t, 2)) - swing[:, :, 0])
     return np.stack([q, v, a], axis=1)
 
 
@@ -156,7 +156,7 @@ def _closes(path: Exosystem, period: float | None, end: float) -> bool:
     """
     if period is None or period > end:
         return False
-    both_ends = path.value(np.array([0.0, period]))
+    both_ends = path.output_at(np.array([0.0, period]))
     return bool(np.ptp(both_ends, axis=0).max() < 1e-6)
 
 
@@ -203,7 +203,7 @@ def _blocking_reason(
         missed: whether the equations are not met there.
     """
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
-    positions = task.value(looks)
+    positions = task.output_at(looks)
     short = _shortfall(equations, positions, before)
     worst = int(short.argmax())
     if short[worst] > SHORT * equations.reach:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import TrackingError
-from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.util.arrays import Floats, list_numbers
@@ -71,7 +71,7 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
     outputs = [np.kron(identity, C), np.zeros((q * k, m * k))]
     equations = np.block([dynamics, outputs])
     wanted = np.concatenate([np.zeros(n * k), Q.ravel(order="F")])
-    state_sizes = [sizes(A, B, float(np.linalg.norm(column))) for column in S.T]
+    state_sizes = [state_response_sizes(A, B, float(np.linalg.norm(column))) for column in S.T]
     scale = np.concatenate([*state_sizes, np.ones(m * k)])
     rows = np.abs(equations * scale).max(axis=1)
     rows[rows == 0] = 1.0
@@ -129,7 +129,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         TrackingError: there are none.
     """
     # Sampled, the same equations less the identity, per second: well scaled for short samples too.
-    S, linear = moves(exo.S, model.Ts), delta(model.linear, model.Ts)
+    S, linear = moves(exo.S, model.Ts), delta_form(model.linear, model.Ts)
     if len(tracked) > model.m:
         many = "s" * (model.m > 1)
         raise TrackingError(
@@ -206,7 +206,7 @@ def invert_targets(
     x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
     derivatives = _derivatives(model, tracked, x, u)
     highest = max(derivative.order for derivative in derivatives)
-    r = [exo.value(t, order) for order in range(highest + 1)]
+    r = [exo.output_at(t, order) for order in range(highest + 1)]
     goals = np.stack([r[each.order][:, each.channel] for each in derivatives], axis=1)
     unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])
     values = ca.vertcat(*[derivative.value for derivative in derivatives])
@@ -229,7 +229,7 @@ def invert_targets(
             "(Newton's method finds no state and input)"
         )
     rows = solutions.full().T
-    return Target(exo.value(t), rows[:, : model.n], rows[:, model.n :])
+    return Target(exo.output_at(t), rows[:, : model.n], rows[:, model.n :])
 
 
 def _derivatives(model: System, tracked: list[int], x: ca.SX, u: ca.SX) -> list[_Derivative]:

@@ -1,4 +1,4 @@
-"""From continuous to sampled time, exactly: zero-order hold, its slopes, and the noise of a step.
+"""Exact discretisation: zero-order hold, its derivatives, and the noise of a step.
 
 Matrices are balanced first: a plant in an odd unit of time has entries that are far apart, and the
 exponential of such a matrix loses digits, its derivative all of them. Of many plants at once each
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from undeadzone.linalg.matrices import Matrices, balancing, similar
+from undeadzone.linalg.matrices import Matrices, balance_states, change_state_units
 from undeadzone.util.arrays import Floats
 
 TERMS = 12  # of the series, whose rest is below 1e-17 for a norm of at most SMALL
@@ -19,7 +19,9 @@ SMALL = 0.25
 
 
 def zoh(linear: Matrices, Ts: float) -> Matrices:
-    """Return exact zero-order hold: Ad = e^{A Ts}, Bd = int_0^Ts e^{A t} dt B, C unchanged.
+    """Return the exact zero-order hold:
+
+    Ad = e^(A Ts), Bd = int_0^Ts e^(A t) dt B, C unchanged.
 
     Args:
         linear: the plant in continuous time.
@@ -28,14 +30,14 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     from scipy.linalg import expm
 
     n = linear.A.shape[0]
-    block = _with_inputs(linear.A, linear.B) * Ts
-    units = _units(block, n)
-    both = similar(expm(similar(block, units)), 1 / units)
+    block = _augment_inputs(linear.A, linear.B) * Ts
+    units = _balancing_units(block, n)
+    both = change_state_units(expm(change_state_units(block, units)), 1 / units)
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
 
 
 def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
-    """Return d[Ad, Bd] of `zoh` along directions, one below the other (K n x (n + m)).
+    """Return d[Ad, Bd] of `zoh` along directions, stacked by rows (K n x (n + m)).
 
     Args:
         AB: [A, B] (n x (n + m)).
@@ -45,19 +47,21 @@ def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
     from scipy.linalg import expm_frechet
 
     n, columns = AB.shape
-    block = _with_inputs(AB[:, :n], AB[:, n:]) * Ts
-    units = _units(block, n)
-    even = similar(block, units)
+    block = _augment_inputs(AB[:, :n], AB[:, n:]) * Ts
+    units = _balancing_units(block, n)
+    even = change_state_units(block, units)
     slopes: list[Floats] = [np.zeros((0, columns))]
     for direction in directions:
-        change = similar(_with_inputs(direction[:, :n], direction[:, n:]) * Ts, units)
+        change = change_state_units(_augment_inputs(direction[:, :n], direction[:, n:]) * Ts, units)
         slope = expm_frechet(even, change, compute_expm=False)
-        slopes.append(similar(slope, 1 / units)[:n])
+        slopes.append(change_state_units(slope, 1 / units)[:n])
     return np.concatenate(slopes)
 
 
-def discrete_noise_covariance(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
-    """What white noise w adds to the state of x' = A x + w over a step, van Loan (1978).
+def discretise_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
+    """Return e^(A Ts) and the covariance that white noise adds to x' = A x + w over a step.
+
+    By van Loan (1978).
 
     His matrix holds e^(-A t), so that it is taken of a short part of the step, which is doubled.
 
@@ -72,9 +76,9 @@ def discrete_noise_covariance(A: Floats, W: Floats, Ts: float) -> tuple[Floats, 
     from scipy.linalg import expm
 
     n = A.shape[0]
-    units = balancing(A)
-    even, density = similar(A, units), W / np.outer(units, units)
-    size = _ratio(density, even)
+    units = balance_states(A)
+    even, density = change_state_units(A, units), W / np.outer(units, units)
+    size = _size_ratio(density, even)
     doublings = max(0, int(np.frexp(np.abs(even).sum(axis=1).max() * Ts)[1]))
     part = np.ldexp(Ts, -doublings)
     both = expm(np.block([[-even, density / size], [np.zeros((n, n)), even.T]]) * part)
@@ -83,30 +87,31 @@ def discrete_noise_covariance(A: Floats, W: Floats, Ts: float) -> tuple[Floats, 
     for _ in range(doublings):
         covariance = covariance + Ad @ covariance @ Ad.T
         Ad = Ad @ Ad
-    return similar(Ad, 1 / units), size * covariance * np.outer(units, units)
+    return change_state_units(Ad, 1 / units), size * covariance * np.outer(units, units)
 
 
-def _with_inputs(A: Floats, B: Floats) -> Floats:
-    """Return [[A, B], [0, 0]], the motion of [x; u] with u held."""
+def _augment_inputs(A: Floats, B: Floats) -> Floats:
+    """Return [[A, B], [0, 0]], the dynamics of [x; u] with constant u."""
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
     return block
 
 
-def _units(block: Floats, n: int) -> Floats:
-    """Return the units of [x; u] that balance `_with_inputs`; a unit of u moves x as much as x
-    itself.
+def _balancing_units(block: Floats, n: int) -> Floats:
+    """Return the units of [x; u] that balance `_augment_inputs`.
+
+    A unit of u moves x as much as x itself.
     """
     A, B = block[:n, :n], block[:n, n:]
-    of_states = balancing(A)
-    even = similar(A, of_states)
-    of_inputs = [1 / _ratio(b / of_states, even) for b in B.T]
+    of_states = balance_states(A)
+    even = change_state_units(A, of_states)
+    of_inputs = [1 / _size_ratio(b / of_states, even) for b in B.T]
     return np.concatenate([of_states, of_inputs])
 
 
-def _ratio(M: Floats, A: Floats) -> float:
-    """Return |M| / |A| as a power of two; 1 where either is 0."""
+def _size_ratio(M: Floats, A: Floats) -> float:
+    """Return |M| / |A| as a power of two; 1 if either is 0."""
     sizes = np.abs(M).max(initial=0.0), np.abs(A).max(initial=0.0)
     if not all(0 < size < np.inf for size in sizes):
         return 1.0
@@ -114,7 +119,7 @@ def _ratio(M: Floats, A: Floats) -> float:
 
 
 def zoh_of_each(AB: Floats, Ts: float) -> Floats:
-    """Return zero-order hold of many plants; as `zoh` of one.
+    """Return the zero-order hold of many plants, as `zoh` of a single plant.
 
     X = [Ad - I, Bd] = (I + M / 2! + M^2 / 3! + ...) [A, B] Ts with M = A Ts over a fraction 2^-k of
     Ts, then k times X <- 2 X + (Ad - I) X, which loses nothing where Ad is close to I. Plain
@@ -135,16 +140,16 @@ def zoh_of_each(AB: Floats, Ts: float) -> Floats:
     step = np.ldexp(step, -doublings)
     X = step
     for k in range(TERMS, 1, -1):
-        X = step + _product(step[:, :n], X) / k
+        X = step + _multiply_each(step[:, :n], X) / k
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(doublings.max(initial=0)):
-            X = np.where(k < doublings, 2 * X + _product(X[:, :n], X), X)
+            X = np.where(k < doublings, 2 * X + _multiply_each(X[:, :n], X), X)
     X[np.arange(n), np.arange(n)] += 1.0
     return X
 
 
-def _product(M: Floats, X: Floats) -> Floats:
-    """Return M X for every plant, summed in one order."""
+def _multiply_each(M: Floats, X: Floats) -> Floats:
+    """Return M X for every plant, summed in a fixed order."""
     total = M[:, 0, None] * X[None, 0]
     for k in range(1, M.shape[1]):
         total += M[:, k, None] * X[None, k]

@@ -13,7 +13,7 @@ from undeadzone.util.arrays import LARGEST, Floats
 
 
 class Matrices(NamedTuple):
-    """A linear system x' = A x + B u (or x+ = ... when sampled), z = C x.
+    """Linear system x' = A x + B u (or x+ = ... when sampled), z = C x.
 
     Attributes:
         A: (n x n).
@@ -31,9 +31,9 @@ class Matrices(NamedTuple):
         return Matrices(self.A.T, self.C.T, self.B.T)
 
 
-def delta(linear: Matrices, Ts: float | None) -> Matrices:
-    """Return the matrices in delta form, (Ad - I) / Ts and Bd / Ts, which tend to A and B as Ts ->
-    0.
+def delta_form(linear: Matrices, Ts: float | None) -> Matrices:
+    """Return the matrices in delta form, (Ad - I) / Ts and Bd / Ts, with limits A and B as Ts
+    -> 0.
 
     Args:
         linear: a linear system; of one step if sampled.
@@ -45,8 +45,8 @@ def delta(linear: Matrices, Ts: float | None) -> Matrices:
     return Matrices((A - np.eye(A.shape[0])) / Ts, B / Ts, C)
 
 
-def companion(a: Any, b: Any = (1.0,)) -> Matrices:
-    """Return companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
+def companion_form(a: Any, b: Any = (1.0,)) -> Matrices:
+    """Return the companion form (15): A with last row -a, B = e_n, C = [b_0, b_1, ...].
 
     Args:
         a: coefficients of the denominator without the leading 1 (n), lowest first.
@@ -59,8 +59,8 @@ def companion(a: Any, b: Any = (1.0,)) -> Matrices:
     return Matrices(A, np.eye(n)[:, -1:], np.pad(b, (0, n - b.size))[None, :])
 
 
-def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
-    """How large each state of x' = A x + B u is under a unit input near a frequency.
+def state_response_sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
+    """Return the size of each state of x' = A x + B u under a unit input near a frequency (n).
 
     In these units plants differ by neither their unit of time nor those of their states. States
     that B does not reach get the least size of the others.
@@ -82,9 +82,9 @@ def sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
     return np.where(size > 0, reached, reached[size > 0].min())
 
 
-def balancing(A: Floats) -> Floats:
-    """Return units of the states of x' = A x, powers of two, in which rows and columns of A are
-    alike.
+def balance_states(A: Floats) -> Floats:
+    """Return units of the states of x' = A x, powers of two, that balance rows and columns of
+    A.
 
     LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
     """
@@ -96,13 +96,13 @@ def balancing(A: Floats) -> Floats:
     return np.asarray(units)
 
 
-def similar(A: Floats, units: Floats) -> Floats:
-    """Return the matrix of x' = A x for states that are measured in these units (n)."""
+def change_state_units(A: Floats, units: Floats) -> Floats:
+    """Return the matrix of x' = A x for states measured in the given units (n)."""
     return A / units[:, None] * units
 
 
 def feedback_loops(A: Floats) -> Floats:
-    """Return a without the entries that are in no loop of states; it has the poles of A.
+    """Return A without the entries that are in no loop of states, with the poles of A (n x n).
 
     The other entries, such as x_1' = x_2 of an integrator, have units of their own.
     """

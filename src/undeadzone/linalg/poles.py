@@ -12,7 +12,7 @@ ACCURATE = 1e-6  # error of the characteristic polynomial, relative to its large
 
 
 def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
-    """Return complex poles from numbers or [real, imaginary] pairs.
+    """Return complex poles from numbers or [real, imaginary] pairs (n).
 
     Args:
         key: named in errors.
@@ -45,17 +45,15 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
     return parsed
 
 
-def slowest(poles: np.ndarray, Ts: float | None) -> float:
-    """Return the growth rate of the slowest mode [1/s], of poles of a continuous or a sampled
-    system.
-    """
+def slowest_growth_rate(poles: np.ndarray, Ts: float | None) -> float:
+    """Return the growth rate of the slowest mode [1/s], of a continuous or a sampled system."""
     if Ts is None:
         return float(poles.real.max())
     return float(np.log(max(np.abs(poles).max(), np.finfo(float).tiny)) / Ts)
 
 
-def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
-    """Return K such that A - B K has given poles.
+def pole_placement_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
+    """Return K (m x n) such that A - B K has given poles.
 
     Ackermann's formula for one input, scipy's place_poles for more.
 
@@ -70,7 +68,11 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     Raises:
         StructureError: the pair is uncontrollable, or the poles come out wrong.
     """
-    K = _ackermann(A, B, poles, key) if B.shape[1] == 1 else _place_poles(A, B, poles, key)
+    K = (
+        _ackermann_gain(A, B, poles, key)
+        if B.shape[1] == 1
+        else _multi_input_gain(A, B, poles, key)
+    )
     wanted, reached = np.poly(poles), np.poly(A - B @ K)
     off = np.abs(reached - wanted).max() / np.abs(wanted).max()
     if not off < ACCURATE:
@@ -81,7 +83,7 @@ def place(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     return np.asarray(K)
 
 
-def _ackermann(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
+def _ackermann_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     """Return the gain (1 x n) by Ackermann's formula."""
     n = A.shape[0]
     controllability = np.hstack([np.linalg.matrix_power(A, k) @ B for k in range(n)])
@@ -101,7 +103,7 @@ def _ackermann(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     return np.asarray(K)
 
 
-def _place_poles(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
+def _multi_input_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
     """Return the gain (m x n) by scipy's place_poles, for several inputs."""
     from scipy.signal import place_poles
 
@@ -114,7 +116,7 @@ def _place_poles(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Floats:
 def state_gain(
     linear: Matrices, poles: Array, Ts: float | None, key: str = "controller.poles"
 ) -> Floats:
-    """Return K that puts A - B K at continuous-time poles.
+    """Return K (m x n) that puts A - B K at continuous-time poles.
 
     Args:
         linear: the model, continuous or sampled.
@@ -135,11 +137,11 @@ def state_gain(
             f"{key}: every pole must have a negative real part, found {list_numbers(continuous)}"
         )
     wanted = continuous if Ts is None else np.exp(continuous * Ts)
-    return place(linear.A, linear.B, wanted, key)
+    return pole_placement_gain(linear.A, linear.B, wanted, key)
 
 
 def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
-    """Return L that puts A - L C at continuous-time poles.
+    """Return L (n x p) that puts A - L C at continuous-time poles.
 
     Args:
         linear: the model, continuous or sampled.

@@ -1,4 +1,4 @@
-"""The Riccati equation (34), as printed and for control, and the Lyapunov equations beside it.
+"""Riccati equation (34), as printed and for control, with the related Lyapunov equations.
 
 They give the least gain that makes A - L C as fast as asked; by duality, A - B K.
 """
@@ -11,15 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, StructureError
-from undeadzone.linalg.matrices import Matrices, delta, sizes
-from undeadzone.linalg.poles import slowest
+from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
+from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.util.arrays import Array, Floats, array, list_numbers, matrix
 
 NEWTON = 10  # iterations of Newton's method, at most
 
 
 class Riccati(NamedTuple):
-    """A solution of a Riccati equation.
+    """Solution of a Riccati equation.
 
     Attributes:
         P: the solution (n x n).
@@ -35,7 +35,7 @@ class Riccati(NamedTuple):
 
 
 class _Equation(NamedTuple):
-    """A Riccati equation: its matrices, and the step [s] if it is sampled."""
+    """Riccati equation: its matrices, and the step [s] if sampled."""
 
     A: Floats
     B: Floats
@@ -44,8 +44,8 @@ class _Equation(NamedTuple):
     Ts: float | None
 
 
-def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
-    """Return Q as a symmetric positive definite n x n matrix.
+def require_weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
+    """Return Q as a symmetric positive definite n x n matrix, or raise.
 
     Args:
         key: named in errors.
@@ -69,7 +69,7 @@ def weight(key: str, Q: Array, n: int, why: str = "states x states") -> Floats:
     return weights
 
 
-def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
+def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> Riccati:
     """Return the stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
 
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
@@ -87,13 +87,13 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
     A, B = np.asarray(linear.A, float), np.asarray(linear.B, float)
     Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
     equation = _Equation(A, B, Q, R, Ts)
-    best = _candidate(equation, _solution(equation))
+    best = _evaluate_riccati(equation, _solution(equation))
     for _ in range(NEWTON):
         closed = A - B @ best.K
-        if best.residual == 0 or not slowest(np.linalg.eigvals(closed), Ts) < 0:
+        if best.residual == 0 or not slowest_growth_rate(np.linalg.eigvals(closed), Ts) < 0:
             break
         P = best.P + storage_of(closed, best.left, Ts)
-        candidate = _candidate(equation, (P + P.T) / 2)
+        candidate = _evaluate_riccati(equation, (P + P.T) / 2)
         if not candidate.residual < best.residual / 2:
             break
         best = candidate
@@ -101,7 +101,10 @@ def riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = None) -> 
 
 
 def _solution(equation: _Equation) -> Floats:
-    """Return scipy's solution of a Riccati equation. Raises StructureError if there is none."""
+    """Return scipy's solution of a Riccati equation.
+
+    Raises StructureError if no solution exists.
+    """
     from scipy.linalg import solve_continuous_are, solve_discrete_are
 
     A, B, Q, R, Ts = equation
@@ -113,8 +116,8 @@ def _solution(equation: _Equation) -> Floats:
         raise StructureError(f"the {name} has no stabilising solution here: {error}") from None
 
 
-def _candidate(equation: _Equation, P: Floats) -> Riccati:
-    """Return a matrix put into the equation."""
+def _evaluate_riccati(equation: _Equation, P: Floats) -> Riccati:
+    """Return a matrix with its gain and residual in the equation."""
     A, B, Q, R, Ts = equation
     terms: tuple[Floats, ...]
     if Ts is None:
@@ -129,7 +132,7 @@ def _candidate(equation: _Equation, P: Floats) -> Riccati:
 
 
 def riccati_along(A: Floats, B: Floats, Q: Floats, R: Floats, P: Floats) -> Floats:
-    """Return gains of the sampled Riccati equation, backwards along a trajectory.
+    """Return the gains of the sampled Riccati equation, backwards along a trajectory.
 
     Args:
         A, B: the model at each sample (N x n x n, N x n x m).
@@ -163,14 +166,14 @@ def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
     """
     linear = Matrices(A, B, np.zeros((0, len(A))))
     try:
-        solution = riccati(linear, Q, np.eye(B.shape[1]) / (2 * alpha))
+        solution = solve_riccati(linear, Q, np.eye(B.shape[1]) / (2 * alpha))
     except StructureError as error:
         raise StructureError(str(error).replace("equation", "equation (34)", 1)) from None
     return solution._replace(K=alpha * B.T @ solution.P)
 
 
-def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
-    """Return K of (34) with A, or its sampled counterpart, which tends to it as Ts -> 0.
+def paper_feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
+    """Return K of (34) with A, or its sampled counterpart, which tends to K as Ts -> 0.
 
     K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of
     (R + B'PB)^-1 B'PA of the discrete equation with Q Ts, R Ts.
@@ -190,7 +193,7 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
     A, B, _ = linear
     if Ts is None:
         return paper_riccati(A, B, alpha, Q).K
-    K = riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
+    K = solve_riccati(linear, Q * Ts, np.eye(B.shape[1]) * Ts / (2 * alpha), Ts).K / 2
     radius = float(np.abs(np.linalg.eigvals(A - B @ K)).max())
     if radius >= 1:
         raise StructureError(
@@ -200,8 +203,8 @@ def feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Flo
     return np.asarray(K)
 
 
-def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """Return P of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
+def lyapunov_of_loop(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats:
+    """Return P (n x n) of (A - BK)'P + P(A - BK) = -Q, or of its sampled form.
 
     Args:
         linear: the model, continuous or sampled.
@@ -217,7 +220,7 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
     """
     closed = linear.A - linear.B @ K
     poles = np.linalg.eigvals(closed)
-    if not slowest(poles, Ts) < 0:
+    if not slowest_growth_rate(poles, Ts) < 0:
         raise StructureError(
             f"controller: A - BK is not stable, its poles are {list_numbers(poles)}"
         )
@@ -225,7 +228,7 @@ def lyapunov(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -> Floats
 
 
 def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
-    """Return P of A'P + PA = -Q, or of A'PA - P = -Q.
+    """Return P (n x n) of A'P + PA = -Q, or of A'PA - P = -Q.
 
     Args:
         A: of a stable system, of one step if sampled (n x n).
@@ -240,7 +243,8 @@ def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
 
 
 def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
-    """Return L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+    """Return L (n x p) that puts A - L C left of -speed / 2 (sampled: within e^(-speed Ts /
+    2)).
 
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
@@ -251,12 +255,12 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
         StructureError: where the outputs hardly show some state.
     """
     A, _, C = linear
-    flow = delta(linear, Ts).A
+    flow = delta_form(linear, Ts).A
     # the unit of each state, so that the equations below are near 1
-    unit = 1 / (speed * sizes(flow.T, C.T, speed))
+    unit = 1 / (speed * state_response_sizes(flow.T, C.T, speed))
     A, C = A * unit / unit[:, None], C * unit
     L = _riccati_gain_with_shift(A, C, speed, Ts)
-    if not slowest(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
+    if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
             f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
             "state; give a lower speed, or poles"
@@ -265,7 +269,8 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
-    """Return K (m x n) that puts A - B K left of -speed / 2 (sampled: within e^(-speed Ts / 2)).
+    """Return K (m x n) that puts A - B K left of -speed / 2 (sampled: within e^(-speed Ts /
+    2)).
 
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
@@ -285,8 +290,8 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
-    """Return the Riccati gain of A shifted right by speed / 2 (n x p); 0 where there is no
-    solution.
+    """Return the Riccati gain of A shifted right by speed / 2 (n x p); 0 if no solution
+    exists.
     """
     n, p = A.shape[0], C.shape[0]
     noise = 1e-8 * np.eye(n)
@@ -296,9 +301,9 @@ def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | Non
         try:
             if Ts is None:
                 shifted = Matrices((A / speed + np.eye(n) / 2).T, C.T, C)
-                return speed * riccati(shifted, noise, np.eye(p)).K.T
+                return speed * solve_riccati(shifted, noise, np.eye(p)).K.T
             shrink, span = np.exp(-speed / 2 * Ts), speed * Ts
             shifted = Matrices((A / shrink).T, C.T, C)
-            return shrink * riccati(shifted, noise * span, np.eye(p) / span, Ts).K.T
+            return shrink * solve_riccati(shifted, noise * span, np.eye(p) / span, Ts).K.T
         except np.linalg.LinAlgError:
             return np.zeros((n, p))

@@ -1,4 +1,4 @@
-"""What a plant's structure allows: modes that no output sees or no input moves."""
+"""Structure of a plant: unobservable and uncontrollable modes."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.errors import StructureError
-from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.linalg.matrices import Matrices, state_response_sizes
 from undeadzone.util.arrays import LARGEST, Floats, list_numbers
 
 TOLERANCE = 1e-9
 
 
-class Chains(NamedTuple):
-    """Outputs and derivatives of them that tell the whole state.
+class OutputChains(NamedTuple):
+    """Outputs and derivatives that determine the whole state.
 
     Attributes:
         O: regular (n x n), of the rows C_i A^k, k < r_i.
@@ -26,7 +26,7 @@ class Chains(NamedTuple):
 
 
 def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
-    """Return eigenvalues of A that C does not see.
+    """Return the eigenvalues of A that C does not observe.
 
     Hautus's test on singular values, in units that make the states alike.
 
@@ -35,7 +35,7 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
         C: (p x n).
     """
     C = _unit_rows(C)
-    unit = 1 / sizes(A.T, C.T)
+    unit = 1 / state_response_sizes(A.T, C.T)
     A = A * unit / unit[:, None]
     scale = max(float(np.linalg.norm(A, 2)), 1e-300)
     C = _unit_rows(C * unit) * scale
@@ -48,12 +48,12 @@ def unobservable_modes(A: Floats, C: Floats) -> list[complex]:
 
 
 def uncontrollable_modes(A: Floats, B: Floats) -> list[complex]:
-    """Return eigenvalues of A that B does not move: `unobservable_modes` of the dual pair."""
+    """Return the eigenvalues of A that B does not move: `unobservable_modes` of the dual pair."""
     return unobservable_modes(A.T, B.T)
 
 
 def require_structure(linear: Matrices, key: str) -> None:
-    """Refuse a plant with a mode that no output sees or no input moves.
+    """Raise StructureError if no output shows, or no input moves, a mode of a plant.
 
     Args:
         linear: the plant.
@@ -75,8 +75,8 @@ def require_structure(linear: Matrices, key: str) -> None:
         )
 
 
-def output_chains(A: Floats, C: Floats) -> Chains:
-    """Return the outputs and as many of their derivatives under x' = A x as tell the whole state.
+def output_chains(A: Floats, C: Floats) -> OutputChains:
+    """Return the outputs and the derivatives under x' = A x that determine the whole state.
 
     The lowest derivatives come first.
 
@@ -88,7 +88,7 @@ def output_chains(A: Floats, C: Floats) -> Chains:
         StructureError: they do not tell the whole state.
     """
     n, p = A.shape[0], C.shape[0]
-    unit = 1 / sizes(A.T, C.T)
+    unit = 1 / state_response_sizes(A.T, C.T)
     scaled = A * unit / unit[:, None]
     rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)
     kept: list[Floats] = []
@@ -110,15 +110,15 @@ def output_chains(A: Floats, C: Floats) -> Chains:
             f"plant: the outputs and their derivatives tell {len(kept)} of {n} states, "
             f"or one of {p} outputs tells nothing new"
         )
-    return Chains(np.array(kept), rows)
+    return OutputChains(np.array(kept), rows)
 
 
 def _unit_rows(C: Floats) -> Floats:
-    """Return C with rows of length 1, or 0 where they are next to nothing."""
+    """Return C with rows of length 1, or 0 for rows of negligible length."""
     lengths = np.linalg.norm(C, axis=1, keepdims=True)
     return C / np.where(lengths > 1 / LARGEST, lengths, np.inf)
 
 
 def _modes_text(modes: list[complex]) -> str:
-    """Return one mode or several, as text."""
+    """Format a mode or several as text."""
     return f"mode{'s' * (len(modes) > 1)} {list_numbers(modes)}"

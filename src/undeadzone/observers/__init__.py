@@ -1,4 +1,4 @@
-"""The observers that the tool recommends: one file each (docs/which.md).
+"""Observers that the tool recommends, a file for each (docs/which.md).
 
 The names stand in `__init__.pyi`; observers that other packages register are found here too.
 """

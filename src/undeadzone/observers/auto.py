@@ -1,4 +1,4 @@
-"""The observer is chosen from what is claimed (docs/methods/auto.md)."""
+"""Choice of an observer from the assumptions (docs/methods/auto.md)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.censored import Censored
 from undeadzone.observers.certified import Certified
-from undeadzone.observers.filtering.prior import Assumptions, width_ranges
+from undeadzone.observers.filtering.prior import Assumptions, read_width_ranges
 from undeadzone.observers.high_gain import HighGain
 from undeadzone.plants.system import System, fastest_pole
 
@@ -18,29 +18,32 @@ GAMMA = 4.5
 
 
 class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto"):
-    """The observer that suits what is claimed; its options are those of `Assumptions`.
+    """Observer that suits the assumptions. Its options are those of `Assumptions`.
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
     to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.
     """
 
     def choose_observer(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:
-        """Return the options of the chosen observer. Raises InputError, ShapeError."""
+        """Return the options of the observer that suits the assumptions.
+
+        Raises InputError, ShapeError.
+        """
         if model.Ts is not None:
             return Censored(**self.claims())
-        ranges = width_ranges(self.right, self.left, model.p)
+        ranges = read_width_ranges(self.right, self.left, model.p)
         guess = ranges.mean(axis=1).reshape(2, model.p).T
         largest = ranges[:, 1].reshape(2, model.p).max(axis=0)
         stable = np.linalg.eigvals(model.linear.A).real.max() < 0
-        if stable and not model.nonlinear and self.exact:
+        if stable and not model.nonlinear and self.is_exact:
             return Certified(widths0=guess, width_max=largest)
         pole = fastest_pole(model)
         gamma = 0.0 if sensor.kind == "jump" else GAMMA * pole
         return HighGain(epsilon=EPSILON / pole, gamma=gamma, widths0=guess, width_max=largest)
 
     @property
-    def exact(self) -> bool:
-        """Return whether disturbance, bias and error of the model are all claimed to be 0."""
+    def is_exact(self) -> bool:
+        """Return whether disturbance, bias and model error are all assumed to be 0."""
         claims = [self.disturbance, self.bias]
         if isinstance(self.tolerance, dict):
             claims.extend(self.tolerance.values())

@@ -1,26 +1,29 @@
-"""A Kalman filter that also hears silence, and doubts input and model (docs/filters.md)."""
+"""Kalman filter with censored samples, disturbance and model tolerance (docs/filters.md)."""
 
 from __future__ import annotations
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
-from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
+from undeadzone.observers.filtering.augmented_state import (
+    default_disturbance_rms,
+    power_of_two_units,
+)
+from undeadzone.observers.filtering.measured_kalman import build_branch_filter
 from undeadzone.observers.filtering.prior import (
     Assumptions,
     build_prior,
-    glitch_share,
-    traits_of_prior,
+    outlier_probability,
+    prior_traits,
 )
 from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
-    coloured_noise_model,
-    correlation_time,
-    per_input,
-    span,
-    tolerances,
-    unknowns,
+    build_colour,
+    build_unknown_inputs,
+    read_time_span,
+    read_tolerance,
+    resolve_correlation_time,
+    resolve_input_rms,
 )
 from undeadzone.plants.system import System, in_units
 from undeadzone.util.arrays import scalar
@@ -29,7 +32,7 @@ WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it 
 
 
 class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="censored"):
-    """`Kalman` that also uses that a silent sensor bounds z, and knows what else may be wrong.
+    """`Kalman` with bounds on z from a silent sensor, unknown inputs and model errors.
 
     Sampled time. Its further options are those of `Assumptions`. Defaults doubt: the
     disturbance moves z by half of the largest width, rms, in a quarter period and the delay of
@@ -51,38 +54,42 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
     silence: bool = True
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Return the filter for a sampled model. Raises InputError, ShapeError."""
         prior = build_prior(
             self, model, sensor, wear=WEAR, centre=self.centre, silence=self.silence
         )
         Ts = model.Ts
         assert Ts is not None
-        correlation = correlation_time(self.correlation_time, model.continuous, Ts)
-        washout = None if self.washout_time is None else span("washout_time", self.washout_time, Ts)
+        correlation = resolve_correlation_time(self.correlation_time, model.continuous, Ts)
+        washout = (
+            None
+            if self.washout_time is None
+            else read_time_span("washout_time", self.washout_time, Ts)
+        )
         calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:
             name = "observer.calibrated"
             raise InputError(f"{name}: must be a probability below 1, found {calibrated:g}")
-        usual = default_disturbance(model, prior.largest, correlation)
-        rms = per_input("disturbance", self.disturbance, usual)
-        bias = per_input("bias", self.bias, OFFSET * usual)
-        colour = coloured_noise_model(correlation, washout, Ts)
-        units = even_units(model)
-        tolerance = tolerances(model, self.tolerance, units)
-        glitches = glitch_share(self.glitches)
+        usual = default_disturbance_rms(model, prior.largest, correlation)
+        rms = resolve_input_rms("disturbance", self.disturbance, usual)
+        bias = resolve_input_rms("bias", self.bias, OFFSET * usual)
+        colour = build_colour(correlation, washout, Ts)
+        units = power_of_two_units(model)
+        tolerance = read_tolerance(model, self.tolerance, units)
+        glitches = outlier_probability(self.glitches)
         careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
         even = in_units(model, units)
-        augmentation = unknowns(
+        augmentation = build_unknown_inputs(
             even, colour, rms, bias, calibrated, tolerance, careful and self.bias is None
         )
-        return build_gaussian_filter(
+        return build_branch_filter(
             model,
             units,
             sensor,
             prior,
             augmentation,
             glitches,
-            traits_of_prior(prior, self.x_std),
+            prior_traits(prior, self.x_std),
             lasting=max(1.0, correlation / Ts),
             bounds=self.silence,
             claimed=self.disturbance is not None,

@@ -1,4 +1,4 @@
-"""The repaired observer forms its innovation on the side that the sensor itself shows.
+"""Repaired observer: its innovation is formed on the branch that the sensor shows.
 
 The mathematics is in docs/observer.md.
 """
@@ -8,20 +8,16 @@ from __future__ import annotations
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.adaptation_laws import (
-    Adaptation,
-    Gradient,
-    initial_widths_and_bound,
-)
+from undeadzone.observers.adaptive.adaptation_laws import Adaptation, Gradient, read_initial_widths
 from undeadzone.observers.adaptive.branch_observer import build_branch_observer
-from undeadzone.observers.adaptive.gain import default_adaptation, gains
+from undeadzone.observers.adaptive.gain import default_adaptation, innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, nonnegative, vector
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):
-    """Measured-side adaptive observer; replaces (16)-(25).
+    """Measured-branch adaptive observer; replaces (16)-(25).
 
     Gains are continuous-time ones in either time.
 
@@ -53,28 +49,33 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
         p = model.p
-        L, gain = self._gains(model)
+        L, gain = self._choose_gains(model)
         gamma = nonnegative("observer.gamma", gain, p, "one per output")
-        widths, limit = initial_widths_and_bound(self.widths0, self.width_max, p)
+        widths, limit = read_initial_widths(self.widths0, self.width_max, p)
         start = vector("observer.start", self.start, model.n, "one per state")
-        law = self.adaptation.law(model.Ts)
+        law = self.adaptation.build_law(model.Ts)
         return build_branch_observer(
-            model, sensor, gains(L, model), gamma, start, widths, limit, self.silence, law
+            model, sensor, innovation_gain(L, model), gamma, start, widths, limit, self.silence, law
         )
 
-    def _gains(self, model: System) -> tuple[Array | None, Array]:
-        """Return (L, gamma) as given, or those of the design. Raises InputError, ProofError."""
+    def _choose_gains(self, model: System) -> tuple[Array | None, Array]:
+        """Return (L, gamma) as given, or those of the design.
+
+        Raises InputError, ProofError.
+        """
         if self.design is None:
             return self.L, default_adaptation(model) if self.gamma is None else self.gamma
         if self.L is not None or self.gamma is not None:
             raise InputError(
                 "observer.design: it brings L and gamma; give either the design or these"
             )
-        return _of_design(self.design, model)
+        return _load_design_gains(self.design, model)
 
 
-def _of_design(path: str, model: System) -> tuple[Floats, Floats]:
-    """Return (L, gamma) of a design whose proof holds for the model.
+def _load_design_gains(path: str, model: System) -> tuple[Floats, Floats]:
+    """Return (L, gamma) of a design with a valid proof for the model.
+
+    Raises FileError, ProofError.
 
     Raises FileError, ProofError.
     """

@@ -1,4 +1,4 @@
-"""Filter of contacts for arms whose encoders sit at motors, links or both, with gaps between them.
+"""Contact filter for arms with encoders at motors, links or both, and with gaps in the gears.
 
 Each joint is in one of three contacts, right flank, gap or left flank, and each combination is an
 extended Kalman filter (`parts.contact_modes` has the mathematics). It finds link angles, gaps,
@@ -16,23 +16,23 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.contact_filter.drive import (
     FADING,
     LASTING,
-    alone,
-    combine_joints,
-    drive_of,
-    either,
-    part_of,
-    places,
-    posture,
-    surroundings,
-    together,
-    touching,
+    apply_gear_impulses,
+    build_drive,
+    contact_balance,
+    isolate_joint,
+    join_posteriors,
+    joint_entries,
+    joint_numbers,
+    mean_posture,
+    mix_posteriors,
+    update_joint_numbers,
 )
 from undeadzone.observers.contact_filter.modes import (
     Drive,
@@ -43,11 +43,11 @@ from undeadzone.observers.contact_filter.modes import (
     correct_modes,
     pack_modes,
     predict_modes,
-    replace_diverged_filter,
-    start,
+    replace_diverged,
+    start_modes,
 )
-from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate
-from undeadzone.observers.filtering.innovation_tests import verdict
+from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate_innovations
+from undeadzone.observers.filtering.innovation_tests import assumption_fields
 from undeadzone.observers.filtering.multiple_models import update_weights
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
@@ -77,7 +77,7 @@ CHANCE = 4.0  # mean square of the sums that is taken for chance
 
 
 class Contact(Options, frozen=True, kw_only=True, tag="contact"):
-    """Filter of contacts of an arm with gears; sampled time.
+    """Contact filter of an arm with gears; sampled time.
 
     Attributes:
         half: claimed range [lo, hi] of half the gap, or one per joint [rad].
@@ -120,7 +120,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for the sampled model of an arm with gears."""
+        """Return the filter for the sampled model of an arm with gears.
+
+        Raises InputError, ShapeError.
+        """
         gears, Ts = model.gears, model.Ts
         if gears is None or Ts is None:
             raise InputError(
@@ -137,16 +140,21 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
         apart = range(gears.size) if self.joints == "separate" else ()
-        ones = tuple(alone(gears, joint) for joint in apart)
-        drives = tuple(drive_of(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
-        first, numbers = self._numbers(model, gears, drives, sensor)
-        params = Params(first, numbers, sensor.slope, fading(Ts, MEMORY), fading(Ts, PATIENCE))
+        ones = tuple(isolate_joint(gears, joint) for joint in apart)
+        drives = tuple(build_drive(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
+        first, numbers = self._build_numbers(model, gears, drives, sensor)
+        params = Params(
+            first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
+        )
         each = product(FRICTION, range(1, gears.size + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
         traits = Traits(uncertain=uncertain, ranges=self._ranges_of_gaps(model, gears))
         setup = Setup(drives, ones, model, gears, sensor.kind)
         return Observer(
-            params, partial(_initial_state, setup), partial(_step, setup), traits=traits
+            params,
+            partial(_start_contact_filter, setup),
+            partial(_step_contact_filter, setup),
+            traits=traits,
         )
 
     def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
@@ -156,32 +164,39 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Encoders of motors, which hide nothing, come last.
         """
         N = gears.size
-        half = _ranges("observer.half", self.half, N)
+        half = _read_joint_ranges("observer.half", self.half, N)
         middle = np.ravel(np.asarray(gears.number(model.params, "centre"), float))[:, None]
         off = 3 * nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
         right, left = (half + sign * middle + off * [-1.0, 1.0] for sign in (1.0, -1.0))
         motors = np.tile([0.0, 1e300], (model.p - N, 1))
         return np.vstack([right, motors, left, motors])
 
-    def _numbers(
+    def _build_numbers(
         self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
     ) -> tuple[tuple[tuple[Modes, ...], ...], Numbers]:
-        """Return the modes at first and the numbers of the filter.
+        """Return the initial modes and the parameters of the filter.
+
+        Raises InputError, ShapeError.
 
         Raises InputError, ShapeError.
         """
         N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
-        of, values = layout.of, model.params
+        of, values = layout.slice_of, model.params
 
         def told(name: str) -> Floats:
+            """Return a parameter of the gears in the model, per joint (N)."""
             return np.asarray(gears.number(values, name), float).ravel()
 
-        mean, std, Q = np.zeros(layout.entries), np.zeros(layout.entries), np.zeros(layout.entries)
-        low, high = np.full(layout.entries, -1e300), np.full(layout.entries, 1e300)
-        ranges = _ranges("observer.half", self.half, N)
+        mean, std, Q = (
+            np.zeros(layout.entry_count),
+            np.zeros(layout.entry_count),
+            np.zeros(layout.entry_count),
+        )
+        low, high = np.full(layout.entry_count, -1e300), np.full(layout.entry_count, 1e300)
+        ranges = _read_joint_ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
-        claims = {"half": ranges, "payload": _ranges("observer.payload", weight, 1)}
+        claims = {"half": ranges, "payload": _read_joint_ranges("observer.payload", weight, 1)}
         for name, claimed in claims.items():
             low[of(name)], high[of(name)] = claimed.T
             mean[of(name)] = claimed.mean(axis=1)
@@ -215,12 +230,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
         for joint, drive in enumerate(drives):
-            here = places(layout, joint) if apart else slice(None)
+            here = joint_entries(layout, joint) if apart else slice(None)
             begins = []
             for middle, length in STARTS[: self.starts]:
                 mean[of("half")] = ranges @ [1 - middle, middle]
                 std[of("half")] = length * (ranges @ [-1, 1]) / np.sqrt(12)
-                begins.append(start(drive.layout, mean[here], std[here], slack))
+                begins.append(start_modes(drive.layout, mean[here], std[here], slack))
             first.append(tuple(begins))
         return tuple(first), Numbers(
             model=values,
@@ -230,7 +245,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             high=high,
             slack=np.asarray(slack),
             torque=TURNING * unknown,
-            leaving=np.asarray(1 - fading(Ts, 1 / LEAVING)),
+            leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
             rest=STICKING * Ts / told("inertia") ** 2,
             least=told("friction"),
@@ -238,7 +253,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
 
 class Params(NamedTuple):
-    """Numbers of the observer.
+    """Parameters of the observer.
 
     Attributes:
         start: the modes of each filter before the first reading, of all joints or of each.
@@ -256,7 +271,7 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the filter carries from sample to sample.
+    """State of the filter from sample to sample.
 
     Attributes:
         modes: of each filter, of all joints or of each.
@@ -270,7 +285,7 @@ class State(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What the parts of one filter share.
+    """Options shared by the functions of a filter.
 
     Attributes:
         drives: the plant as the filter asks, of all joints or of each.
@@ -287,13 +302,13 @@ class Setup(NamedTuple):
     kind: str
 
 
-def fading(Ts: float, time: float) -> Floats:
-    """What is left after a step of what lasts so long."""
+def decay_factor(Ts: float, time: float) -> Floats:
+    """Return the factor per step of an exponential decay with a time constant [1]."""
     return np.asarray(np.exp(-Ts / time))
 
 
-def _ranges(key: str, claimed: Array, N: int) -> Floats:
-    """Return claimed ranges [lo, hi] (N x 2). Raises InputError."""
+def _read_joint_ranges(key: str, claimed: Array, N: int) -> Floats:
+    """Return the assumed ranges [lo, hi] (N x 2). Raises InputError."""
     value = require_pairs(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
@@ -301,8 +316,9 @@ def _ranges(key: str, claimed: Array, N: int) -> Floats:
 
 
 def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Floats, Floats, Floats]:
-    """Return (of the motors, of the links, [N m]; inertia of the links (N)): torques that may be
-    unknown.
+    """Return torques that may be unknown, of motors and links (N) [N m].
+
+    The third result is the links' inertia (N).
 
     Args:
         model: the model.
@@ -321,38 +337,44 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
-def _initial_state(setup: Setup, q: Params) -> State:
+def _start_contact_filter(setup: Setup, q: Params) -> State:
     """Return the state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
     return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
 
 
-def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
-    """Return one sample: the readings, what they show, and the motion to the next sample."""
+def _step_contact_filter(
+    setup: Setup, q: Params, s: State, u: Any, reading: Reading
+) -> tuple[State, Estimate]:
+    """Return the next state and the estimate for a sample: correct, estimate, predict."""
     drives, y = setup.drives, reading.y / q.slope
     count, layout = len(drives), Layout(setup.gears.size)
-    parts = [part_of(q.modes, layout, joint, count) for joint in range(count)]
+    parts = [joint_numbers(q.modes, layout, joint, count) for joint in range(count)]
     readings = [y[joint::count] for joint in range(count)]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
         each.append([correct_modes(drive, part, one, read) for one in modes])
-    odds, shares = _update_log_odds(s.odds, each)
-    each = list(map(replace_diverged_filter, each))
-    ones = list(map(either, each, shares))
-    whole = together(layout, ones)
+    odds, shares = _weigh_filters(s.odds, each)
+    each = list(map(replace_diverged, each))
+    ones = list(map(mix_posteriors, each, shares))
+    whole = join_posteriors(layout, ones)
     started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
     seen = ca.logic_and(present(y), started > 0.5)
-    sums = accumulate(s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep)
+    sums = accumulate_innovations(
+        s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep
+    )
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
-    ratios["range"] = BEYOND * (_count_pressed_bounds(layout, q.modes, whole.whole) > 0)
-    shown = _summarise_filters(setup, q, ones, whole, reading)._replace(**verdict(ratios))
+    ratios["range"] = BEYOND * (_count_range_limits(layout, q.modes, whole.whole) > 0)
+    shown = _to_contact_estimate(setup, q, ones, whole, reading)._replace(
+        **assumption_fields(ratios)
+    )
     if setup.ones:
-        arm = posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        heard = [combine_joints(told, whole.news, arm) for told in zip(*each, strict=True)]
+        arm = mean_posture(setup.gears, q.modes.model, whole.whole.mean, u)
+        heard = [apply_gear_impulses(told, whole.news, arm) for told in zip(*each, strict=True)]
         each = [list(told) for told in zip(*heard, strict=True)]
-        ones = list(map(either, each, shares))
-        parts = surroundings(setup.ones, drives, parts, ones, arm)
+        ones = list(map(mix_posteriors, each, shares))
+        parts = update_joint_numbers(setup.ones, drives, parts, ones, arm)
     after = []
     for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
         later = []
@@ -363,10 +385,12 @@ def _step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[
     return State(tuple(after), odds, sums), shown
 
 
-def _update_log_odds(
+def _weigh_filters(
     odds: Sequence[Any], each: Sequence[Sequence[Posterior]]
 ) -> tuple[tuple[Any, ...], list[tuple[Any, Any]]]:
-    """Return (log odds after a sample; shares before and after it) of the filters of each joint.
+    """Return the log odds after a sample, and the weights before and after.
+
+    Each is for the filters of a joint.
 
     Args:
         odds: log odds before the sample, of each joint.
@@ -381,21 +405,23 @@ def _update_log_odds(
     return tuple(after), shares
 
 
-def _count_pressed_bounds(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
-    """How many gaps, payloads and firmnesses are pressed against an end of their claimed range."""
+def _count_range_limits(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
+    """Return the number of gaps, payloads and firmnesses at a limit of their range (1)."""
     bound = ca.SX(0.0)
     for name in ("half", "payload", "firmness"):
-        low, high, value = (column[layout.of(name)] for column in (q.low, q.high, belief.mean))
+        low, high, value = (
+            column[layout.slice_of(name)] for column in (q.low, q.high, belief.mean)
+        )
         bound += ca.sum1(ca.logic_and(high > low, ca.logic_or(value <= low, value >= high)))
     return bound
 
 
-def _summarise_filters(
+def _to_contact_estimate(
     setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
 ) -> Estimate:
-    """What the readings so far tell, of each filter and of all joints."""
+    """Return the estimate from the posterior of each filter and of all joints."""
     layout, mean = Layout(setup.gears.size), told.whole.mean
-    N, of = layout.size, layout.of
+    N, of = layout.size, layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]
     right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
@@ -404,13 +430,13 @@ def _summarise_filters(
         xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
-    var = partial(_variances, told.whole)
-    contact = ca.vertcat(*(touching(*pair) for pair in zip(setup.drives, each, strict=True)))
+    var = partial(_row_variances, told.whole)
+    contact = ca.vertcat(*(contact_balance(*pair) for pair in zip(setup.drives, each, strict=True)))
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
-    rows = ca.DM.eye(layout.entries)
+    rows = ca.DM.eye(layout.entry_count)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     z = setup.model.output(q.modes.model, x)
-    shown = estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
+    shown = build_estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
     push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
     names = ("payload", *FRICTION)
     variances = var(rows[: 4 * N, :])
@@ -428,7 +454,7 @@ def _summarise_filters(
     )
 
 
-def _variances(belief: Gaussian, rows: Any) -> Any:
-    """Return variances of some rows times x (k)."""
+def _row_variances(belief: Gaussian, rows: Any) -> Any:
+    """Return the variances of some rows times x (k)."""
     rows = ca.sparsify(rows)
     return ca.fmax(ca.diag(rows @ belief.cov @ rows.T), 0.0)

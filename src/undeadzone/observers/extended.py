@@ -1,4 +1,4 @@
-"""Extended Kalman filter on the measured side, for nonlinear models of several outputs.
+"""Extended Kalman filter on the measured branch, for nonlinear models of several outputs.
 
 Robot arms are among them (docs/methods/extended.md): their joints are filtered each for itself,
 with one covariance of [q_i; q_i'; d_ri; d_li; a_i]. What a joint does not know of the others is an
@@ -17,24 +17,27 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.augmented_state import default_disturbance, even_units
+from undeadzone.observers.filtering.augmented_state import (
+    default_disturbance_rms,
+    power_of_two_units,
+)
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
-from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
+from undeadzone.observers.filtering.measured_kalman import build_branch_filter
 from undeadzone.observers.filtering.prior import (
     GLITCHES,
     Prior,
     build_prior,
-    glitch_share,
-    traits_of_prior,
+    outlier_probability,
+    prior_traits,
 )
 from undeadzone.observers.filtering.unknown_inputs import (
     OFFSET,
     Colour,
-    coloured_noise_model,
-    correlation_time,
-    named_parameters,
-    per_input,
-    unknowns,
+    build_colour,
+    build_unknown_inputs,
+    read_named_parameters,
+    resolve_correlation_time,
+    resolve_input_rms,
 )
 from undeadzone.plants.system import System, in_units
 from undeadzone.registry import Options
@@ -44,7 +47,7 @@ LEVELS = 3  # of a disturbance that is not claimed
 
 
 class Extended(Options, frozen=True, kw_only=True, tag="extended"):
-    """Kalman filter on the measured side whose model is linearised at the estimate.
+    """Kalman filter on the measured branch with the model linearised at the estimate.
 
     It is linearised sample by sample; sampled time.
 
@@ -96,32 +99,32 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     joints: Literal["coupled", "separate"] = "coupled"
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Return the filter for a sampled model. Raises InputError, ShapeError."""
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError(
                 "observer.silence: readings of a jump sensor only bound its widths, so that "
                 "without silence nothing tells of them"
             )
-        prior = self._prior(model, sensor)
+        prior = self._filter_prior(model, sensor)
         Ts = model.Ts
         assert Ts is not None
-        correlation = correlation_time(self.correlation_time, model.continuous, Ts)
-        usual = default_disturbance(model, prior.ranges.max(), correlation)
-        rms = per_input("disturbance", self.disturbance, usual)
+        correlation = resolve_correlation_time(self.correlation_time, model.continuous, Ts)
+        usual = default_disturbance_rms(model, prior.ranges.max(), correlation)
+        rms = resolve_input_rms("disturbance", self.disturbance, usual)
         doubts = self.disturbance is None and self.joints == "coupled" and not self.blind
-        bias = per_input("bias", self.bias, OFFSET * usual * doubts)
+        bias = resolve_input_rms("bias", self.bias, OFFSET * usual * doubts)
         # Joints that are filtered each for itself need [q; q'] as it is.
-        units = np.ones(model.n) if self.joints == "separate" else even_units(model)
-        colour = coloured_noise_model(correlation, None, Ts)
+        units = np.ones(model.n) if self.joints == "separate" else power_of_two_units(model)
+        colour = build_colour(correlation, None, Ts)
         default = LEVELS if doubts else 1
-        traits = traits_of_prior(prior, self.x_std)
-        return build_gaussian_filter(
+        traits = prior_traits(prior, self.x_std)
+        return build_branch_filter(
             model,
             units,
             sensor,
             prior,
-            self._augmentation(in_units(model, units), colour, rms, bias),
-            glitch_share(self.glitches),
+            self._build_augmentation(in_units(model, units), colour, rms, bias),
+            outlier_probability(self.glitches),
             traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain)),
             lasting=max(1.0, correlation / Ts),
             bounds=self.silence and not self.blind,
@@ -132,8 +135,11 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             levels=default if self.levels is None else self.levels,
         )
 
-    def _prior(self, model: System, sensor: Zone) -> Prior:
-        """Return the prior; of a blind filter, widths of 0. Raises InputError, ShapeError."""
+    def _filter_prior(self, model: System, sensor: Zone) -> Prior:
+        """Return the prior, with widths of 0 for a blind filter.
+
+        Raises InputError, ShapeError.
+        """
         prior = build_prior(
             self, model, sensor, start=self.start, centre=self.centre, silence=self.silence
         )
@@ -143,26 +149,29 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         mean, std = np.append(prior.mean[:n], none), np.append(prior.std[:n], none)
         return prior._replace(mean=mean, std=std, drift=none, asymmetry=None)
 
-    def _augmentation(
+    def _build_augmentation(
         self, model: System, colour: Colour, rms: Floats, bias: Floats
     ) -> Augmentation:
-        """Return the disturbance, the bias, and the uncertain parameters. Raises InputError."""
+        """Return the augmentation by disturbance, bias and uncertain parameters.
+
+        Raises InputError.
+        """
         if self.joints == "separate":
             if self.uncertain or bias.any():
                 key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
                 raise InputError(
                     f'observer.{key} binds the joints together; take joints = "coupled"'
                 )
-            return separate(model, colour, rms)
-        augmentation = unknowns(
-            model, colour, rms, bias, 0.0, named_parameters(model, self.uncertain)
+            return build_separate_joints(model, colour, rms)
+        augmentation = build_unknown_inputs(
+            model, colour, rms, bias, 0.0, read_named_parameters(model, self.uncertain)
         )
         places = tuple(model.names.index(name) for name in self.uncertain)
         return augmentation._replace(parameters=places)
 
 
 class Noise(NamedTuple):
-    """Of the joints' accelerations a+ = F a + noise of covariance Q variance (N)."""
+    """Noise of the joints' accelerations a+ = F a + noise of covariance Q variance (N)."""
 
     F: Any
     Q: Any
@@ -170,7 +179,7 @@ class Noise(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """What the functions of `separate` share.
+    """Options shared by the functions of `build_separate_joints`.
 
     Attributes:
         rate: rate(params, x, u) is x' of the arm.
@@ -183,9 +192,10 @@ class Joints(NamedTuple):
     Ts: float
 
 
-def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
-    """Return an unknown acceleration a of each joint, and covariances of its own five unknowns
-    alone.
+def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augmentation:
+    """Return the augmentation by an unknown acceleration of each joint.
+
+    Each joint has a covariance of its own five unknowns.
 
     The mean moves by the whole model, whose accelerations are taken once a sample; the variance is
     that of the accelerations that the disturbance makes where the model was linearised.
@@ -200,7 +210,7 @@ def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
             disturbance.
     """
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
-    if rate is None or flow is None or Ts is None or not mechanical(model):
+    if rate is None or flow is None or Ts is None or not is_mechanical(model):
         raise InputError(
             "observer.joints: separate joints need a nonlinear model of states [q; q'] that "
             "measures each position, such as a rigid arm's"
@@ -224,7 +234,7 @@ def separate(model: System, colour: Colour, rms: Floats) -> Augmentation:
 
 
 def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
-    """Return (x+ - x, a+ - a) with accelerations that stay as they are over the step."""
+    """Return (x+ - x, a+ - a) with accelerations constant over the step."""
     N, Ts = joints.size, joints.Ts
     v = x[N:]
     a = joints.rate(q.model, x, u)[N:] + extra
@@ -232,9 +242,7 @@ def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple
 
 
 def joint_slope(joints: Joints, q: Params) -> Any:
-    """Return the Jacobian of the change (5N x 5N), that of a double integrator under a for each
-    joint.
-    """
+    """Return the Jacobian of the change (5N x 5N): for each joint a double integrator under a."""
     Ts = joints.Ts
     one = ca.SX(5, 5)  # of [q_i; q_i'; d_ri; d_li; a_i]
     one[0, 1] = Ts
@@ -251,12 +259,12 @@ def joint_noise(joints: Joints, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
 
 
 def joint_disturbance(joints: Joints, q: Params, extra: Any) -> Any:
-    """What the accelerations add to x' (2N)."""
+    """Return the accelerations' contribution to x' (2N)."""
     return ca.vertcat(ca.SX.zeros(joints.size), extra)
 
 
-def mechanical(model: System) -> bool:
-    """Return whether the states are [q; q'] and the outputs q, less a constant perhaps."""
+def is_mechanical(model: System) -> bool:
+    """Return whether the states are [q; q'] and the outputs q, up to a constant."""
     N = model.p
     if model.n != 2 * N or model.flow is None:
         return False

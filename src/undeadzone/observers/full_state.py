@@ -1,4 +1,4 @@
-"""The reference line of what knowing everything is worth takes the true state for the estimate."""
+"""Reference line with full information: the true state serves as the estimate."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -15,7 +15,7 @@ from undeadzone.util.arrays import Floats
 
 
 class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
-    """State feedback on the true state, with the true widths; no observer.
+    """State feedback on the true state, with the true widths and without an observer.
 
     It exists in simulations only. Gaps of gears it takes from the model.
     """
@@ -26,6 +26,10 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
         """Return the reference line for a model, continuous or sampled."""
 
         def step(p: Params, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+            """Return the state, and the true state as an estimate.
+
+            Raises InputError outside a simulation.
+            """
             if reading.x is None:
                 raise InputError(
                     "observer.method: 'full_state' is told the true state, which exists in a "
@@ -36,14 +40,14 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
             right, left = p.right, p.left
             if model.gears is not None:
                 right, left = model.gears.widths(p.model)
-            return s, estimate(x, z, right, left, reading, p.slope, sensor.kind, none)
+            return s, build_estimate(x, z, right, left, reading, p.slope, sensor.kind, none)
 
         params = Params(model.params, sensor.right, sensor.left, sensor.slope)
         return Observer(params, lambda p: None, step, traits=Traits(adapts=False))
 
 
 class Params(NamedTuple):
-    """Numbers of the line: the model's, the true widths (p) [z], the slope (p)."""
+    """Parameters of the line: the model's, the true widths (p) [z], the slope (p)."""
 
     model: Any
     right: Floats

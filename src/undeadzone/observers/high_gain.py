@@ -1,4 +1,4 @@
-"""The high-gain observer differentiates the outputs as fast as noise allows."""
+"""High-gain observer: differentiates the outputs as fast as noise allows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from undeadzone.errors import StepError
 from undeadzone.interfaces import Observer
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
+from undeadzone.observers.adaptive.output_error import (
+    build_output_error_observer,
+    read_adapted_widths,
+)
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
@@ -39,10 +42,13 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     width_max: Array | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the observer for a model, continuous or sampled."""
-        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
-        epsilon = self._epsilon(model)
-        L = high_gain(model, epsilon)
+        """Return the observer for a model, continuous or sampled.
+
+        Raises StepError for a coarse step.
+        """
+        widths = read_adapted_widths(self.gamma, self.widths0, self.width_max, model, sensor)
+        epsilon = self._resolve_epsilon(model)
+        L = high_gain_matrix(model, epsilon)
         if model.Ts is not None:
             L = L * model.Ts
             fastest = np.abs(np.linalg.eigvals(model.linear.A - L @ model.linear.C)).max()
@@ -52,9 +58,9 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
                     f"{epsilon:g} s (spectral radius {fastest:.4g}); "
                     "use a larger epsilon or a shorter step"
                 )
-        return output_error(model, sensor, L, widths)
+        return build_output_error_observer(model, sensor, L, widths)
 
-    def _epsilon(self, model: System) -> float:
+    def _resolve_epsilon(self, model: System) -> float:
         """Return epsilon as given, or its default [s]. Raises InputError."""
         if self.epsilon is not None:
             return scalar("observer.epsilon", self.epsilon, above=0.0)
@@ -62,8 +68,8 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
         return max(0.1 / fastest_pole(model), least)
 
 
-def high_gain(model: System, epsilon: float) -> Floats:
-    """Return L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
+def high_gain_matrix(model: System, epsilon: float) -> Floats:
+    """Return the gain L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
     flow = model.continuous
     chains = output_chains(flow.A, flow.C)
     gains = np.zeros((model.n, model.p))

@@ -1,4 +1,4 @@
-"""Measured-side Kalman filter on [x; d_r; d_l]: exact where the side of a reading is certain.
+"""Measured-branch Kalman filter of [x; d_r; d_l]: exact if the branch of each reading is certain.
 
 The mathematics is in docs/filters.md.
 """
@@ -8,16 +8,16 @@ from __future__ import annotations
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.augmented_state import agitation, even_units
-from undeadzone.observers.filtering.gaussian_filter import white
-from undeadzone.observers.filtering.measured_kalman import build_gaussian_filter
+from undeadzone.observers.filtering.augmented_state import power_of_two_units, white_disturbance_rms
+from undeadzone.observers.filtering.gaussian_filter import white_disturbance
+from undeadzone.observers.filtering.measured_kalman import build_branch_filter
 from undeadzone.observers.filtering.prior import (
     GLITCHES,
     build_prior,
-    glitch_share,
-    traits_of_prior,
+    outlier_probability,
+    prior_traits,
 )
-from undeadzone.observers.filtering.unknown_inputs import per_input
+from undeadzone.observers.filtering.unknown_inputs import resolve_input_rms
 from undeadzone.plants.system import System, in_units
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array
@@ -26,7 +26,7 @@ SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z 
 
 
 class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
-    """Kalman filter on the measured side; sampled time.
+    """Kalman filter on the measured branch; sampled time.
 
     A nonlinear model is expanded to second order.
 
@@ -56,22 +56,24 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
     glitches: float = GLITCHES
 
     def build(self, model: System, sensor: Zone) -> Observer:
-        """Return the filter for a sampled model."""
+        """Return the filter for a sampled model. Raises InputError for a jump sensor."""
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
                 "cannot use; use 'censored'"
             )
         prior = build_prior(self, model, sensor, centre=self.centre)
-        rms = per_input("disturbance", self.disturbance, agitation(model, SWING * prior.largest))
-        units = even_units(model)
-        return build_gaussian_filter(
+        rms = resolve_input_rms(
+            "disturbance", self.disturbance, white_disturbance_rms(model, SWING * prior.largest)
+        )
+        units = power_of_two_units(model)
+        return build_branch_filter(
             model,
             units,
             sensor,
             prior,
-            white(in_units(model, units), rms**2),
-            glitch_share(self.glitches),
-            traits_of_prior(prior, self.x_std),
+            white_disturbance(in_units(model, units), rms**2),
+            outlier_probability(self.glitches),
+            prior_traits(prior, self.x_std),
             recovers=False,
         )

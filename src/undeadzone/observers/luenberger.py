@@ -1,4 +1,4 @@
-"""The classical Luenberger observer takes the reading for the output, blind to the dead zone."""
+"""Classical Luenberger observer: takes the reading for the output and ignores the dead zone."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.nonlinearities.sensor import Zone, present
-from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats
 
 
 class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
-    """x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966), with one of L and poles.
+    """Observer x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966), with L or poles.
 
     Attributes:
         L: gains (n x p) [1/s], as in `Certified`.
@@ -30,35 +30,39 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
-        L = self._gain(model)
+        L = self._luenberger_gain(model)
 
         def init(p: Params) -> State:
+            """Return the state at t = 0: x^ = 0."""
             return State(np.zeros(model.n))
 
         def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+            """Return the state's derivative or next value, and the estimate."""
             z = model.output(p.model, s.x)
             e = ca.if_else(present(reading.y), reading.y / p.slope - z, 0.0)
             none = ca.SX.zeros(model.p)
             after = State(model.move_with_correction(p.model, s.x, u, p.L @ e))
-            return after, estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
+            return after, build_estimate(s.x, z, none, none, reading, p.slope, sensor.kind, e)
 
         params = Params(model.params, L, sensor.slope)
         return Observer(params, init, step, traits=Traits(L=L, adapts=False))
 
-    def _gain(self, model: System) -> Floats:
-        """Return L (n x p), per step when the model is sampled.
+    def _luenberger_gain(self, model: System) -> Floats:
+        """Return L (n x p), per step if the model is sampled.
+
+        Raises InputError, StructureError.
 
         Raises InputError, StructureError.
         """
         if self.poles is not None and self.L is None:
             return observer_gain(model.linear, self.poles, model.Ts)
         if self.L is not None and self.poles is None:
-            return gains(self.L, model) * model.per_step
+            return innovation_gain(self.L, model) * model.per_step
         raise InputError("observer: luenberger needs exactly one of L, poles")
 
 
 class Params(NamedTuple):
-    """Numbers of the observer; L (n x p) is per step when the model is sampled."""
+    """Parameters of the observer; L (n x p) is per step if the model is sampled."""
 
     model: Any
     L: Floats
@@ -66,6 +70,6 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """x^ alone."""
+    """State of the observer: x^ alone."""
 
     x: Any

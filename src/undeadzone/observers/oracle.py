@@ -1,4 +1,6 @@
-"""The oracle is the certified observer with the true widths: what knowing them is worth."""
+"""Oracle: the certified observer with the true widths, a reference for the value of known
+widths.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import numpy as np
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.adaptive.branch_observer import build_branch_observer
-from undeadzone.observers.adaptive.gain import gains
+from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array
@@ -27,6 +29,6 @@ class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
         widths = np.stack([sensor.right, sensor.left], axis=1)
-        gain, gamma = gains(self.L, model), np.zeros(model.p)
+        gain, gamma = innovation_gain(self.L, model), np.zeros(model.p)
         start, limit = np.zeros(model.n), np.full(model.p, np.inf)
         return build_branch_observer(model, sensor, gain, gamma, start, widths, limit, self.silence)

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import System, with_linearisation
 from undeadzone.util.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
@@ -64,11 +64,11 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
     if plant.second_order is not None:
         return _second_order(f"{key}.second_order", plant.second_order)
     if plant.companion is not None:
-        return companion(series(f"{key}.companion", plant.companion))
+        return companion_form(series(f"{key}.companion", plant.companion))
     if plant.integrators is not None:
         if not 1 <= plant.integrators <= 50:
             raise InputError(f"{key}.integrators: expected 1 to 50, found {plant.integrators}")
-        return companion(np.zeros(plant.integrators))
+        return companion_form(np.zeros(plant.integrators))
     if plant.transfer_function is not None:
         return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:
@@ -166,7 +166,7 @@ def _second_order(key: str, options: SecondOrder) -> Matrices:
     zeta = scalar(f"{key}.zeta", options.zeta)
     gain = scalar(f"{key}.gain", options.gain)
     omega = scalar(f"{key}.omega_n", options.omega_n, above=0.0)
-    unit = companion([omega * omega, 2 * zeta * omega])
+    unit = companion_form([omega * omega, 2 * zeta * omega])
     return unit._replace(B=gain * unit.B)
 
 
@@ -180,7 +180,7 @@ def _transfer_function(key: str, options: TransferFunction) -> Matrices:
         orders = f"numerator order {num.size - 1} < denominator order {den.size - 1}"
         raise InputError(f"{key}: must be strictly proper ({orders})")
     with np.errstate(over="ignore"):
-        return companion((den / den[0])[:0:-1], (num / den[0])[::-1])
+        return companion_form((den / den[0])[:0:-1], (num / den[0])[::-1])
 
 
 def _linear_move(params: Matrices, x: Any, u: Any) -> Any:

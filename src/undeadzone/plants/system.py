@@ -11,7 +11,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
-from undeadzone.linalg.matrices import Matrices, balancing, feedback_loops, similar
+from undeadzone.linalg.matrices import Matrices, balance_states, change_state_units, feedback_loops
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import Arm
@@ -254,7 +254,7 @@ def in_units(system: System, units: Floats) -> System:
 def _matrices_in_units(linear: Matrices, units: Floats) -> Matrices:
     """Return the matrices for states that are counted in these units (n)."""
     A, B, C = linear
-    return Matrices(similar(A, units), B / units[:, None], C * units)
+    return Matrices(change_state_units(A, units), B / units[:, None], C * units)
 
 
 def held_inputs(model: System) -> Floats:
@@ -288,7 +288,7 @@ def _moving(A: Floats) -> np.ndarray:
     """Return the poles of x' = A x that are not those of integrators."""
     poles = np.linalg.eigvals(A)
     loops = feedback_loops(A)
-    size = np.linalg.norm(similar(loops, balancing(loops)), 2)
+    size = np.linalg.norm(change_state_units(loops, balance_states(loops)), 2)
     return np.asarray(poles[np.abs(poles) > STILL * size])
 
 

@@ -15,7 +15,7 @@ from undeadzone.errors import InputError
 from undeadzone.report import ink
 from undeadzone.report.style import DASHED, axis_label, finish, floor_of, plain, sheet
 from undeadzone.results.run import LAST
-from undeadzone.statistics.intervals import LEVEL, shares_between
+from undeadzone.statistics.intervals import LEVEL, share_bounds
 from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def _beyond(axes: Axes, ordered: Floats) -> None:
     above = np.unique(np.geomspace(1, max(n - 1, 1), 300).astype(int))[::-1]  # numbers of runs
     x = ordered[np.maximum(n - 1 - above, 0)]
     axes.set_yscale("log")
-    low, high = shares_between(above, n)
+    low, high = share_bounds(above, n)
     axes.fill_between(x, low, high, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(x, above / n, color=ink.ESTIMATE)
     axes.set_ylim(0.5 / n, 1.5)

@@ -9,11 +9,11 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Knowledge, Point
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.certificate.weights import margin
-from undeadzone.analysis.convergence.falsify import Mode, generator
-from undeadzone.analysis.convergence.floquet import rates
-from undeadzone.analysis.error_dynamics import Dynamics, growth, pattern
-from undeadzone.linalg.matrices import delta
+from undeadzone.analysis.certificate.weights import margin_of_weights
+from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator
+from undeadzone.analysis.convergence.floquet import error_decay_rates
+from undeadzone.analysis.error_dynamics import Dynamics, branch_pattern, largest_growth_rate
+from undeadzone.linalg.matrices import delta_form
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import ink
 from undeadzone.report.style import axis_label, finish, sheet
@@ -123,8 +123,8 @@ def _poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
     Every output is read on its right side.
     """
     outputs = dynamics.C.shape[0]
-    S = pattern((1,) * outputs)  # which width each output's reading holds
-    F = generator(scaled, Mode(np.ones(1), S, np.ones(outputs), 0.0))
+    S = branch_pattern((1,) * outputs)  # which width each output's reading holds
+    F = error_generator(scaled, SwitchMode(np.ones(1), S, np.ones(outputs), 0.0))
     adapted = S.any(axis=0) & (np.diag(dynamics.gamma) > 0)
     kept = np.concatenate([np.ones(len(dynamics.A[0]), bool), adapted])
     return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
@@ -165,14 +165,16 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
 def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     """Return the rate [1/s] along the reference with one gain scaled."""
     scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
-    return rates(of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump").rate
+    return error_decay_rates(
+        of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump"
+    ).rate
 
 
 def _is_proved_with_scaled_gain(proof: Certificate, name: str, factor: float) -> bool:
     """Return whether the weights of a certificate prove it with one gain scaled, too."""
     if not proof.margin > -np.inf:
         return False
-    return margin(_scale_gain(proof.dynamics, name, factor), proof.W)[0] > 0
+    return margin_of_weights(_scale_gain(proof.dynamics, name, factor), proof.W)[0] > 0
 
 
 def front(design: Design) -> Figure:
@@ -275,7 +277,7 @@ def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
     Silence tells it only of a stable model, whose output is known in the end.
     """
     model, schedule = of.problem.model, of.schedule
-    if not growth(delta(model.linear, model.Ts).A, model.Ts) < 0:
+    if not largest_growth_rate(delta_form(model.linear, model.Ts).A, model.Ts) < 0:
         return np.zeros(2)
     return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)
 

@@ -14,7 +14,9 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.analysis.certificate.passivity import Certificate
-from undeadzone.analysis.identifiability.indistinguishable import in_words as in_words_of_truths
+from undeadzone.analysis.identifiability.indistinguishable import (
+    describe_indistinguishable as in_words_of_truths,
+)
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.gain_figures import ellipses, front, root_locus
@@ -200,7 +202,7 @@ def _schedule(of: Assessment) -> str:
     """How many spans the schedule of sides has, in what time."""
     schedule = of.schedule
     again = ", then the same again" if schedule.periodic else ""
-    return f"{count_noun(len(schedule.spans), 'span')} in {schedule.duration:.4g} s{again}"
+    return f"{count_noun(len(schedule.spans), 'span')} in {schedule.total_duration:.4g} s{again}"
 
 
 def verdict(of: Assessment) -> html.Html:
@@ -282,7 +284,7 @@ def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
 def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
     """Return the numbers by which a certificate was checked."""
     inequality = proof.dynamics.inequality(proof.W)
-    matrices = inequality.matrices(proof.P)
+    matrices = inequality.lmi_matrices(proof.P)
     values = np.concatenate([np.linalg.eigvalsh(M) for M in matrices])
     step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
     at_infinity = proof.frequency is None or np.isinf(proof.frequency)

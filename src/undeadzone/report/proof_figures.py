@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design
-from undeadzone.analysis.certificate.passivity import Certificate, recheck
-from undeadzone.analysis.certificate.weights import response
-from undeadzone.analysis.convergence.falsify import Mode
+from undeadzone.analysis.certificate.passivity import Certificate, recheck_proof
+from undeadzone.analysis.certificate.weights import frequency_response
+from undeadzone.analysis.convergence.falsify import SwitchMode
 from undeadzone.analysis.convergence.trajectories import Trajectory
-from undeadzone.analysis.error_dynamics import Dynamics, Storage, dynamics
+from undeadzone.analysis.error_dynamics import Dynamics, Storage, build_error_dynamics
 from undeadzone.report import ink
 from undeadzone.report.style import FLOOR, finish, sheet
 from undeadzone.synthesis.assessment import Attacks, Gains
@@ -32,9 +32,9 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 
 def proof_of(design: Design) -> Certificate:
     """Return the certificate that a design holds, checked again by eigenvalues alone."""
-    errors = dynamics(design.model, design.L, design.gamma, design.Ts)
+    errors = build_error_dynamics(design.model, design.L, design.gamma, design.Ts)
     V = Storage(np.array(design.P), np.array(design.W), errors.gamma)
-    check = recheck(errors, V.P, V.W)
+    check = recheck_proof(errors, V.P, V.W)
     return Certificate(check.proved, "", design.margin, design.frequency, V, errors, check)
 
 
@@ -103,8 +103,8 @@ def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """
     Ts, root = errors.Ts, np.sqrt(W)
     at_infinity = np.eye(root.size) - errors.steps[0] / 2
-    H = response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
-    return H.values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
+    H = frequency_response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
+    return H.response_values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
 
 
 def _nyquist_curves(
@@ -224,7 +224,7 @@ def _rise(axes: Axes, course: Trajectory, title: str) -> None:
     finish(axes, title, y_label, legend=0)
 
 
-def _words(mode: Mode) -> str:
+def _words(mode: SwitchMode) -> str:
     """Return the sides that a mode reads, in words, and for how long."""
     names = {1: "right", 0: "silent", -1: "left"}
     sides = [names[int(row.sum())] for row in mode.S]

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from undeadzone.interfaces import claims_in_words
+from undeadzone.interfaces import describe_rejected_assumptions
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, phase, tip
@@ -109,7 +109,7 @@ def _numbers(run: Run) -> dict[str, Any]:
     numbers |= {row.title: row.words for row in parameters(run)}
     refuted = claims_at_end(run.signals.arrays).get("claims")
     if refuted:
-        numbers["NOT as told"] = "; ".join(claims_in_words(refuted))
+        numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted))
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,

@@ -10,8 +10,8 @@ from typing import Any, ClassVar, Final
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import yes_no
-from undeadzone.interfaces import claims_in_words
+from undeadzone.analysis.identifiability.linear import format_yes_no
+from undeadzone.interfaces import describe_rejected_assumptions
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
 from undeadzone.results.feedback import describe_feedback as listening_in_words
@@ -386,7 +386,7 @@ def in_words(run: Run) -> list[Block]:
         shown["DIVERGED"] = f"at {run.divergence_time:g} s"
         return [shown] if single else [shown, _rows(run)]
     if refuted := claims_at_end(run.signals.arrays).get("claims"):
-        shown["claims"] = "NOT as told: " + "; ".join(claims_in_words(refuted))
+        shown["claims"] = "NOT as told: " + "; ".join(describe_rejected_assumptions(refuted))
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     shown |= _proof(run) | _identifiable(info, run.outputs)
@@ -415,7 +415,7 @@ def _rows(run: Run) -> Rows:
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
-        told = "yes" if all(verdict[each] for each in DIRECTIONS) else yes_no(verdict)
+        told = "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
         rows.append((name, *cells, told))
     return rows
 
@@ -441,7 +441,7 @@ def _identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
     """What the readings tell of the widths of one output; of several, why not all of them."""
     if len(outputs) == 1:
         verdict = info.identifiable[0]
-        return {"identifiable": "; ".join([yes_no(verdict), *verdict["reasons"]])}
+        return {"identifiable": "; ".join([format_yes_no(verdict), *verdict["reasons"]])}
     why = []
     for name, verdict in zip(outputs, info.identifiable, strict=True):
         why += [f"{name}: {reason}" for reason in verdict["reasons"]]

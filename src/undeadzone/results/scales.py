@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.linalg.matrices import delta, sizes
+from undeadzone.linalg.matrices import delta_form, state_response_sizes
 from undeadzone.util.arrays import Floats
 
 if TYPE_CHECKING:
@@ -37,16 +37,16 @@ def plant_scales(problem: Problem) -> Scales:
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
     sensor, plant = problem.sensor, problem.plant.linear
-    signals = [sensor.right, sensor.left, problem.reference.value(t)]
+    signals = [sensor.right, sensor.left, problem.reference.output_at(t)]
     if not problem.plant.nonlinear:
         signals.append(plant.C @ problem.x0)
     largest = max(float(np.abs(signal).max(initial=0.0)) for signal in signals)
     output = largest if 0 < largest < np.inf else 1.0
     if problem.plant.nonlinear:
         return Scales(np.ones(problem.plant.n), output, 1.0)
-    A, B, C = delta(plant, problem.plant.Ts)
-    states = np.maximum(output / sizes(A.T, C.T), np.abs(problem.x0))
-    return Scales(states, output, float((states / sizes(A, B)).max()))
+    A, B, C = delta_form(plant, problem.plant.Ts)
+    states = np.maximum(output / state_response_sizes(A.T, C.T), np.abs(problem.x0))
+    return Scales(states, output, float((states / state_response_sizes(A, B)).max()))
 
 
 def shares(scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats) -> Floats:

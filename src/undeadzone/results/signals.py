@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, false_claims
+from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, list_rejected_assumptions
 from undeadzone.scenario.schema import Units
 from undeadzone.util.arrays import Floats, one_or_list
 
@@ -186,7 +186,9 @@ def claims_at_end(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
     """
     if "claims" not in signals:
         return {}
-    return {"claims": false_claims(signals["claims"][-1, 0], signals["suspect"][-1, 0])}
+    return {
+        "claims": list_rejected_assumptions(signals["claims"][-1, 0], signals["suspect"][-1, 0])
+    }
 
 
 def _final(signal: Signal, last: Floats) -> dict[str, Any]:

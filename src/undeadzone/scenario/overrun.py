@@ -52,7 +52,7 @@ def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
         duration: over which they are looked at [s].
         step: over which they are differenced [s].
     """
-    r = reference.value(np.arange(0.0, duration + step / 2, step))
+    r = reference.output_at(np.arange(0.0, duration + step / 2, step))
     fine, coarse = _largest(r, step), _largest(r[::2], 2 * step)
     return np.where(fine <= SMOOTH * coarse, fine, np.nan)
 

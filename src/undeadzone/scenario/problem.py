@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 
 from undeadzone.compensators import SmoothZoneInverse
-from undeadzone.controllers.parts.behind_play import with_gap_compensation
-from undeadzone.controllers.parts.estimated import with_estimates
-from undeadzone.controllers.parts.predicted import predicting
+from undeadzone.controllers.parts.behind_play import lead_across_gap
+from undeadzone.controllers.parts.estimated import use_gear_estimates
+from undeadzone.controllers.parts.predicted import predict_over_delay
 from undeadzone.errors import InputError
 from undeadzone.feedforward.joint_path import after_swing, joint_path, require_range, require_torque
 from undeadzone.feedforward.targets import flat_targets
@@ -29,7 +29,7 @@ from undeadzone.nonlinearities.actuator import (
 )
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import Sensor, Zone
-from undeadzone.observers.filtering.actuator import build_behind_actuator
+from undeadzone.observers.filtering.actuator import build_with_actuator
 from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
@@ -127,9 +127,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     observer = watching(scenario.observer, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
-    controller = with_estimates(scenario.controller.build(model), model, observer.traits.uncertain)
-    controller = with_gap_compensation(controller, model, sensor, tracked, scenario.behind_play)
-    controller = predicting(controller, model, belief)
+    controller = use_gear_estimates(
+        scenario.controller.build(model), model, observer.traits.uncertain
+    )
+    controller = lead_across_gap(controller, model, sensor, tracked, scenario.behind_play)
+    controller = predict_over_delay(controller, model, belief)
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
     if scenario.region is not None:
@@ -185,7 +187,7 @@ def watching(
     """
     require_branch_observer(options, told)
     require_gears("observer", options, model)
-    observer = build_behind_actuator(options, model, told, belief)
+    observer = build_with_actuator(options, model, told, belief)
     require_bounded_error(model, observer, step)
     return observer
 
@@ -364,7 +366,7 @@ def _reference(
 ) -> tuple[Exosystem, Exosystem | None]:
     """Return the reference of the tracked outputs, and the path of a flat model's coordinates."""
     if flow.flat is None:
-        reference = signals.exosystem("reference", scenario.reference, len(tracked))
+        reference = signals.build_exosystem("reference", scenario.reference, len(tracked))
         require_resolved("reference", reference, step)
         return reference, None
     path = flat_path(scenario, flow, x0, step)
@@ -385,7 +387,7 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
         nonnegative("disturbance.rms", signal.rms, inputs, f"one per input, there are {inputs}")
         scalar("disturbance.correlation_time", signal.correlation_time, above=0.0)
         return None
-    return signals.exosystem("disturbance", signal, inputs)
+    return signals.build_exosystem("disturbance", signal, inputs)
 
 
 def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
@@ -415,22 +417,22 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
     assert body is not None
     t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
     if getattr(reference, "space", "joint") == "joint":
-        path = signals.exosystem("reference", reference, model.m)
+        path = signals.build_exosystem("reference", reference, model.m)
         if model.m == body.size:
-            require_range(body.chain, t, path.value(t), path.value(t, 1))
+            require_range(body.chain, t, path.output_at(t), path.output_at(t, 1))
     elif model.m < body.size:
         raise InputError(
             "reference.space: the path of an elastic joint is its link's angle; use space = 'joint'"
         )
     else:
-        task = signals.exosystem("reference", reference, len(body.chain.plane), task=True)
+        task = signals.build_exosystem("reference", reference, len(body.chain.plane), task=True)
         params, posture = model.joints(model.params, start)
         swing = getattr(reference, "swing", None)
         begin = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
         path = joint_path(body, params, task, max(duration - begin, step), step, posture)
         if swing is not None:
             path = after_swing(path, swing)
-            require_range(body.chain, t, path.value(t), path.value(t, 1))
+            require_range(body.chain, t, path.output_at(t), path.output_at(t, 1))
     require_torque(model, path, t)
     return path
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StepError, StructureError
 from undeadzone.interfaces import Controller, Observer
-from undeadzone.linalg.poles import slowest
+from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
@@ -147,8 +147,8 @@ def require_bounded_error(model: System, observer: Observer, step: float) -> Non
     if L is None:
         return
     A, _, C = model.linear
-    free = slowest(np.linalg.eigvals(A), model.Ts)
-    active = slowest(np.linalg.eigvals(A - L @ C), model.Ts)
+    free = slowest_growth_rate(np.linalg.eigvals(A), model.Ts)
+    active = slowest_growth_rate(np.linalg.eigvals(A - L @ C), model.Ts)
     if free > 1e-9 and active >= 0:
         raise StructureError(
             f"observer.L: the model is unstable (growth rate {free:.4g} 1/s) and this gain cannot "

@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, curve
+from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, build_curve
 from undeadzone.util.arrays import Array, Floats, scalar, vector
 from undeadzone.util.files import LARGEST_TABLE, read_text, reason
 from undeadzone.util.toml import Kind
@@ -27,7 +27,7 @@ Derivatives = Callable[[Floats], Floats]
 
 
 def common_period(frequencies: list[float]) -> float | None:
-    """Return the least common period [s] of frequencies [Hz].
+    """Return the least common period of frequencies [s], or None.
 
     None if their ratios are not those of whole numbers up to 1000.
     """
@@ -44,7 +44,7 @@ def common_period(frequencies: list[float]) -> float | None:
 
 
 class Exosystem(NamedTuple):
-    """w' = S w between corners and r = Q w, of k states.
+    """Linear system w' = S w between corners and r = Q w, of k states.
 
     Attributes:
         S: dynamics of the states (k x k) [1/s].
@@ -60,13 +60,15 @@ class Exosystem(NamedTuple):
     period: float | None = None
     corners: Floats = np.empty(0)
 
-    def value(self, t: Floats, derivative: int = 0) -> Floats:
-        """Return r, or its derivative of that order, at times t [s] (len(t) x channels)."""
+    def output_at(self, t: Floats, derivative: int = 0) -> Floats:
+        """Return r, or its derivative of the given order, at times t [s] (len(t) x
+        channels).
+        """
         return self.state(t) @ (self.Q @ np.linalg.matrix_power(self.S, derivative)).T
 
 
 class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """amplitude * sin(2 pi frequency t + phase).
+    """Sine amplitude * sin(2 pi frequency t + phase).
 
     Attributes:
         amplitude: one number or one per channel.
@@ -80,7 +82,7 @@ class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Sine(Tone, frozen=True, kw_only=True, tag_field="kind", tag="sine"):
-    """One sine about an offset.
+    """Sine about an offset.
 
     Attributes:
         offset: constant added to the sine, one number or one per channel.
@@ -90,7 +92,7 @@ class Sine(Tone, frozen=True, kw_only=True, tag_field="kind", tag="sine"):
 
 
 class Sines(Kind, frozen=True, kw_only=True, tag="sines"):
-    """A sum of sines about an offset.
+    """Sum of sines about an offset.
 
     Attributes:
         components: the sines, each with amplitude, frequency and phase.
@@ -102,7 +104,7 @@ class Sines(Kind, frozen=True, kw_only=True, tag="sines"):
 
 
 class Step(Kind, frozen=True, kw_only=True, tag="step"):
-    """A step from one constant value to another.
+    """Step from a constant value to another.
 
     Attributes:
         amplitude: the value after the step, one number or one per channel.
@@ -116,7 +118,7 @@ class Step(Kind, frozen=True, kw_only=True, tag="step"):
 
 
 class Trapezoid(Kind, frozen=True, kw_only=True, tag="trapezoid"):
-    """A periodic trapezoid.
+    """Periodic trapezoid.
 
     It rises to +amplitude, holds, falls to -amplitude, holds, and so on, starting at 0.
 
@@ -132,7 +134,7 @@ class Trapezoid(Kind, frozen=True, kw_only=True, tag="trapezoid"):
 
 
 class Samples(Kind, frozen=True, kw_only=True, tag="csv"):
-    """Samples in a CSV file, held at its ends.
+    """Samples in a CSV file, constant beyond its ends.
 
     Attributes:
         path: the file, relative to the scenario's: a time column [s] and one column per channel.
@@ -159,8 +161,8 @@ Signal = Sine | Sines | Step | Trapezoid | Samples | Path
 Disturbance = Sine | Sines | Step | Trapezoid | Samples | Random
 
 
-def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Exosystem:
-    """Return the exosystem of a signal.
+def build_exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Exosystem:
+    """Build the exosystem of a signal.
 
     Args:
         key: name of the signal in messages.
@@ -176,15 +178,15 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
             if not signal.components:
                 raise InputError(f"{key}.components: expected at least one sine, found none")
             keys = [f"{key}.components[{i}]" for i in range(len(signal.components))]
-            return _tones(key, keys, signal.components, signal.offset, channels)
+            return _tones_exosystem(key, keys, signal.components, signal.offset, channels)
         case Sine():
-            return _tones(key, [key], [signal], signal.offset, channels)
+            return _tones_exosystem(key, [key], [signal], signal.offset, channels)
         case Step():
-            return _step(key, signal, channels)
+            return _step_exosystem(key, signal, channels)
         case Trapezoid():
-            return _trapezoid(key, signal, channels)
+            return _trapezoid_exosystem(key, signal, channels)
         case Samples():
-            return _samples(key, signal, channels)
+            return _samples_exosystem(key, signal, channels)
         case Quintic() | Circle() | FigureEight():
             if signal.space == "task" and not task:
                 raise InputError(
@@ -195,12 +197,14 @@ def exosystem(key: str, signal: Signal, channels: int, task: bool = False) -> Ex
                 raise InputError(
                     f"{key}.swing: joints swing ahead of a path of an arm's tip; set space = 'task'"
                 )
-            path = curve(key, signal, channels)
-            exo = piecewise(path.derivatives, channels, path.closure)
+            path = build_curve(key, signal, channels)
+            exo = piecewise_exosystem(path.derivatives, channels, path.closure)
             return exo._replace(corners=path.corners, period=path.period)
 
 
-def piecewise(derivatives: Derivatives, channels: int, closure: Floats | None = None) -> Exosystem:
+def piecewise_exosystem(
+    derivatives: Derivatives, channels: int, closure: Floats | None = None
+) -> Exosystem:
     """Return an exosystem whose states are a value and its derivatives.
 
     Args:
@@ -221,20 +225,23 @@ def piecewise(derivatives: Derivatives, channels: int, closure: Floats | None = 
     )
 
 
-def _per_channel(key: str, value: Array, channels: int) -> Floats:
-    """Return one number per channel, checked."""
+def _require_per_channel(key: str, value: Array, channels: int) -> Floats:
+    """Return a number per channel, or raise."""
     return vector(key, value, channels, f"one per channel, there are {channels}")
 
 
-def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int) -> Exosystem:
-    """Return the exosystem of a sum of sines about an offset: two states a sine, and 1 for an
-    offset.
+def _tones_exosystem(
+    key: str, keys: list[str], tones: list[Tone], offset: Array, channels: int
+) -> Exosystem:
+    """Return the exosystem of a sum of sines about an offset.
+
+    States: two per sine, and 1 for an offset.
     """
-    constant = _per_channel(f"{key}.offset", offset, channels)
+    constant = _require_per_channel(f"{key}.offset", offset, channels)
     omegas, gains = [], []
     for name, tone in zip(keys, tones, strict=True):
-        amplitude = _per_channel(f"{name}.amplitude", tone.amplitude, channels)
-        phase = _per_channel(f"{name}.phase", tone.phase, channels)
+        amplitude = _require_per_channel(f"{name}.amplitude", tone.amplitude, channels)
+        phase = _require_per_channel(f"{name}.phase", tone.phase, channels)
         omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
         omegas.append(omega)
         gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
@@ -246,6 +253,7 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
     S[waves, waves + 1], S[waves + 1, waves] = rates, -rates
 
     def state(t: Floats) -> Floats:
+        """Return the states at times t [s] (N x k)."""
         angle = np.outer(t, rates)
         pairs = np.stack([np.sin(angle), np.cos(angle)], axis=2).reshape(t.size, 2 * rates.size)
         return np.hstack([pairs, np.ones((t.size, 1))]) if constant.any() else pairs
@@ -254,10 +262,10 @@ def _tones(key: str, keys: list[str], tones: list[Tone], offset: Array, channels
     return Exosystem(S, np.stack(gains, axis=1), state, period)
 
 
-def _step(key: str, signal: Step, channels: int) -> Exosystem:
+def _step_exosystem(key: str, signal: Step, channels: int) -> Exosystem:
     """Return the exosystem of a step, constant on either side."""
-    before = _per_channel(f"{key}.before", signal.before, channels)
-    after = _per_channel(f"{key}.amplitude", signal.amplitude, channels)
+    before = _require_per_channel(f"{key}.before", signal.before, channels)
+    after = _require_per_channel(f"{key}.amplitude", signal.amplitude, channels)
     time = scalar(f"{key}.time", signal.time)
     return Exosystem(
         np.zeros((channels, channels)),
@@ -267,37 +275,37 @@ def _step(key: str, signal: Step, channels: int) -> Exosystem:
     )
 
 
-def _trapezoid(key: str, signal: Trapezoid, channels: int) -> Exosystem:
+def _trapezoid_exosystem(key: str, signal: Trapezoid, channels: int) -> Exosystem:
     """Return the exosystem of a trapezoid."""
-    amplitude = _per_channel(f"{key}.amplitude", signal.amplitude, channels)
+    amplitude = _require_per_channel(f"{key}.amplitude", signal.amplitude, channels)
     rise = scalar(f"{key}.rise", signal.rise, above=0.0)
     hold = scalar(f"{key}.hold", signal.hold, least=0.0)
     corners = np.cumsum([0.0, rise, hold, 2 * rise, hold, rise])
-    exo = piecewise(trapezoid(corners, amplitude), channels)
+    exo = piecewise_exosystem(trapezoid_derivatives(corners, amplitude), channels)
     return exo._replace(period=float(corners[-1]), corners=corners)
 
 
-def _samples(key: str, signal: Samples, channels: int) -> Exosystem:
+def _samples_exosystem(key: str, signal: Samples, channels: int) -> Exosystem:
     """Return the exosystem of samples in a file."""
     t, values = read_csv(key, signal.path, channels)
     smooth = signal.smooth and t.size > 2
-    derivatives = spline(t, values) if smooth else lines(t, values)
-    return piecewise(derivatives, channels)._replace(corners=t)
+    derivatives = spline_derivatives(t, values) if smooth else line_derivatives(t, values)
+    return piecewise_exosystem(derivatives, channels)._replace(corners=t)
 
 
-def trapezoid(corners: Floats, amplitude: Floats) -> Derivatives:
-    """Return a periodic trapezoid between plus and minus its amplitude, with one derivative.
+def trapezoid_derivatives(corners: Floats, amplitude: Floats) -> Derivatives:
+    """Return a periodic trapezoid between plus and minus its amplitude, with a derivative.
 
     Args:
         corners: times of its corners in one period, the first at 0 (6) [s].
         amplitude: amplitude of each channel (channels).
     """
-    once = lines(corners, np.array([[0.0], [1.0], [1.0], [-1.0], [-1.0], [0.0]]))
+    once = line_derivatives(corners, np.array([[0.0], [1.0], [1.0], [-1.0], [-1.0], [0.0]]))
     return lambda t: once(np.mod(t, corners[-1])) * amplitude
 
 
-def lines(t: Floats, values: Floats) -> Derivatives:
-    """Return straight lines between samples, with one derivative; held at the ends.
+def line_derivatives(t: Floats, values: Floats) -> Derivatives:
+    """Return straight lines between samples, with a derivative; constant beyond the ends.
 
     Args:
         t: times of the samples (N) [s]; where two are the same, the later sample counts.
@@ -307,6 +315,7 @@ def lines(t: Floats, values: Floats) -> Derivatives:
     slopes = np.diff(values, axis=0) / np.where(spans > 0, spans, np.inf)
 
     def derivatives(at: Floats) -> Floats:
+        """Return value and slope at times [s] (N x 2 x channels)."""
         inside = np.clip(at, t[0], t[-1])
         piece = np.clip(np.searchsorted(t, inside, side="right") - 1, 0, t.size - 2)
         moving = ((at >= t[0]) & (at < t[-1]))[:, None]
@@ -316,8 +325,8 @@ def lines(t: Floats, values: Floats) -> Derivatives:
     return derivatives
 
 
-def spline(t: Floats, values: Floats) -> Derivatives:
-    """Return a cubic spline through samples, with three derivatives; held at the ends.
+def spline_derivatives(t: Floats, values: Floats) -> Derivatives:
+    """Return a cubic spline through samples, with three derivatives; constant beyond the ends.
 
     Args:
         t: times of the samples (N) [s].
@@ -328,6 +337,7 @@ def spline(t: Floats, values: Floats) -> Derivatives:
     curve = CubicSpline(t, values, bc_type="natural" if t.size < 4 else "not-a-knot")
 
     def derivatives(at: Floats) -> Floats:
+        """Return value and three derivatives at times [s] (N x 4 x channels)."""
         inside = np.clip(at, t[0], t[-1])
         moving = ((at >= t[0]) & (at <= t[-1]))[:, None]
         slopes = [curve(inside, order) * moving for order in range(1, 4)]
@@ -337,7 +347,7 @@ def spline(t: Floats, values: Floats) -> Derivatives:
 
 
 def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
-    """Return the samples in a CSV file; a header line and lines that start with # are allowed.
+    """Read the samples in a CSV file; a header line and lines that start with # are allowed.
 
     Args:
         key: name of the signal in messages.
@@ -350,8 +360,8 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     Raises:
         FileError: the file cannot be read, or holds something else.
     """
-    rows = _rows(key, path)
-    if rows and all(_number(cell) is None for cell in rows[0]):
+    rows = _read_cells(key, path)
+    if rows and all(_parse_number(cell) is None for cell in rows[0]):
         rows = rows[1:]
     if not rows:
         raise FileError(f"{key}.path: {path} holds no samples")
@@ -363,8 +373,8 @@ def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
     return table[:, 0], table[:, 1:]
 
 
-def _rows(key: str, path: str) -> list[list[str]]:
-    """Return the cells of a CSV file without empty lines and comments. Raises FileError."""
+def _read_cells(key: str, path: str) -> list[list[str]]:
+    """Read the cells of a CSV file without empty lines and comments. Raises FileError."""
     try:
         lines = io.StringIO(read_text(path, LARGEST_TABLE).removeprefix("\ufeff"), newline="")
         return [row for row in csv.reader(lines) if row and not row[0].lstrip().startswith("#")]
@@ -375,7 +385,7 @@ def _rows(key: str, path: str) -> list[list[str]]:
 
 
 def _require_sample(where: str, row: list[str], channels: int) -> None:
-    """Raise FileError unless a row holds a time and as many values as channels, all finite."""
+    """Raise FileError unless a row holds a time and a value per channel, all finite."""
     if len(row) != channels + 1:
         columns = f"{len(row)} column{'s' * (len(row) != 1)}"
         values = f"{channels} value{'s' * (channels != 1)}"
@@ -385,13 +395,13 @@ def _require_sample(where: str, row: list[str], channels: int) -> None:
         )
     # The cell itself is not quoted: the scenario may name a file that is not its author's.
     for column, cell in enumerate(row, 1):
-        value = _number(cell)
+        value = _parse_number(cell)
         if value is None or not math.isfinite(value):
             raise FileError(f"{where} is not all finite numbers: see column {column}")
 
 
-def _number(text: str) -> float | None:
-    """Return the number in a cell, None where there is something else."""
+def _parse_number(text: str) -> float | None:
+    """Return the number in a cell, or None."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Seeded Gaussian numbers, one independent stream per purpose and channel.
+"""Seeded Gaussian numbers, an independent stream per purpose and channel.
 
 Each is a function of its place alone. The key of a Philox counter is the seed; its words are step
 // 4, stream and channel, and the run's number. Run 0 is the scenario on its own; run k of an
@@ -22,8 +22,9 @@ from undeadzone.util.arrays import Floats
 AFTER, BEFORE, DISTURBANCE, WEAR, LOSS = range(5)
 
 
-class Colour(NamedTuple):
-    """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard normal.
+class FirstOrderNoise(NamedTuple):
+    """First-order noise of unit rms: y_0 = g_0, y_k = memory y_k-1 + drive g_k, g standard
+    normal.
 
     Attributes:
         memory: share of a number that is left after a step [1].
@@ -34,14 +35,15 @@ class Colour(NamedTuple):
     drive: float
 
 
-def word(stream: int, channel: int) -> int:
+def counter_word(stream: int, channel: int) -> int:
     """Return the second word of the counter."""
     return stream << 24 | channel
 
 
-def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) -> Floats:
-    """Return standard normal numbers, each a function of (seed, run, stream, channel, sample)
-    alone.
+def standard_normal_numbers(
+    seed: int, stream: int, samples: int, channels: int, run: int = 0
+) -> Floats:
+    """Return standard normal numbers, functions of (seed, run, stream, channel, sample) alone.
 
     Args:
         seed: from 0 to 2^64 - 1.
@@ -54,22 +56,22 @@ def gaussian(seed: int, stream: int, samples: int, channels: int, run: int = 0) 
         The numbers (samples x channels).
     """
     fours = np.arange(-(-samples // 4), dtype=np.uint64)[:, None]
-    words = np.array([word(stream, channel) for channel in range(channels)], np.uint64)
+    words = np.array([counter_word(stream, channel) for channel in range(channels)], np.uint64)
     a, b, c, d = philox(fours, words, np.uint64(run) & LOW, np.uint64(run >> 32), np.uint64(seed))
     four = np.stack([*box_muller(a, b), *box_muller(c, d)], axis=1)
     return four.reshape(4 * fours.size, channels)[:samples].astype(float)
 
 
-def colour(correlation: float, step: float) -> Colour:
+def first_order_coefficients(correlation: float, step: float) -> FirstOrderNoise:
     """Return the first-order noise of a correlation time [s] on a grid of `step` [s]."""
     memory = math.exp(-step / correlation)
-    return Colour(memory, math.sqrt(1 - memory**2))
+    return FirstOrderNoise(memory, math.sqrt(1 - memory**2))
 
 
-def coloured_noise(
+def stationary_first_order_noise(
     seed: int, samples: int, rms: Floats, correlation: float, step: float, run: int = 0
 ) -> Floats:
-    """Return first-order Gaussian noise, stationary from the start.
+    """Return first-order Gaussian noise, stationary from the start (samples x channels).
 
     Args:
         seed: seed of the numbers.
@@ -82,11 +84,12 @@ def coloured_noise(
     Returns:
         The noise (samples x channels).
     """
-    memory, drive = colour(correlation, step)
-    white = gaussian(seed, DISTURBANCE, samples, rms.size, run)
+    memory, drive = first_order_coefficients(correlation, step)
+    white = standard_normal_numbers(seed, DISTURBANCE, samples, rms.size, run)
     white[1:] *= drive
 
     def following(last: float, new: float) -> float:
+        """Return the next value of the noise."""
         return memory * last + new
 
     columns = [list(accumulate(column.tolist(), following)) for column in white.T]

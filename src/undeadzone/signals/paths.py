@@ -24,7 +24,7 @@ START = np.polynomial.Polynomial([0, 0, 0, 0, 2.5, -3, 1])
 
 
 class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
-    """A path through points, at rest at both ends: that of least mean square jerk.
+    """Path through points, at rest at both ends, with least mean square jerk.
 
     It is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two
     points): four times continuously differentiable; it may swing beyond the points where the times
@@ -44,7 +44,7 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
 
 
 class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the joints of an arm do before a path of its tip begins: through points, and back.
+    """Motion of an arm's joints before a path of its tip begins: through points, and back.
 
     Attributes:
         points: positions of the joints between two stays where the path begins (K x joints) [rad].
@@ -58,7 +58,7 @@ class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A path around a centre in a plane, in two or three coordinates.
+    """Path around a centre in a plane, in two or three coordinates.
 
     Attributes:
         centre: centre of the path (2 or 3).
@@ -81,7 +81,7 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Circle(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
-    """A circle around `centre`, once per period, in two or three coordinates.
+    """Circle around `centre`, a turn per period, in two or three coordinates.
 
     Attributes:
         radius: radius of the circle.
@@ -93,7 +93,7 @@ class Circle(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="circle"):
 
 
 class FigureEight(_Turn, frozen=True, kw_only=True, tag_field="kind", tag="figure_eight"):
-    """A figure of eight from `centre`, once per period, in two or three coordinates.
+    """Figure of eight from `centre`, a turn per period, in two or three coordinates.
 
     It is width / 2 sin(angle) across and height / 2 sin(2 angle) along its plane. Across is the
     direction that phase 0 has in a circle.
@@ -111,7 +111,7 @@ Path = Quintic | Circle | FigureEight
 
 
 class Curve(NamedTuple):
-    """A path as a function of time.
+    """Path as a function of time.
 
     Attributes:
         derivatives: t (N) [s] -> the value and its derivatives (N x order x channels).
@@ -126,8 +126,8 @@ class Curve(NamedTuple):
     period: float | None
 
 
-def curve(key: str, path: Path, channels: int) -> Curve:
-    """Return the curve of a path.
+def build_curve(key: str, path: Path, channels: int) -> Curve:
+    """Build the curve of a path.
 
     Args:
         key: name of the path in messages.
@@ -139,31 +139,32 @@ def curve(key: str, path: Path, channels: int) -> Curve:
     """
     match path:
         case Quintic():
-            return _quintic(key, path, channels)
+            return _quintic_curve(key, path, channels)
         case Circle():
-            across, along = _plane(key, path, channels)
+            across, along = _plane_directions(key, path, channels)
             radius = scalar(f"{key}.radius", path.radius, above=0.0)
             phase = scalar(f"{key}.phase", path.phase)
             gains = radius * np.exp(1j * phase) * (across - 1j * along)[None]
-            return _turning(key, path, np.array([1]), gains)
+            return _turning_curve(key, path, np.array([1]), gains)
         case FigureEight():
             width = scalar(f"{key}.width", path.width, above=0.0)
             height = scalar(f"{key}.height", path.height, above=0.0)
-            across, along = _plane(key, path, channels)
+            across, along = _plane_directions(key, path, channels)
             gains = -0.5j * np.stack([width * across, height * along])
-            return _turning(key, path, np.array([1, 2]), gains)
+            return _turning_curve(key, path, np.array([1, 2]), gains)
 
 
-def _quintic(key: str, path: Quintic, channels: int) -> Curve:
+def _quintic_curve(key: str, path: Quintic, channels: int) -> Curve:
     """Return the curve through points."""
     from scipy.interpolate import make_interp_spline
 
-    points, times = _points(key, path, channels)
+    points, times = _require_points(key, path, channels)
     at_rest = [(1, np.zeros(channels)), (2, np.zeros(channels))]
     spline = make_interp_spline(times, points, k=5, bc_type=(at_rest, at_rest))
     start, end = times[[0, -1]]
 
     def derivatives(t: Floats) -> Floats:
+        """Return the value and five derivatives at times t [s] (N x 6 x channels)."""
         at = np.mod(t, end) if path.repeat else t
         inside = np.clip(at, start, end)
         moving = ((at >= start) & (at < end))[:, None]
@@ -173,8 +174,8 @@ def _quintic(key: str, path: Quintic, channels: int) -> Curve:
     return Curve(derivatives, np.zeros(6), times, float(end) if path.repeat else None)
 
 
-def _points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
-    """Return points (K x channels) and times (K), checked."""
+def _require_points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
+    """Return points (K x channels) and times (K) [s], or raise."""
     points = array(f"{key}.points", path.points)
     if points.ndim == channels == 1:
         points = points[:, None]
@@ -195,7 +196,7 @@ def _points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
     return points, times
 
 
-def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats, Floats]:
+def _plane_directions(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats, Floats]:
     """Return the directions of the sine and of the cosine: of phase 0 and of a quarter turn
     later.
     """
@@ -221,10 +222,10 @@ def _plane(key: str, path: Circle | FigureEight, channels: int) -> tuple[Floats,
     return across, np.cross(normal, across)
 
 
-def _turning(
+def _turning_curve(
     key: str, path: Circle | FigureEight, harmonics: np.ndarray, gains: np.ndarray
 ) -> Curve:
-    """Return centre + the real part of the sum of gains e^{i harmonics angle}.
+    """Return the curve centre + the real part of the sum of gains e^(i harmonics angle).
 
     The angle turns ever faster during the ramp, then evenly. Then the closure is exact: s^3 (s^2 +
     w^2) and s (s^2 + w^2) (s^2 + 4 w^2) vanish on one and on two harmonics.
@@ -241,18 +242,21 @@ def _turning(
     w = 2 * np.pi / period  # [rad/s]
 
     def derivatives(t: Floats) -> Floats:
-        angle = [part[:, None] for part in _angle(t, w, ramp)]
-        values = (_waves(harmonics, angle) @ gains).real
+        """Return the value and ORDER derivatives at times t [s] (N x (ORDER + 1) x
+        channels).
+        """
+        angle = [part[:, None] for part in _angle_derivatives(t, w, ramp)]
+        values = (_wave_derivatives(harmonics, angle) @ gains).real
         values[:, 0] += centre
         return values
 
-    closure = _closure(harmonics, w)
+    closure = _harmonic_closure(harmonics, w)
     if ramp:
         return Curve(derivatives, closure, np.array([0.0, ramp]), None)
     return Curve(derivatives, closure, np.empty(0), period)
 
 
-def _angle(t: Floats, w: float, ramp: float) -> list[Floats]:
+def _angle_derivatives(t: Floats, w: float, ramp: float) -> list[Floats]:
     """Return the angle [rad] and its derivatives at times t [s].
 
     It turns evenly with w [rad/s] after the ramp [s].
@@ -266,8 +270,8 @@ def _angle(t: Floats, w: float, ramp: float) -> list[Floats]:
     return angle
 
 
-def _waves(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
-    """Return the waves e^{i harmonics angle} and their derivatives (N x order x K).
+def _wave_derivatives(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
+    """Return the waves e^(i harmonics angle) and their derivatives (N x order x K).
 
     By Leibniz' rule on wave' = i harmonics angle' wave. angle: the angle and its derivatives (N x 1
     each).
@@ -279,7 +283,7 @@ def _waves(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
     return np.stack(waves, axis=1)
 
 
-def _closure(harmonics: np.ndarray, w: float) -> Floats:
+def _harmonic_closure(harmonics: np.ndarray, w: float) -> Floats:
     """Return the closure of harmonics that turn evenly with w [rad/s] (ORDER + 1), as in
     `Curve`.
     """

@@ -304,7 +304,7 @@ def _state(problem: Problem) -> loop.State:
 
 def no_target(problem: Problem) -> Target:
     """Return zeros of the shapes of what the controller should reach."""
-    sizes = len(problem.tracked), problem.plant.n, problem.plant.m, problem.controller.planned
+    sizes = len(problem.tracked), problem.plant.n, problem.plant.m, problem.controller.plan_size
     return Target(*map(np.zeros, sizes))
 
 

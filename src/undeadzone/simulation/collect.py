@@ -12,7 +12,7 @@ import undeadzone
 from undeadzone.analysis.branch_schedule import Schedule, schedule_of_record
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.identifiability.disturbance import unknown_constants
-from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
 from undeadzone.nonlinearities.play import levels
@@ -42,7 +42,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.earlier import SCHEMA
 
 
-def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
+def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
     """What a run's readings tell of each output's widths.
 
     Of a nonlinear plant they are judged along the run, given what the observer claims of its start.
@@ -67,23 +67,23 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[Verdict]:
     return with_false_claims(problem, found)
 
 
-def _verdicts_on_flanks(problem: Problem, rows: int) -> list[Verdict]:
+def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiability]:
     """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
-    from undeadzone.analysis.identifiability.flanks import flank_verdicts
+    from undeadzone.analysis.identifiability.flanks import gap_identifiability
 
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
     assert plant.arm is not None
     assert plant.gears is not None
     assert path is not None
     t = np.arange(rows) * step
-    along = np.stack([path.value(t, order) for order in range(3)], axis=1)
+    along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
     gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
     friction = at_motor * np.ravel(gears.number(plant.params, "friction"))
-    told = flank_verdicts(plant.arm, gears.links(plant.params), along, step, friction)
+    told = gap_identifiability(plant.arm, gears.links(plant.params), along, step, friction)
     return told * (plant.p // plant.arm.size)
 
 
-def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Verdict]:
+def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
     """What a run's readings tell of the sensor's widths where the actuator's are not known.
 
     The deviations are those that the filter claims in the end.
@@ -99,16 +99,16 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Ve
     return judged
 
 
-def _verdicts_along(problem: Problem, signal: Outputs) -> list[Verdict]:
+def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
     """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
-    from undeadzone.analysis.identifiability.nonlinear import verdicts_along
+    from undeadzone.analysis.identifiability.nonlinear import width_identifiability_along
 
     scenario, traits = problem.scenario, problem.observer.traits
     simulation = scenario.simulation
     bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
-    def told(start_std: Floats | None, centre_std: Floats | None) -> list[Verdict]:
-        return verdicts_along(
+    def told(start_std: Floats | None, centre_std: Floats | None) -> list[WidthIdentifiability]:
+        return width_identifiability_along(
             problem.plant,
             signal.x,
             late_inputs(problem, signal),
@@ -204,7 +204,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         "y": signal.y,
         "side": signal.side,
         "u": signal.u,
-        "r": problem.reference.value(t),
+        "r": problem.reference.output_at(t),
         "V": _storage(problem, proof, signal.x - estimate.x, given["d_hat"]),
         "level": behind_play(problem, signal.z),
         **given,
@@ -257,7 +257,7 @@ def _storage(
     adapted = np.repeat(gamma > 0, 2)
     if not (adapted | (d_error == 0)).all():
         return None
-    return proof.V.value(x_error, d_error)
+    return proof.V.evaluate_storage(x_error, d_error)
 
 
 def _info(
@@ -320,6 +320,6 @@ def _parameter(plant: System, name: str) -> float:
     return float(np.ravel(plant.params)[plant.names.index(name)])
 
 
-def _as_json(verdict: Verdict) -> dict[str, Any]:
+def _as_json(verdict: WidthIdentifiability) -> dict[str, Any]:
     """Return a verdict for JSON."""
     return verdict._asdict() | {"reasons": list(verdict.reasons)}

@@ -14,8 +14,13 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.interfaces import CLAIMS, Estimate, claims_in_words, false_claims
-from undeadzone.observers.filtering.consistency import FAR, Sums, accumulate
+from undeadzone.interfaces import (
+    ASSUMPTION_CHECKS,
+    Estimate,
+    describe_rejected_assumptions,
+    list_rejected_assumptions,
+)
+from undeadzone.observers.filtering.consistency import FAR, Sums, accumulate_innovations
 from undeadzone.observers.filtering.prior import CHANCE, HISTORY, SPAN
 from undeadzone.util.arrays import Floats
 
@@ -158,7 +163,9 @@ class Own:
 
     def __init__(self) -> None:
         self._last = np.zeros(2)  # bits of claims, and the likeliest, at the last sample
-        self._suspected = np.zeros(len(CLAIMS), int)  # samples at which each was the likeliest
+        self._suspected = np.zeros(
+            len(ASSUMPTION_CHECKS), int
+        )  # samples at which each was the likeliest
         self.refused = 0
         self._samples = 0
         self._unfit = 0
@@ -174,7 +181,7 @@ class Own:
         self._samples += fits.size
         self._unfit += int((~fits).sum())
         suspects = estimate.suspect[~fits, 0].astype(int) - 1
-        self._suspected += np.bincount(suspects, minlength=len(CLAIMS))
+        self._suspected += np.bincount(suspects, minlength=len(ASSUMPTION_CHECKS))
         if fits.size:
             self._last = np.array([estimate.claims[-1, 0], estimate.suspect[-1, 0]])
             self.refused = self._before + int(estimate.refused[-1].sum())
@@ -184,10 +191,10 @@ class Own:
         """Return the claims that do not fit at the end, else the likeliest where they seldom
         did.
         """
-        last = false_claims(*self._last)
+        last = list_rejected_assumptions(*self._last)
         if last or self.unfit <= MOST_OF_THE_TIME:
             return last
-        return [list(CLAIMS)[int(self._suspected.argmax())]]
+        return [list(ASSUMPTION_CHECKS)[int(self._suspected.argmax())]]
 
     @property
     def unfit(self) -> float:
@@ -200,7 +207,7 @@ def _graph() -> ca.Function:
     rates).
     """
     sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
-    after = accumulate(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
+    after = accumulate_innovations(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
     return ca.Function("sums", [sums, row, rates], [ca.vertcat(*after), after.ratio])
 
 
@@ -230,7 +237,7 @@ def verdict_of(
         for test in tests:
             reasons += _sums_too_large(test)
     else:
-        reasons += claims_in_words(own.claims)
+        reasons += describe_rejected_assumptions(own.claims)
     for test in tests:
         reasons += _reasons(test)
     consistent: bool | None = not reasons

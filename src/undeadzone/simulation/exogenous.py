@@ -85,7 +85,9 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
     if random is None:
         return np.zeros((problem.steps + 2, problem.plant.m))
     seed = simulation.seed if seed is None else seed
-    return noise.coloured_noise(seed, problem.steps + 2, *random, simulation.step, run or 0)
+    return noise.stationary_first_order_noise(
+        seed, problem.steps + 2, *random, simulation.step, run or 0
+    )
 
 
 def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
@@ -118,7 +120,7 @@ def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
         target = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
         scaled = [scale * part for part in target[:3]]
         if problem.disturbance is not None:
-            w = scale * problem.disturbance.value(t, k)
+            w = scale * problem.disturbance.output_at(t, k)
         elif k == 0:
             w = _disturbance(problem, grid, t, 0.0)
         else:  # straight lines have a slope alone
@@ -133,7 +135,7 @@ def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
 def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> Floats:
     """Return w at the instants t [s], which are at that fraction of their steps (N x m)."""
     if problem.disturbance is not None:
-        return problem.disturbance.value(t)
+        return problem.disturbance.output_at(t)
     share = (grid.rows % grid.refine + fraction)[:, None] / grid.refine
     return between(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
 
@@ -144,7 +146,11 @@ def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
 
     def normal(stream: int, size: Floats, channels: int) -> Floats:
         shape = problem.steps + 1, channels
-        return noise.gaussian(seed, stream, *shape, run) if size.any() else np.zeros(shape)
+        return (
+            noise.standard_normal_numbers(seed, stream, *shape, run)
+            if size.any()
+            else np.zeros(shape)
+        )
 
     moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
     walk = width_drift(np.cumsum(moves, axis=0))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.interfaces import Estimate, graph_of
+from undeadzone.interfaces import Estimate, require_graph
 from undeadzone.logs.clock import Clock, Piece
 from undeadzone.logs.names import Layout
 from undeadzone.logs.range_ends import RunningEnds
@@ -68,7 +68,7 @@ class Follower:
         actuator = describe_actuator(scenario)
         self.model, self.zone, built = build_observer(*parts, actuator)
         if live:
-            graph_of(built)
+            require_graph(built)
         self.observer = built
         self._scenario = with_units(scenario, self.model)
         self._numeric = built.python

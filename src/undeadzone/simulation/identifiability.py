@@ -12,22 +12,30 @@ import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule, reading_levels
 from undeadzone.analysis.identifiability.disturbance import unknown_bias, unknown_inputs
-from undeadzone.analysis.identifiability.indistinguishable import second_truth
-from undeadzone.analysis.identifiability.information import EXACT, Deviations, Readings, deviations
+from undeadzone.analysis.identifiability.indistinguishable import indistinguishable_widths
+from undeadzone.analysis.identifiability.information import (
+    EXACT,
+    Deviations,
+    ReadingConditions,
+    optimal_deviations,
+)
 from undeadzone.analysis.identifiability.linear import (
     MARGIN,
-    Verdict,
+    WidthIdentifiability,
+    describe_vague_widths,
     largest_deviations,
-    vague,
-    verdicts,
+    width_identifiability,
 )
-from undeadzone.analysis.identifiability.nonlinear import beforehand
+from undeadzone.analysis.identifiability.nonlinear import prior_rows
 from undeadzone.analysis.identifiability.play_and_zone import gap_and_width_information
-from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends, modes_visited
+from undeadzone.analysis.identifiability.sensor_and_actuator import (
+    actuator_modes,
+    sensor_actuator_identifiability,
+)
 from undeadzone.interfaces import Traits
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.observers.filtering.prior import width_ranges
+from undeadzone.observers.filtering.prior import read_width_ranges
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util.arrays import Floats, later
@@ -37,7 +45,9 @@ ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
 NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
 
 
-def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
+def linear_verdicts(
+    problem: Problem, schedule: Schedule, arrive: Floats
+) -> list[WidthIdentifiability]:
     """What the readings of a linear plant tell, by the rule that nonlinear plants have too.
 
     A width is known where the readings determine it and its expected deviation does not exceed it.
@@ -50,7 +60,7 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     linear, sensor = problem.model.linear, problem.sensor
     bias = constant_inputs(problem, linear.B)
     if sensor.kind == "jump":
-        return verdicts(linear, schedule, bias, jump=True)
+        return width_identifiability(linear, schedule, bias, jump=True)
     if sensor.play is not None:
         return _of_both(problem, schedule, arrive)
     readings = readings_of(problem, schedule, arrive)
@@ -61,19 +71,21 @@ def linear_verdicts(problem: Problem, schedule: Schedule, arrive: Floats) -> lis
     return [by_claims(problem.observer.traits, *pair) for pair in zip(alone, claimed, strict=True)]
 
 
-def _with_deviations(problem: Problem, schedule: Schedule, readings: Readings) -> list[Verdict]:
+def _with_deviations(
+    problem: Problem, schedule: Schedule, readings: ReadingConditions
+) -> list[WidthIdentifiability]:
     """Return verdicts with the deviations of the widths, from the readings and what is told."""
     linear, bias, told = problem.model.linear, readings.bias, readings.told
-    expected = deviations(linear, schedule, readings)
+    expected = optimal_deviations(linear, schedule, readings)
     judged = []
-    for i, verdict in enumerate(verdicts(linear, schedule, bias, told=told)):
+    for i, verdict in enumerate(width_identifiability(linear, schedule, bias, told=told)):
         known = as_far_as_known(problem, schedule, verdict, i, expected.widths[i])
         judged.append(known._replace(second=_second(problem, expected, readings, i)))
     return judged
 
 
 def _second(
-    problem: Problem, expected: Deviations, readings: Readings, i: int
+    problem: Problem, expected: Deviations, readings: ReadingConditions, i: int
 ) -> dict[str, Any] | None:
     """Return another truth of output i with the same readings."""
     linear, size = problem.model.linear, expected.hidden.scale.size
@@ -86,10 +98,10 @@ def _second(
         enters[:, size - readings.bias.shape[1] :] = readings.bias
     constants = np.linalg.lstsq(linear.B, enters, rcond=None)[0]
     found = expected.hidden, expected.covariance, i, widths
-    return second_truth(*found, np.eye(n, size), constants)
+    return indistinguishable_widths(*found, np.eye(n, size), constants)
 
 
-def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdict]:
+def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[WidthIdentifiability]:
     """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
     judged, play = [], problem.sensor.play
     assert play is not None
@@ -99,20 +111,20 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Verdi
         zone = as_far_as_known(problem, schedule, told.zone, i, told.zone.std)
         gap = float(play.right[i] + play.left[i])
         if gap < told.gap_std < np.inf:
-            zone = zone.because(
+            zone = zone.add_reasons(
                 f"the gap {gap:.3g} is not known: noise leaves it a deviation of {told.gap_std:.3g}"
             )
         judged.append(zone)
     return judged
 
 
-def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Readings:
+def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> ReadingConditions:
     """What tells of the widths; arguments as of `linear_verdicts`."""
     simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
     traits, model = problem.observer.traits, problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
-    told = beforehand(model.n, model.p, traits.start_std, traits.centre_std, least)
-    return Readings(
+    told = prior_rows(model.n, model.p, traits.start_std, traits.centre_std, least)
+    return ReadingConditions(
         noise=problem.sensor.rms,
         step=simulation.step,
         duration=simulation.duration,
@@ -130,14 +142,18 @@ def gaps_known(problem: Problem) -> bool:
     return model is None or model.play is None or gaps_of(model.play, problem.model.p)[1] is None
 
 
-def withdrawn(problem: Problem, why: str) -> list[Verdict]:
+def withdrawn(problem: Problem, why: str) -> list[WidthIdentifiability]:
     """Return verdicts that claim nothing, with the reason."""
-    return [Verdict(**NONE, reasons=(why,))] * problem.model.p
+    return [WidthIdentifiability(**NONE, reasons=(why,))] * problem.model.p
 
 
 def as_far_as_known(
-    problem: Problem, schedule: Schedule, verdict: Verdict, i: int, std: dict[str, float]
-) -> Verdict:
+    problem: Problem,
+    schedule: Schedule,
+    verdict: WidthIdentifiability,
+    i: int,
+    std: dict[str, float],
+) -> WidthIdentifiability:
     """Return the verdict on output i with the deviations of its widths; what they exceed is not
     known.
 
@@ -156,8 +172,8 @@ def as_far_as_known(
     known: dict[str, Any] = {
         name: getattr(verdict, name) and std[name] <= most[name] for name in DIRECTIONS
     }
-    reasons = (*verdict.reasons, *vague(std, most, right, left))
-    return Verdict(**known, reasons=reasons, std=std)
+    reasons = (*verdict.reasons, *describe_vague_widths(std, most, right, left))
+    return WidthIdentifiability(**known, reasons=reasons, std=std)
 
 
 def actuator_unknown(problem: Problem) -> bool:
@@ -168,7 +184,7 @@ def actuator_unknown(problem: Problem) -> bool:
 
 def widths_with_unknown_actuator(
     problem: Problem, signal: Outputs, schedule: Schedule
-) -> list[Verdict]:
+) -> list[WidthIdentifiability]:
     """Which of the sensor's widths a run's readings determine where the actuator's are not known.
 
     Args:
@@ -180,8 +196,10 @@ def widths_with_unknown_actuator(
     assert belief is not None
     drive = belief.drive if problem.actuator is None else problem.actuator
     visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
-    modes = modes_visited(late_inputs(problem, signal), visible, drive, linear.A.shape[0])
-    return both_ends(linear, schedule, modes, drive, constant_inputs(problem, linear.B)).outputs
+    modes = actuator_modes(late_inputs(problem, signal), visible, drive, linear.A.shape[0])
+    return sensor_actuator_identifiability(
+        linear, schedule, modes, drive, constant_inputs(problem, linear.B)
+    ).outputs
 
 
 def late_inputs(problem: Problem, signal: Outputs) -> Floats:
@@ -189,7 +207,9 @@ def late_inputs(problem: Problem, signal: Outputs) -> Floats:
     return later(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
-def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
+def by_claims(
+    traits: Traits, alone: WidthIdentifiability, claimed: WidthIdentifiability
+) -> WidthIdentifiability:
     """Return the verdict with what an observer claims beforehand, which says what nothing else
     tells.
 
@@ -203,7 +223,7 @@ def by_claims(traits: Traits, alone: Verdict, claimed: Verdict) -> Verdict:
         return alone
     sources = {"start": traits.start_std, "centre": traits.centre_std}
     names = [name for name, std in sources.items() if std is not None]
-    return claimed.because(f"{', '.join(gained)} from the declared {' and '.join(names)} alone")
+    return claimed.add_reasons(f"{', '.join(gained)} from the declared {' and '.join(names)} alone")
 
 
 def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
@@ -217,7 +237,9 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
     return unknown_bias(scenario.disturbance, B, scenario.simulation.duration)
 
 
-def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Verdict]:
+def with_false_claims(
+    problem: Problem, verdicts: Sequence[WidthIdentifiability]
+) -> list[WidthIdentifiability]:
     """Return the verdicts; a width outside of its claimed range is not known, as no reading
     corrects it.
 
@@ -230,7 +252,7 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
     if not claims or not problem.observer.traits.adapts:
         return list(verdicts)
     p = len(verdicts)
-    ranges = width_ranges(options.right, options.left, p)
+    ranges = read_width_ranges(options.right, options.left, p)
     judged = []
     for i, verdict in enumerate(verdicts):
         for side, (low, high) in (("right", ranges[i]), ("left", ranges[p + i])):
@@ -241,12 +263,14 @@ def with_false_claims(problem: Problem, verdicts: Sequence[Verdict]) -> list[Ver
                     f"{low:.4g} to {high:.4g}"
                 )
                 found = {side: False, "width": False, "centre": False}
-                verdict = verdict.because(reason, **found)
+                verdict = verdict.add_reasons(reason, **found)
         judged.append(_with_false_actuator(problem, _with_false_gaps(problem, verdict, i)))
     return judged
 
 
-def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
+def _with_false_gaps(
+    problem: Problem, verdict: WidthIdentifiability, i: int
+) -> WidthIdentifiability:
     """Return the verdict on output i; no width is known beside a gap that is told wrongly."""
     play, model = problem.sensor.play, problem.scenario.model
     if play is None or model is None or model.play is None:
@@ -255,10 +279,10 @@ def _with_false_gaps(problem: Problem, verdict: Verdict, i: int) -> Verdict:
     if _meets_assumptions(true, *gaps_of(model.play, problem.model.p, "model.play"))[:, i].all():
         return verdict
     reason = f"a false claim: model.play excludes the gaps of the sensor, {true[:, i].tolist()}"
-    return verdict.because(reason, **NONE)
+    return verdict.add_reasons(reason, **NONE)
 
 
-def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
+def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> WidthIdentifiability:
     """Return the verdict on an output; none of its widths is known behind an actuator told
     wrongly.
     """
@@ -270,7 +294,7 @@ def _with_false_actuator(problem: Problem, verdict: Verdict) -> Verdict:
     if _meets_assumptions(true, told, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
-    return verdict.because(reason, **NONE)
+    return verdict.add_reasons(reason, **NONE)
 
 
 def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
@@ -280,7 +304,9 @@ def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.
     return np.asarray((low - slack <= true) & (true <= high + slack))
 
 
-def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list[Verdict]:
+def with_cures(
+    problem: Problem, verdicts: Sequence[WidthIdentifiability], z: Floats
+) -> list[WidthIdentifiability]:
     """Return the verdicts on an arm, each with a cure where the motion passes one edge or none.
 
     Args:
@@ -297,7 +323,7 @@ def with_cures(problem: Problem, verdicts: Sequence[Verdict], z: Floats) -> list
     for i, verdict in enumerate(verdicts):
         where = "plant.arm.reference" + (f"[{i}]" if z.shape[1] > 1 else "")
         cure = _cure(where, z[:, i], float(offset[i]), *map(float, levels[i]))
-        cured.append(verdict.because(*cure))
+        cured.append(verdict.add_reasons(*cure))
     return cured
 
 

@@ -15,9 +15,9 @@ from undeadzone.interfaces import (
     Estimate,
     Observer,
     Reading,
-    graph_of,
-    receive_reading,
-    side_of_sample,
+    require_graph,
+    sample_branch,
+    to_reading,
 )
 from undeadzone.nonlinearities.actuator import ActuatorModel, believe_actuator
 from undeadzone.nonlinearities.sensor import Sensor, Zone, present
@@ -84,9 +84,9 @@ def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverG
     s, (state, held) = tree.symbols(start, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, held)
-    w, reading = ca.vertcat(y, u), receive_reading(y, *levels)
+    w, reading = ca.vertcat(y, u), to_reading(y, *levels)
     after, estimate = observer.step(params, state, used, reading)
-    out = Out(estimate, side_of_sample(reading, estimate), ca.mmin(present(y)) == 0)
+    out = Out(estimate, sample_branch(reading, estimate), ca.mmin(present(y)) == 0)
     results = [tree.stack((after, used)), tree.stack(out)]
     step = ca.Function("live", [s, w, p], results, {"cse": True})
     shapes: Out = tree.map_leaves(lambda part: np.zeros(part.shape[0]), out)
@@ -139,7 +139,7 @@ class Online:
     ) -> None:
         self._asked = observer, plant, sensor, step, substeps, compiled, actuator
         self.model, zone, built = build_observer(observer, plant, sensor, step, substeps, actuator)
-        self._graph = observer_graph(self.model, graph_of(built), zone)
+        self._graph = observer_graph(self.model, require_graph(built), zone)
         self.samples = 0
         self.missing = 0
         self._step, self.engine = _engine(self._graph, compiled)

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Reading, graph_of
+from undeadzone.interfaces import Reading, require_graph
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import no_target, numbers
 from undeadzone.simulation.loop import Loop
@@ -26,7 +26,7 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
     Raises:
         InputError: the observer is no graph.
     """
-    observer, controller = graph_of(problem.observer), problem.controller
+    observer, controller = require_graph(problem.observer), problem.controller
     state = loop.state._replace(
         plant=problem.x0,
         observer=observer.init(observer.params),
@@ -52,7 +52,7 @@ def graph(problem: Problem) -> str:
     Raises:
         InputError: there is no graph.
     """
-    observer, controller, model = graph_of(problem.observer), problem.controller, problem.model
+    observer, controller, model = require_graph(problem.observer), problem.controller, problem.model
     p_column, p = tree.symbols((observer.params, controller.params), "p")
     like = observer.init(observer.params), controller.init(controller.params)
     s_column, s = tree.symbols(like, "s")

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.compile.interpret import CHUNK, Stepper
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.interfaces import Controller, Estimate, InPython, Reading
+from undeadzone.interfaces import Controller, Estimate, PythonObserver, Reading
 from undeadzone.nonlinearities.limits import beyond
 from undeadzone.nonlinearities.sensor import Zone, side
 from undeadzone.scenario.problem import Problem
@@ -102,7 +102,7 @@ def _input(u: Any, m: int, t: float) -> Floats:
 
 
 def numeric_along(
-    observer: InPython,
+    observer: PythonObserver,
     sensor: Zone,
     y: Floats,
     u: Floats,

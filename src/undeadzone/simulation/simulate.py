@@ -15,7 +15,7 @@ import numpy as np
 
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.results.info import IntegrationError
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -230,7 +230,7 @@ def prepare(problem: Problem) -> Start:
 
 def close_problem(problem: Problem) -> Loop:
     """Return the closed loop of a problem. Raises InputError for an observer that is no graph."""
-    return close(problem._replace(observer=graph_of(problem.observer)))
+    return close(problem._replace(observer=require_graph(problem.observer)))
 
 
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:

@@ -19,7 +19,7 @@ GROUPS: Final = 20  # of the jackknife
 
 
 class Interval(NamedTuple):
-    """An estimate and the interval that covers the true value with probability LEVEL.
+    """Estimate and the interval that covers the true value with probability LEVEL.
 
     Attributes:
         value: the estimate.
@@ -32,7 +32,7 @@ class Interval(NamedTuple):
 
 
 class Extreme(NamedTuple):
-    """The least or the largest of the runs.
+    """Least or largest value of the runs.
 
     Attributes:
         value: the number.
@@ -44,23 +44,26 @@ class Extreme(NamedTuple):
 
 
 def describe(column: Floats) -> dict[str, Interval | Extreme]:
-    """Return mean, standard deviation, QUANTILES, min and max of a column of runs.
+    """Describe a column of runs: mean, standard deviation, QUANTILES, min and max.
 
     Args:
         column: one number or more; infinite ones are allowed, which have no mean, NaN is not.
     """
     ordered = np.sort(column)
-    statistics: dict[str, Interval | Extreme] = {"mean": mean(ordered), "std": deviation(ordered)}
+    statistics: dict[str, Interval | Extreme] = {
+        "mean": mean_interval(ordered),
+        "std": deviation_interval(ordered),
+    }
     for name, share in QUANTILES.items():
-        statistics[name] = quantile(ordered, share)
+        statistics[name] = quantile_interval(ordered, share)
     beyond = float(-np.expm1(np.log(1 - LEVEL) / ordered.size))
     statistics["min"] = Extreme(float(ordered[0]), beyond)
     statistics["max"] = Extreme(float(ordered[-1]), beyond)
     return statistics
 
 
-def quantile(ordered: Floats, share: float) -> Interval:
-    """Return a quantile of a column, itself one of the runs, between two others.
+def quantile_interval(ordered: Floats, share: float) -> Interval:
+    """Return a quantile of a column, itself a run, with an interval between two runs.
 
     The interval rests on order statistics: how many runs lie below the true quantile is binomial.
 
@@ -69,15 +72,15 @@ def quantile(ordered: Floats, share: float) -> Interval:
         share: the part of all runs that lies below the quantile, 0.5 for the median.
     """
     n = ordered.size
-    below = binomial(n, share, (1 - LEVEL) / 2)
-    above = binomial(n, share, (1 + LEVEL) / 2)
+    below = binomial_quantile(n, share, (1 - LEVEL) / 2)
+    above = binomial_quantile(n, share, (1 + LEVEL) / 2)
     value = float(ordered[max(int(np.ceil(n * share)) - 1, 0)])
     low = float(ordered[below - 1]) if below > 0 else -np.inf
     high = float(ordered[above]) if above < n else np.inf
     return Interval(value, low, high)
 
 
-def binomial(n: int, share: float, level: float) -> int:
+def binomial_quantile(n: int, share: float, level: float) -> int:
     """Return the quantile of the binomial distribution.
 
     It is the least k such that at most k of n runs have a property of that share with probability
@@ -90,19 +93,21 @@ def binomial(n: int, share: float, level: float) -> int:
     return k - 1 if one_too_many else k
 
 
-def mean(column: Floats) -> Interval:
+def mean_interval(column: Floats) -> Interval:
     """Return the mean of a sorted column, with Student's interval."""
     if not np.isfinite(column[[0, -1]]).all():
         return Interval(np.nan, np.nan, np.nan)
     value = float(np.mean(column))
     if column.size == 1:
         return Interval(value, -np.inf, np.inf)
-    half = float(student(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size))
+    half = float(
+        student_half_width(column.size - 1) * np.std(column, ddof=1) / np.sqrt(column.size)
+    )
     return Interval(value, value - half, value + half)
 
 
-def deviation(column: Floats) -> Interval:
-    """Return the standard deviation of a sorted column.
+def deviation_interval(column: Floats) -> Interval:
+    """Return the standard deviation of a sorted column, with its interval.
 
     The interval is that of its logarithm, with the kurtosis of the runs.
     """
@@ -114,19 +119,19 @@ def deviation(column: Floats) -> Interval:
         return Interval(0.0, 0.0, 0.0)
     kurtosis = float(np.mean(((column - np.mean(column)) / value) ** 4))
     variance = max(kurtosis - (n - 3) / (n - 1), 0.0) / n  # of 2 log(value)
-    factor = float(np.exp(student(n - 1) * np.sqrt(variance) / 2))
+    factor = float(np.exp(student_half_width(n - 1) * np.sqrt(variance) / 2))
     return Interval(value, value / factor, value * factor)
 
 
 def proportion(count: int, runs: int) -> Interval:
     """Return the share of runs with a property, between Clopper and Pearson's exact bounds."""
-    (low,), (high,) = shares_between(np.array([count]), runs)
+    (low,), (high,) = share_bounds(np.array([count]), runs)
     return Interval(count / runs, float(low), float(high))
 
 
-def shares_between(counts: Integers, runs: int) -> tuple[Floats, Floats]:
-    """Return Clopper and Pearson's bounds of the shares of runs with properties, the lower ones
-    first.
+def share_bounds(counts: Integers, runs: int) -> tuple[Floats, Floats]:
+    """Return Clopper and Pearson's bounds (lower, upper) of the shares of runs with
+    properties.
 
     Args:
         counts: how many runs have each property.
@@ -139,9 +144,9 @@ def shares_between(counts: Integers, runs: int) -> tuple[Floats, Floats]:
     return np.where(counts > 0, low, 0.0), np.where(counts < runs, high, 1.0)
 
 
-def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
-    """Return the standard error of an estimate, by leaving out one of GROUPS groups of rows at a
-    time.
+def jackknife_error(estimate: Callable[[Any], Floats], rows: int) -> Floats:
+    """Return the standard error of an estimate, leaving out each of GROUPS groups of rows in
+    turn.
 
     Args:
         estimate: takes a mask of the rows to use.
@@ -152,9 +157,9 @@ def jackknife(estimate: Callable[[Any], Floats], rows: int) -> Floats:
     return np.sqrt((GROUPS - 1) * left_out.var(axis=0))
 
 
-def student(freedom: int) -> float:
-    """Return half the width of Student's interval, in standard errors, for these degrees of
-    freedom.
+def student_half_width(freedom: int) -> float:
+    """Return half the width of Student's interval for these degrees of freedom [standard
+    errors].
     """
     from scipy.special import stdtrit
 

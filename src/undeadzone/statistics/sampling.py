@@ -1,4 +1,4 @@
-"""Designs: where in the unit cube each run lies, as a function of (seed, run) alone.
+"""Sampling designs: points of the unit cube as a function of (seed, run) alone.
 
 No table is kept. A Latin hypercube and Saltelli's design depend on the number of runs too.
 """
@@ -19,7 +19,9 @@ ROUNDS: Final = 10  # of the cipher that permutes runs
 BITS: Final = 32  # of a Sobol point
 
 
-def points(sampling: str, seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
+def design_points(
+    sampling: str, seed: int, first: int, count: int, entries: int, runs: int
+) -> Floats:
     """Return points inside the open unit cube (count x entries).
 
     Args:
@@ -35,35 +37,37 @@ def points(sampling: str, seed: int, first: int, count: int, entries: int, runs:
     if runs < 1:
         raise InputError(f"ensemble.runs: expected 1 or more, found {runs}")
     if sampling == "saltelli":
-        return _saltelli(seed, first, count, entries, runs)
+        return _saltelli_points(seed, first, count, entries, runs)
     if sampling == "sobol":
-        return _sobol(seed, first, count, entries)
-    columns = [_uniform(seed, first, count, column) for column in range(entries)]
+        return _sobol_points(seed, first, count, entries)
+    columns = [_uniform_column(seed, first, count, column) for column in range(entries)]
     if sampling == "latin_hypercube":
-        columns = [_stratify(u, seed, first, column, runs) for column, u in enumerate(columns)]
+        columns = [
+            _stratify_column(u, seed, first, column, runs) for column, u in enumerate(columns)
+        ]
     return np.stack(columns, axis=1) if columns else np.empty((count, 0))
 
 
-def _words(seed: int, kind: int, column: int, first: int, count: int) -> Any:
+def _random_words(seed: int, kind: int, column: int, first: int, count: int) -> Any:
     """Return words first .. first + count (64 bits each) of the stream of a column."""
     generator = np.random.Philox(key=STREAM + seed, counter=[first // 4, 0, column, kind])
     return generator.random_raw(count + first % 4)[first % 4 :]
 
 
-def _uniform(seed: int, first: int, count: int, column: int) -> Floats:
-    """Return multiples of 2^-52, and a half of that: never 0 or 1."""
-    return ((_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
+def _uniform_column(seed: int, first: int, count: int, column: int) -> Floats:
+    """Return random odd multiples of 2^-53 (count): never 0 or 1."""
+    return ((_random_words(seed, NUMBERS, column, first, count) >> np.uint64(12)) + 0.5) * 2.0**-52
 
 
-def _stratify(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
-    """Return each run in its own of `runs` equal intervals, at the share u of it."""
-    keys = _words(seed, KEYS, column, 0, ROUNDS)
-    interval = permute(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
+def _stratify_column(u: Floats, seed: int, first: int, column: int, runs: int) -> Floats:
+    """Return a point of each run in its own of `runs` equal intervals, at the share u."""
+    keys = _random_words(seed, KEYS, column, 0, ROUNDS)
+    interval = permute_indices(np.arange(first, first + u.size, dtype=np.uint64), runs, keys)
     return np.minimum((interval + u) / runs, np.nextafter(1.0, 0.0))
 
 
-def permute(index: Any, size: int, keys: Any) -> Any:
-    """Where a permutation of 0 .. size - 1 takes each index: a Feistel cipher.
+def permute_indices(index: Any, size: int, keys: Any) -> Any:
+    """Return the image of each index under a permutation of 0 .. size - 1: a Feistel cipher.
 
     The cipher permutes the numbers of an even count of bits; it is repeated until the result is
     below `size`.
@@ -74,18 +78,16 @@ def permute(index: Any, size: int, keys: Any) -> Any:
         keys: which permutation it is (uint64, one per round).
     """
     half = np.uint64(max(1, (int(size - 1).bit_length() + 1) // 2))
-    places = _feistel(index, half, keys)
+    places = _feistel_cipher(index, half, keys)
     outside = places >= size
     while outside.any():
-        places[outside] = _feistel(places[outside], half, keys)
+        places[outside] = _feistel_cipher(places[outside], half, keys)
         outside = places >= size
     return places
 
 
-def _feistel(value: Any, half: Any, keys: Any) -> Any:
-    """Return a permutation of the numbers of 2 `half` bits, by rounds that mix one half into the
-    other.
-    """
+def _feistel_cipher(value: Any, half: Any, keys: Any) -> Any:
+    """Return a permutation of the numbers of 2 `half` bits, by rounds that mix both halves."""
     mask = (np.uint64(1) << half) - np.uint64(1)
     left, right = value >> half, value & mask
     for key in keys:
@@ -94,7 +96,7 @@ def _feistel(value: Any, half: Any, keys: Any) -> Any:
 
 
 def _mix_bits(word: Any) -> Any:
-    """Return the finaliser of SplitMix64, Steele et al. (2014).
+    """Return the finaliser of SplitMix64, Steele et al. (2014), of a word.
 
     Every bit of the word changes half of the bits.
     """
@@ -103,8 +105,8 @@ def _mix_bits(word: Any) -> Any:
     return word ^ (word >> np.uint64(31))
 
 
-def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
-    """Return scrambled Sobol points, each in the middle of its cell."""
+def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
+    """Return scrambled Sobol points, each in the middle of its cell (count x entries)."""
     if entries == 0 or count == 0:
         return np.empty((count, entries))
     from scipy.stats import qmc  # importing it takes longer than most runs
@@ -126,7 +128,7 @@ def _sobol(seed: int, first: int, count: int, entries: int) -> Floats:
     return design.random(power_of_two)[:count] + 0.5**BITS / 2
 
 
-def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
+def _saltelli_points(seed: int, first: int, count: int, entries: int, runs: int) -> Floats:
     """Return the design of Saltelli et al. (2010), from two halves A and B of Sobol points.
 
     The runs of A come first, then those of B, of A with column 1 of B, of A with column 2 of B, ...
@@ -137,7 +139,7 @@ def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Flo
     parts = []
     for matrix in range(first // each, -(-(first + count) // each)):
         start, stop = max(first, matrix * each), min(first + count, (matrix + 1) * each)
-        both = _sobol(seed, start - matrix * each, stop - start, 2 * entries)
+        both = _sobol_points(seed, start - matrix * each, stop - start, 2 * entries)
         columns = np.arange(entries) + entries * (matrix == 1)
         if matrix >= 2:
             columns[matrix - 2] += entries
@@ -146,7 +148,7 @@ def _saltelli(seed: int, first: int, count: int, entries: int, runs: int) -> Flo
 
 
 def _require_saltelli(entries: int, runs: int) -> None:
-    """Raise InputError unless so many runs make up Saltelli's design of so many entries."""
+    """Raise InputError unless `runs` make up Saltelli's design of `entries`."""
     matrices = entries + 2
     if entries == 0:
         raise InputError("ensemble.sampling: saltelli needs an entry that varies, found none")

@@ -1,4 +1,4 @@
-"""Which varied entry a metric depends on: rank correlations and Sobol indices.
+"""Sensitivity of a metric to varied entries: rank correlations and Sobol indices.
 
 They are estimated from given runs, after Plischke, Borgonovo and Smith 2013, or from the runs of
 Saltelli's design, Saltelli et al. 2010. X (runs x entries) and y (runs) are finite numbers.
@@ -10,7 +10,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.statistics.intervals import GROUPS, LEVEL, Interval, jackknife, student
+from undeadzone.statistics.intervals import (
+    GROUPS,
+    LEVEL,
+    Interval,
+    jackknife_error,
+    student_half_width,
+)
 from undeadzone.util.arrays import Floats, Integers
 
 LEAST: Final = 2 * GROUPS  # runs, below which nothing is said
@@ -18,7 +24,7 @@ PERMUTATIONS: Final = 200
 
 
 class Correlation(NamedTuple):
-    """A rank correlation.
+    """Rank correlation with its interval.
 
     Attributes:
         value: the correlation, between -1 and 1.
@@ -33,7 +39,7 @@ class Correlation(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """What a metric owes to one varied entry.
+    """Dependence of a metric on a single varied entry.
 
     Attributes:
         spearman: rank correlation.
@@ -51,8 +57,8 @@ class Sensitivity(NamedTuple):
     total_order: Interval | None = None
 
 
-class Indices(NamedTuple):
-    """Sobol indices of one entry from Saltelli's design.
+class SobolIndices(NamedTuple):
+    """Sobol indices of an entry from Saltelli's design.
 
     Attributes:
         first: the share of the variance that it causes alone.
@@ -64,7 +70,7 @@ class Indices(NamedTuple):
 
 
 def sensitivities_of_runs(X: Floats, y: Floats) -> list[Sensitivity]:
-    """Return the dependence of y on each entry, from runs as they are.
+    """Return the dependence of y on each entry, from runs without a design.
 
     Args:
         X: the varied entries (runs x entries).
@@ -79,21 +85,23 @@ def sensitivities_of_runs(X: Floats, y: Floats) -> list[Sensitivity]:
 
     def estimate(rows: Floats) -> Floats:
         """Return Spearman's, partial, first order (3 x entries) from some of the runs."""
-        return np.stack([*rank_correlations(X[rows], y[rows]), first_order(X[rows], y[rows])])
+        return np.stack(
+            [*rank_correlations(X[rows], y[rows]), first_order_indices(X[rows], y[rows])]
+        )
 
     spearman, partial, first = estimate(np.full(n, True))
-    errors = student(GROUPS - 1) * jackknife(estimate, n)
-    floor = chance(y)
+    errors = student_half_width(GROUPS - 1) * jackknife_error(estimate, n)
+    floor = first_order_by_chance(y)
     entries = []
     for i in range(d):
-        alone = _correlation(spearman[i], errors[0, i], n - 2)
-        apart = _correlation(partial[i], errors[1, i], n - 1 - d)
-        entries.append(Sensitivity(alone, apart, _share(first[i], errors[2, i]), floor))
+        alone = _correlation_interval(spearman[i], errors[0, i], n - 2)
+        apart = _correlation_interval(partial[i], errors[1, i], n - 1 - d)
+        entries.append(Sensitivity(alone, apart, _share_interval(first[i], errors[2, i]), floor))
     return entries
 
 
-def saltelli(blocks: Floats) -> list[Indices]:
-    """Return sobol indices of each entry from the runs of Saltelli's design.
+def saltelli_indices(blocks: Floats) -> list[SobolIndices]:
+    """Return the Sobol indices of each entry from the runs of Saltelli's design.
 
     Args:
         blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows); columns with a NaN are
@@ -105,17 +113,23 @@ def saltelli(blocks: Floats) -> list[Indices]:
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < LEAST:
         return []
-    first, total = indices(blocks)
-    standard = jackknife(lambda columns: indices(blocks[:, columns]), blocks.shape[1])
-    errors = student(GROUPS - 1) * standard
+    first, total = estimate_sobol_indices(blocks)
+    standard = jackknife_error(
+        lambda columns: estimate_sobol_indices(blocks[:, columns]), blocks.shape[1]
+    )
+    errors = student_half_width(GROUPS - 1) * standard
     entries = []
     for i in range(len(first)):
-        entries.append(Indices(_share(first[i], errors[0, i]), _share(total[i], errors[1, i])))
+        entries.append(
+            SobolIndices(
+                _share_interval(first[i], errors[0, i]), _share_interval(total[i], errors[1, i])
+            )
+        )
     return entries
 
 
-def indices(blocks: Floats) -> Floats:
-    """Return sobol indices by Saltelli's estimator of 2010 (first) and Jansen's (total).
+def estimate_sobol_indices(blocks: Floats) -> Floats:
+    """Return Sobol indices by Saltelli's estimator of 2010 (first) and Jansen's (total).
 
     Args:
         blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows).
@@ -132,7 +146,7 @@ def indices(blocks: Floats) -> Floats:
 
 
 def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return Spearman's correlation of each entry with y, and the partial one; 0 where nothing
+    """Return Spearman's and the partial rank correlation of each entry with y; 0 if nothing
     varies.
 
     The partial one is of what the ranks of the other entries leave of both.
@@ -148,14 +162,13 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_ranks(x: Floats) -> Floats:
-    """Return ranks from 1 for the least; numbers that are alike share the mean of theirs."""
+    """Return ranks from 1 for the least; equal numbers share their mean rank."""
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
 
-def first_order(X: Floats, y: Floats) -> Floats:
-    """Return the share of the variance of y that each entry explains, without what it would by
-    chance.
+def first_order_indices(X: Floats, y: Floats) -> Floats:
+    """Return the share of the variance of y that each entry explains, corrected for chance.
 
     An entry explains what a straight line in each of its bins does; 0 where it does not vary.
     """
@@ -163,23 +176,23 @@ def first_order(X: Floats, y: Floats) -> Floats:
     for i, x in enumerate(X.T):
         if np.ptp(x) > 0:
             order = np.argsort(x, kind="stable")
-            shares[i] = _explained_share(x[order], y[order])
+            shares[i] = _variance_share(x[order], y[order])
     return shares
 
 
-def chance(y: Floats) -> float:
-    """Return the first-order index that an entry without influence exceeds with probability 1 -
-    LEVEL.
+def first_order_by_chance(y: Floats) -> float:
+    """Return the first-order index that only a share 1 - LEVEL of uninfluential entries
+    exceeds.
 
     It is found from permutations of y.
     """
     random = np.random.default_rng(0)
     x = np.arange(y.size, dtype=float)
-    shares = [_explained_share(x, random.permutation(y)) for _ in range(PERMUTATIONS)]
+    shares = [_variance_share(x, random.permutation(y)) for _ in range(PERMUTATIONS)]
     return float(np.quantile(shares, LEVEL))
 
 
-def _explained_share(x: Floats, y: Floats) -> float:
+def _variance_share(x: Floats, y: Floats) -> float:
     """Return 1 - (variance about a line in each bin) / (variance of y), both unbiased.
 
     x ascends; its n^(2/5) bins hold equally many runs.
@@ -188,7 +201,7 @@ def _explained_share(x: Floats, y: Floats) -> float:
     count = int(np.ceil(n**0.4))
     starts = np.arange(count) * n // count
     sizes = np.diff(starts, append=n)
-    dx, dy = _from_means(x, starts, sizes), _from_means(y, starts, sizes)
+    dx, dy = _subtract_bin_means(x, starts, sizes), _subtract_bin_means(y, starts, sizes)
     xx, xy = np.add.reduceat(dx * dx, starts), np.add.reduceat(dx * dy, starts)
     sloped = xx > 0
     freedom = n - count - int(sloped.sum())
@@ -197,12 +210,12 @@ def _explained_share(x: Floats, y: Floats) -> float:
     return 1 - within / total if total > 0 else 0.0
 
 
-def _from_means(v: Floats, starts: Integers, sizes: Integers) -> Floats:
-    """Return v less its mean in each bin."""
+def _subtract_bin_means(v: Floats, starts: Integers, sizes: Integers) -> Floats:
+    """Return v minus its mean in each bin."""
     return v - np.repeat(np.add.reduceat(v, starts) / sizes, sizes)
 
 
-def _correlation(r: float, error: float, freedom: int) -> Correlation:
+def _correlation_interval(r: float, error: float, freedom: int) -> Correlation:
     """Return a correlation with the interval of arctanh r, and p of Student's test."""
     from scipy.special import stdtr
 
@@ -215,7 +228,7 @@ def _correlation(r: float, error: float, freedom: int) -> Correlation:
     return Correlation(r, float(low), float(high), float(p))
 
 
-def _share(value: float, error: float) -> Interval:
-    """Return a share with its interval, both between 0 and 1, where the true one lies."""
+def _share_interval(value: float, error: float) -> Interval:
+    """Return a share with its interval, both clipped to 0 .. 1."""
     value, low, high = np.clip([value, value - error, value + error], 0.0, 1.0)
     return Interval(float(value), float(low), float(high))

@@ -12,25 +12,30 @@ import numpy as np
 
 from undeadzone.analysis.branch_schedule import (
     Schedule,
-    arriving,
+    drop_rare_branches,
     plan_schedule,
     schedule_of_record,
 )
 from undeadzone.analysis.certificate.design_file import Knowledge
-from undeadzone.analysis.certificate.nearest import nearest
+from undeadzone.analysis.certificate.nearest import nearest_certified_gains
 from undeadzone.analysis.certificate.passivity import Certificate, certify
 from undeadzone.analysis.convergence.falsify import Attack, Cycle, diverge, falsify
-from undeadzone.analysis.convergence.floquet import Rates, rates
+from undeadzone.analysis.convergence.floquet import Rates, error_decay_rates
 from undeadzone.analysis.convergence.trajectories import (
     Trajectory,
-    growing,
-    settling,
-    trajectories,
-    trajectory,
+    most_growing_error,
+    simulate_trajectories,
+    trajectory_along_modes,
+    worst_settling_time,
 )
 from undeadzone.analysis.error_dynamics import Dynamics, Storage
-from undeadzone.analysis.identifiability.linear import Cure, cures, invisible, reaching
-from undeadzone.analysis.identifiability.play_and_zone import states_told
+from undeadzone.analysis.identifiability.linear import (
+    Remedy,
+    find_remedies,
+    remedy_to_reach_edges,
+    unobservable_changes,
+)
+from undeadzone.analysis.identifiability.play_and_zone import state_identifiability
 from undeadzone.controllers.state_feedback import StateFeedback
 from undeadzone.errors import StructureError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
@@ -153,16 +158,20 @@ def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:
     attempt = falsify(dynamics, V, seed=seed)
     cycle = None if gains.certificate.certified else diverge(dynamics, seed, TRIES)
     duration = assessment.problem.scenario.simulation.duration
-    longest = max(duration, assessment.schedule.duration)
+    longest = max(duration, assessment.schedule.total_duration)
     settling_time = CONSTANTS / max(abs(gains.rates.rate), 1e-300)
     span = min(settling_time, longest)  # [s]
-    drawn = trajectories(dynamics, V, assessment.schedule, span, seed)
+    drawn = simulate_trajectories(dynamics, V, assessment.schedule, span, seed)
     if attempt.broken:
         interval = attempt.mode.seconds / POINTS
-        drawn.append(trajectory("attack", dynamics, V, attempt.start, [attempt.mode], interval))
+        drawn.append(
+            trajectory_along_modes("attack", dynamics, V, attempt.start, [attempt.mode], interval)
+        )
     if cycle is not None and cycle.factor > GROWS:
-        start, modes = growing(dynamics, cycle), PERIODS * [*cycle.modes]
-        drawn.append(trajectory("cycle", dynamics, V, start, modes, cycle.seconds / POINTS))
+        start, modes = most_growing_error(dynamics, cycle), PERIODS * [*cycle.modes]
+        drawn.append(
+            trajectory_along_modes("cycle", dynamics, V, start, modes, cycle.seconds / POINTS)
+        )
     return Attacks(attempt, cycle, drawn)
 
 
@@ -174,10 +183,10 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
     if jump:
         dynamics = dynamics._replace(gamma=0 * dynamics.gamma)
         V = V._replace(gamma=0 * V.gamma)
-    speed = rates(linear, L, gamma, schedule, jump)
+    speed = error_decay_rates(linear, L, gamma, schedule, jump)
     settled, near = None, None
     if certificate.certified:
-        settled = settling(dynamics, V, schedule)
+        settled = worst_settling_time(dynamics, V, schedule)
     else:
         near = _nearest(problem, schedule, L, gamma)
     return Gains(L, gamma, certificate, speed, settled, near, dynamics, V)
@@ -186,7 +195,9 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
 def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
     """Return certified gains near to L (n x p), gamma (p) [1/s]; None where none were found."""
     try:
-        certificate = nearest(problem.model.linear, L, gamma, problem.model.Ts).certificate
+        certificate = nearest_certified_gains(
+            problem.model.linear, L, gamma, problem.model.Ts
+        ).certificate
     except StructureError:
         return None
     if not certificate.certified:
@@ -219,7 +230,9 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
         return schedule_of_record(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
     simulation = problem.scenario.simulation
     schedule = plan_schedule(model, problem.reference, problem.tracked, sensor, simulation.duration)
-    return arriving(schedule, sensor.dropout, simulation.step, simulation.duration, model.n)
+    return drop_rare_branches(
+        schedule, sensor.dropout, simulation.step, simulation.duration, model.n
+    )
 
 
 def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
@@ -237,7 +250,7 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         return _knowledge_from_run(run)
     linear, jump = problem.model.linear, problem.sensor.kind == "jump"
     if problem.sensor.play is None:
-        remedies = cures(linear, schedule, constant_inputs(problem, linear.B), jump)
+        remedies = find_remedies(linear, schedule, constant_inputs(problem, linear.B), jump)
     else:
         remedies = cures_of_both(problem, schedule)
     # The schedule of a run knows already which readings arrived.
@@ -264,19 +277,19 @@ def _knowledge_from_run(run: Run) -> list[Knowledge]:
     return known
 
 
-def cures_of_both(problem: Problem, schedule: Schedule) -> list[Cure]:
+def cures_of_both(problem: Problem, schedule: Schedule) -> list[Remedy]:
     """What would tell more of a play and a dead zone."""
     model, remedies = problem.model, []
-    visited = schedule.visited_sides(model.n + 2 * model.p)
+    visited = schedule.branch_visits(model.n + 2 * model.p)
     for i in range(problem.model.p):
         if not visited[i].all():
-            remedies.append(reaching(schedule, i))
+            remedies.append(remedy_to_reach_edges(schedule, i))
         elif not gaps_known(problem):
             text = (
                 "no reference can tell both centres apart: measure the gaps, and give them as "
                 "model.play = [c_r, c_l]; or claim that of the zone: observer.centre = [lo, hi]"
             )
-            remedies.append(Cure(i, None, None, text))
+            remedies.append(Remedy(i, None, None, text))
     return remedies
 
 
@@ -287,7 +300,9 @@ def determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
         return []
     if problem.sensor.play is not None:
         readings = readings_of(problem, schedule, np.ones(model.p))
-        return states_told(model.linear, schedule, readings)
+        return state_identifiability(model.linear, schedule, readings)
     bias = constant_inputs(problem, model.linear.B)
-    hidden = invisible(model.linear, schedule.visited_sides(model.n), schedule.Ts, bias, jump)
-    return [hidden.state(i) for i in range(model.n)]
+    hidden = unobservable_changes(
+        model.linear, schedule.branch_visits(model.n), schedule.Ts, bias, jump
+    )
+    return [hidden.is_state_known(i) for i in range(model.n)]

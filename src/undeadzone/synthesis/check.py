@@ -9,13 +9,15 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.certificate.design_file import Knowledge, in_words_of_margin, plain
+from undeadzone.analysis.certificate.design_file import Knowledge, describe_margin, format_gains
 from undeadzone.analysis.certificate.passivity import Certificate
 from undeadzone.analysis.certificate.polytopic import certify_on
 from undeadzone.analysis.certificate.robust import l2_gain
-from undeadzone.analysis.identifiability.indistinguishable import in_words as in_words_of_truths
-from undeadzone.analysis.identifiability.linear import yes_no
-from undeadzone.linalg.matrices import delta
+from undeadzone.analysis.identifiability.indistinguishable import (
+    describe_indistinguishable as in_words_of_truths,
+)
+from undeadzone.analysis.identifiability.linear import format_yes_no
+from undeadzone.linalg.matrices import delta_form
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.plants.region import Box, box
 from undeadzone.results.feedback import describe_feedback as share_in_words
@@ -293,7 +295,7 @@ def _bounded_gains(proof: Certificate, problem: Problem) -> Bounds | None:
     They are those from a disturbance of the input and from noise on the reading.
     """
     model = problem.model
-    disturbed = l2_gain(proof.dynamics, E=delta(model.linear, model.Ts).B)
+    disturbed = l2_gain(proof.dynamics, E=delta_form(model.linear, model.Ts).B)
     noisy = l2_gain(proof.dynamics, noise=1 / problem.sensor.slope)
     if not (disturbed.check.proved and noisy.check.proved):
         return None
@@ -370,7 +372,7 @@ def _describe_certificate(found: Check) -> dict[str, str]:
         )
     elif found.certified:
         assert found.margin is not None
-        shown["certified"] = in_words_of_margin(found.margin, found.frequency)
+        shown["certified"] = describe_margin(found.margin, found.frequency)
     elif found.certified is False:
         refused = [reason for reason in found.reasons if reason.startswith(REFUSED)]
         why = "; ".join(reason.removeprefix(REFUSED) for reason in refused)
@@ -387,7 +389,7 @@ def _bounds(found: Check) -> dict[str, str]:
     """Return certified gains near to those that are not, and bounds of those that are."""
     shown, near = {}, found.nearest
     if near is not None:
-        gains = f"L = {plain(near.L.tolist())}, gamma = {plain(near.gamma.tolist())}"
+        gains = f"L = {format_gains(near.L.tolist())}, gamma = {format_gains(near.gamma.tolist())}"
         shown["nearest certified"] = f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"
         shown["faster ones"] = (
             "undeadzone design finds certified gains by their rate and what they trade for it"
@@ -425,7 +427,7 @@ def _coasting(overrun: Sequence[float | None]) -> str:
 
 def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:
     """What the readings tell of a single output, and how well at best."""
-    shown = {"identifiable": yes_no(msgspec.structs.asdict(one))}
+    shown = {"identifiable": format_yes_no(msgspec.structs.asdict(one))}
     kept = {name: std for name, std in one.std.items() if finite(std) is not None}
     known = [f"{name} ± {HALF_95 * std:.2g}" for name, std in kept.items()]
     if known:

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.design_file import Design, Point
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.analysis.convergence.floquet import rates
+from undeadzone.analysis.convergence.floquet import error_decay_rates
 from undeadzone.controllers import StateFeedback
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import Certified
@@ -76,7 +76,7 @@ def design(
         else:
             weights = maximise if isinstance(maximise, gain_search.Weights) else gain_search.RATE
             result = gain_search.fastest(task, weights, seed, advance)
-    never = rates(task.model, result.best.L, result.best.gamma, task.whole).never
+    never = error_decay_rates(task.model, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,
         chosen=_in_words(maximise),

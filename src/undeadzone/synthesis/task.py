@@ -9,11 +9,11 @@ import numpy as np
 from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours, plan_schedule
 from undeadzone.analysis.convergence import floquet
 from undeadzone.analysis.convergence.floquet import TINY
-from undeadzone.analysis.identifiability.linear import cures, invisible
+from undeadzone.analysis.identifiability.linear import find_remedies, unobservable_changes
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import moves, steady_state
-from undeadzone.linalg.hold import discrete_noise_covariance, zoh
-from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.linalg.hold import discretise_noise, zoh
+from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.scenario.problem import Problem
 from undeadzone.util.arrays import Floats, scalar
 
@@ -96,7 +96,7 @@ def make_task(problem: Problem, margin: float) -> Task:
     margin = scalar("margin", margin)
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
-    units = 1 / sizes(delta(model.linear, Ts).A.T, model.linear.C.T)
+    units = 1 / state_response_sizes(delta_form(model.linear, Ts).A.T, model.linear.C.T)
     linear, flow = (
         _matrices_in_units(model.linear, units),
         _matrices_in_units(problem.flow.linear, units),
@@ -105,25 +105,25 @@ def make_task(problem: Problem, margin: float) -> Task:
     whole = plan_schedule(model, problem.reference, problem.tracked, problem.sensor, horizon)
     schedule = merge_equal_neighbours(whole)
     if not schedule.sides.any():
-        cure = cures(model.linear, schedule)[0].text
+        cure = find_remedies(model.linear, schedule)[0].text
         raise InputError(
             f"reference: it never leaves the dead zone, so that the sensor says nothing; {cure}"
         )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
     S, model_errors, source = _storage_inputs(problem, flow, units)
-    hidden = invisible(linear, schedule.visited_sides(), Ts)
+    hidden = unobservable_changes(linear, schedule.branch_visits(), Ts)
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
         model=model.linear,
         linear=linear,
-        A=delta(linear, Ts).A,
+        A=delta_form(linear, Ts).A,
         units=units,
         Ts=Ts,
         step=problem.scenario.simulation.step,
         schedule=schedule,
         whole=whole,
         S=S,
-        starts=problem.reference.state(times + NUDGE * whole.duration),
+        starts=problem.reference.state(times + NUDGE * whole.total_duration),
         model_errors=model_errors,
         source=source,
         hidden=basis,
@@ -177,7 +177,7 @@ def _storage_inputs(
     spread: Floats = B @ B.T
     if Ts is not None:
         hold = zoh(flow._replace(B=np.eye(n)), Ts).B / Ts
-        _, spread = discrete_noise_covariance(A, spread, Ts)
+        _, spread = discretise_noise(A, spread, Ts)
     both = np.hstack([A, B])
     kinematic = _kinematic(A, B)
     entries = [(i, j) for i, j in np.argwhere(both) if not kinematic[i]]
@@ -248,8 +248,8 @@ def score(
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * p)
     F, G = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
     rate = (
-        -_slowest(task, *floquet.product(floquet.transitions(F, task.schedule)))
-        / task.schedule.duration
+        -_slowest(task, *floquet.matrix_product(floquet.span_transitions(F, task.schedule)))
+        / task.schedule.total_duration
     )
     disturbance = noise = model = np.full(rate.shape, np.nan)
     Z = np.zeros((3 * p, F.shape[-1]))  # the errors that count: C x~, then d~

@@ -18,7 +18,7 @@ from undeadzone.ensemble.batch import Batch, prepare
 from undeadzone.ensemble.binding import Lanes, bind
 from undeadzone.ensemble.metrics import EDGES, width_error, widths_in_turn
 from undeadzone.errors import InputError, UndeadzoneError
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.results.run import last_samples
 from undeadzone.results.scales import LIMIT, plant_scales
 from undeadzone.scenario.address import with_numbers
@@ -201,7 +201,7 @@ def row(problem: Problem, out: Outputs) -> Floats:
     """
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
     tail = last_samples(t)
-    r = problem.reference.value(t)
+    r = problem.reference.output_at(t)
     error = out.z[:, problem.tracked] - r
     worst = np.abs(error).max(axis=1)
     tolerance = (problem.scenario.ensemble or Vary()).tolerance * np.abs(r).max()
@@ -273,7 +273,9 @@ class Objective(NamedTuple):
             return prepare_test_runs(first.scenario, near, self.what.runs, seed)
         vary = first.scenario.ensemble
         if vary is not None and vary.entries:
-            graph_of(first.observer)  # no more than noise and disturbance can vary without a graph
+            require_graph(
+                first.observer
+            )  # no more than noise and disturbance can vary without a graph
         return OneByOne(first).redrawn(self.what.runs, seed)
 
     def scenario(self, index: int, point: Floats) -> Scenario:

@@ -312,8 +312,8 @@ def worth(name: str, lost: Floats) -> Worth:
     if name == "worst":
         return Worth(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
     if name == "mean":
-        return Worth(statistics.mean(kept), diverged)
-    return Worth(statistics.quantile(kept, QUANTILES[name]), diverged)
+        return Worth(statistics.mean_interval(kept), diverged)
+    return Worth(statistics.quantile_interval(kept, QUANTILES[name]), diverged)
 
 
 def change(on: Objective, lost: list[Floats], seed: int) -> Interval:

@@ -1,4 +1,6 @@
-"""Standard streams that wait: a descriptor that would block loses no byte and is no end of input."""
+"""Standard streams that wait: a descriptor that would block loses no byte and is no end of
+input.
+"""
 
 from __future__ import annotations
 

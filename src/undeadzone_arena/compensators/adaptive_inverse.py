@@ -8,7 +8,12 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.compensators.parts.coasting import Coasts, coast_input, coasting, invert_zone
+from undeadzone.compensators.parts.coasting import (
+    Coasts,
+    apply_coasting,
+    invert_actuator,
+    start_coasting,
+)
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.nonlinearities.actuator import Actuator as Plain
@@ -55,7 +60,7 @@ class AdaptiveZoneInverse(
                 "'smooth_inverse' with widths that the observer estimates"
             )
         m, n = model.m, model.n
-        numbers, first = coasting(self, model)
+        numbers, first = start_coasting(self, model)
         start = nonnegative("compensator.widths0", self.widths0, m, "one per input")
         most = np.full(m, np.inf)
         if self.width_max is not None:
@@ -121,8 +126,8 @@ def adaptive_inverse_step(
     change = q.gain * zeta.T @ error / (1 + q.gain * ca.sumsqr(zeta))
     widths = ca.fmax(ca.fmin(s.widths + change, q.most), 0.0)
     drive = q.drive
-    u = invert_zone(drive, v, widths[:m], widths[m:])
-    coasts, u = coast_input(q.coasts, s.coasts, u, estimate, reading)
+    u = invert_actuator(drive, v, widths[:m], widths[m:])
+    coasts, u = apply_coasting(q.coasts, s.coasts, u, estimate, reading)
     slope = ca.if_else(u > 0, drive.slope_right, drive.slope_left)
     right, left = slope * (u > 0), slope * (u < 0)
     xi = q.A @ s.xi + q.B @ (slope * u)

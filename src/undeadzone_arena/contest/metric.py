@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import schedule_of_record
-from undeadzone.analysis.identifiability.linear import verdicts
+from undeadzone.analysis.identifiability.linear import width_identifiability
 from undeadzone.results.scales import LIMIT, plant_scales, shares
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.identifiability import (
@@ -86,7 +86,7 @@ def measure_run(problem: Problem, out: Outputs, truth: Floats, cost: float) -> R
     """
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
     tail = slice(int((1 - TAIL) * len(t)), None)
-    r = problem.reference.value(t)
+    r = problem.reference.output_at(t)
     error = out.z[:, problem.tracked] - r
     with np.errstate(invalid="ignore", over="ignore"):
         diverged = _has_diverged(problem, out)
@@ -141,7 +141,7 @@ def _relative_width_errors(
         judged = widths_with_unknown_actuator(problem, out, schedule)
     else:
         bias = constant_inputs(problem, linear.B)
-        judged = verdicts(linear, schedule, bias, sensor.kind == "jump")
+        judged = width_identifiability(linear, schedule, bias, sensor.kind == "jump")
     off, size = estimated[-1] - truth, truth.sum(axis=0)
     width = np.abs(off.sum(axis=0)) / size
     centre = np.abs(off[0] - off[1]) / size  # both halved

@@ -13,12 +13,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.linalg.hold import discrete_noise_covariance
+from undeadzone.linalg.hold import discretise_noise
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import fast_gain
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.observers.filtering.prior import Assumptions
-from undeadzone.observers.filtering.prior import width_ranges as ranges
+from undeadzone.observers.filtering.prior import read_width_ranges as ranges
 from undeadzone.plants.system import System, fastest_pole, time_scale
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -94,9 +94,7 @@ class PriorKnowledge(NamedTuple):
         if self.declared.disturbance is not None:
             return float(np.max(self.declared.disturbance))
         A, B, C = self.continuous_model
-        reached = float(
-            np.diag(C @ discrete_noise_covariance(A, B @ B.T, self.quarter_time)[1] @ C.T).max()
-        )
+        reached = float(np.diag(C @ discretise_noise(A, B @ B.T, self.quarter_time)[1] @ C.T).max())
         return SWING * self.largest_width / math.sqrt(2 * self.disturbance_correlation * reached)
 
     @property
@@ -207,7 +205,7 @@ def _reference_reach(problem: Problem, width: float) -> Floats:
     order, row = 1, flow.C
     while order < problem.model.n and np.allclose(row @ flow.B, 0.0):
         order, row = order + 1, row @ flow.A
-    largest = np.array([np.abs(problem.reference.value(t, k)).max() for k in range(order)])
+    largest = np.array([np.abs(problem.reference.output_at(t, k)).max() for k in range(order)])
     return MARGIN * largest + width * (np.arange(order) == 0)
 
 

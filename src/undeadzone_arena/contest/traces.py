@@ -91,6 +91,6 @@ def _trace_run(contest: Contest, method: str, title: str) -> Trace:
         t=t,
         z=out.z[:, i],
         z_hat=out.estimate.z[:, i],
-        r=problem.reference.value(t)[:, 0],
+        r=problem.reference.output_at(t)[:, 0],
         widths=np.array([problem.sensor.right[i], problem.sensor.left[i]]),
     )

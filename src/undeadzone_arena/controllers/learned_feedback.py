@@ -16,7 +16,7 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.hold import zoh
-from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
@@ -169,7 +169,7 @@ def _feedback_params(
     flow: Matrices, Ts: float | None, r: int, rates: FeedbackRates, basis: Any
 ) -> FeedbackParams:
     """Return the controller's numbers."""
-    chain = companion(np.zeros(r))
+    chain = companion_form(np.zeros(r))
     poles = np.full(r, -rates.speed)
     L = observer_gain(chain, poles, None)[:, 0]
     rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.linalg.matrices import Matrices, state_response_sizes
 from undeadzone.linalg.poles import state_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
@@ -116,7 +116,7 @@ def sliding_surface(model: System, poles: Array) -> Floats:
     """
     A, B, _ = model.linear
     n, m = B.shape
-    size = sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
+    size = state_response_sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
     A, B = A * size / size[:, None], B / size[:, None]
     rank = np.linalg.matrix_rank(B)
     if rank < m:

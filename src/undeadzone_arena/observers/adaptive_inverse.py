@@ -12,8 +12,8 @@ import numpy as np
 
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
-from undeadzone.observers.filtering.motion_detection import with_motion_detection
+from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
+from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array
@@ -58,7 +58,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
     def build(self, model: System, sensor: Zone) -> Observer:
         """Build the observer for a model, continuous or sampled."""
         p = model.p
-        widths, limit = initial_widths_and_bound(self.widths0, self.width_max, p)
+        widths, limit = read_initial_widths(self.widths0, self.width_max, p)
         L = injection_gain(model, self.L, self.poles, self.speed, width_hiding_speed(model, 30.0))
         gain = rate_or_default(model, "observer.gain", self.gain, 300.0)
         if self.law == "gradient":
@@ -69,7 +69,7 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
         observer = build_learning_observer(
             model, sensor, L, compensator, law, filtered=True, W0=widths.ravel(), limit=limit
         )
-        return with_motion_detection(observer, model, sensor)
+        return add_motion_detection(observer, model, sensor)
 
 
 def side_indicators(params: Any, y: Any, side: Any, z: Any) -> Any:

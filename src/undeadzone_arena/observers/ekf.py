@@ -11,7 +11,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Observer, no_further
+from undeadzone.interfaces import Observer, clip_expected_reading
 from undeadzone.nonlinearities.sensor import Zone, branch, zone
 from undeadzone.numerics.gaussian import (
     Gaussian,
@@ -20,7 +20,7 @@ from undeadzone.numerics.gaussian import (
     predict,
     update_with_outliers,
 )
-from undeadzone.observers.filtering.augmented_state import even_units
+from undeadzone.observers.filtering.augmented_state import power_of_two_units
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import (
@@ -59,7 +59,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted
         if self.mode == "measured":
-            counted = in_units(model, even_units(model))
+            counted = in_units(model, power_of_two_units(model))
             correct = partial(correct_measured, counted, sensor, self.pseudo)
         return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
@@ -90,7 +90,11 @@ def correct_measured(
         """Return the noise-free reading on the branch in use."""
         z = model.output(q.model, X[:n])[i]
         on_branch = branch(z, taken, X[n + i], X[n + p + i], 1.0, sensor.kind)
-        return on_branch if sensor.limits is None else no_further(on_branch, sample.y, sample.side)
+        return (
+            on_branch
+            if sensor.limits is None
+            else clip_expected_reading(on_branch, sample.y, sample.side)
+        )
 
     return correct_linearised(
         q, belief, sample, reading_on_branch, ca.logic_and(sample.seen, taken != 0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Observer
-from undeadzone.linalg.matrices import Matrices, sizes
+from undeadzone.linalg.matrices import Matrices, state_response_sizes
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.prior import FLOOR, width_ranges
+from undeadzone.observers.filtering.prior import FLOOR, read_width_ranges
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
@@ -66,7 +66,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
                 "nonlinear one"
             )
         n, p = model.n, model.p
-        ranges = width_ranges(self.right, self.left, p)
+        ranges = read_width_ranges(self.right, self.left, p)
         after, before = self._noise_bounds(sensor, p)
         disturbance = nonnegative(
             "observer.disturbance", self.disturbance, model.m, "one per input"
@@ -76,7 +76,9 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         flow = model.continuous
         L = self._gain_or_zero(model, flow)
         form = build_modes(
-            model.linear.A - L @ model.linear.C, 1 / sizes(flow.A.T, flow.C.T), model.Ts
+            model.linear.A - L @ model.linear.C,
+            1 / state_response_sizes(flow.A.T, flow.C.T),
+            model.Ts,
         )
         rounding = FLOOR * np.ptp(ranges, axis=1).reshape(2, p).max(axis=0)
         noise = after / sensor.slope + before + rounding

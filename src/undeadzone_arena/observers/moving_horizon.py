@@ -12,11 +12,23 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    PythonObserver,
+    Reading,
+    Traits,
+    build_python_observer,
+)
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.gaussian import CLIP
 from undeadzone.observers.filtering.augmented_state import quarter_period
-from undeadzone.observers.filtering.prior import Doubt, doubt_numbers, glitch_share, sample_time
+from undeadzone.observers.filtering.prior import (
+    Doubt,
+    doubt_numbers,
+    outlier_probability,
+    require_sample_time,
+)
 from undeadzone.observers.filtering.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
@@ -80,7 +92,7 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
                 "observer.slack: must be positive, found 0: noise alone would leave no solution"
             )
         weights = HorizonWeights(rms, slack, prior.prior.gate / sensor.slope, prior.ranges)
-        share = glitch_share(self.glitches)
+        share = outlier_probability(self.glitches)
         return build_moving_horizon(
             model, sensor, prior, weights, nodes, stride, share, self.solver
         )
@@ -90,7 +102,7 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
 
         Raises InputError.
         """
-        Ts = sample_time(model)
+        Ts = require_sample_time(model)
         if self.horizon is None:
             length = quarter_period(model)
         else:
@@ -190,10 +202,10 @@ def build_moving_horizon(
     if glitches > 0:
         doubt = doubt_numbers(model, sensor, prior.prior, glitches, claimed=False)
     setup = HorizonSetup(model, sensor, prior, weights, stride, rms, doubt, tangents, solve)
-    how = InPython(
+    how = PythonObserver(
         lambda seed: start, partial(correct_horizon, setup), partial(predict_horizon, setup)
     )
-    return in_python(how, model.p, Traits())
+    return build_python_observer(how, model.p, Traits())
 
 
 def initial_horizon_state(

@@ -10,9 +10,16 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, InPython, Observer, Reading, Traits, in_python
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    PythonObserver,
+    Reading,
+    Traits,
+    build_python_observer,
+)
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.prior import Prior, glitch_reach, glitch_share
+from undeadzone.observers.filtering.prior import Prior, outlier_probability, outlier_reach
 from undeadzone.observers.filtering.recovery import LIMIT
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
@@ -52,7 +59,7 @@ class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_
             raise InputError(f"observer.particles: expected 2 to 1000000, found {self.particles}")
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         return build_particle_filter(
-            model, sensor, prior, self.particles, glitch_share(self.glitches)
+            model, sensor, prior, self.particles, outlier_probability(self.glitches)
         )
 
 
@@ -114,12 +121,12 @@ def build_particle_filter(
     `glitches` is the probability of a wrong reading.
     """
     setup = ParticleSetup(model, sensor, prior, count, glitches, vectorise_model(model, count))
-    how = InPython(
+    how = PythonObserver(
         partial(start_particles, setup),
         partial(correct_particles, setup),
         partial(predict_particles, setup),
     )
-    return in_python(how, model.p, Traits())
+    return build_python_observer(how, model.p, Traits())
 
 
 def start_particles(setup: ParticleSetup, seed: int) -> ParticleState:
@@ -231,7 +238,7 @@ def systematic_indices(weights: Floats, offset: float) -> Integers:
 
 def glitch_odds(glitches: float, prior: Prior) -> Floats:
     """Return the log density ratio of a glitch to a reading without residual (p) [1]."""
-    reach = glitch_reach(prior)
+    reach = outlier_reach(prior)
     with np.errstate(divide="ignore"):
         odds: Floats = np.log(glitches / (1 - glitches) * np.sqrt(2 * np.pi * prior.R) / reach)
     return odds

@@ -13,7 +13,11 @@ import numpy as np
 from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer, Reading
 from undeadzone.nonlinearities.sensor import Zone, indicators
-from undeadzone.observers.adaptive.output_error import State, output_error, require_widths_and_gain
+from undeadzone.observers.adaptive.output_error import (
+    State,
+    build_output_error_observer,
+    read_adapted_widths,
+)
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, scalar
@@ -58,14 +62,16 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
                 "has not; use 'certified' or 'censored'"
             )
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
-        widths = require_widths_and_gain(gamma, self.widths0, self.width_max, model, sensor)
+        widths = read_adapted_widths(gamma, self.widths0, self.width_max, model, sensor)
         L = injection_gain(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
         rho = scalar("observer.rho", self.rho, least=0.0)
         width = scalar("observer.width", self.width, above=0.0)
         sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)
         robust = rho * steady_input(model, L) if rho else np.zeros((model.n, model.p))
         law = RobustLaw(robust, np.float64(width), np.float64(sharpness))
-        return output_error(model, sensor, L, widths, law, robust_term, side_of_estimate)
+        return build_output_error_observer(
+            model, sensor, L, widths, law, robust_term, side_of_estimate
+        )
 
 
 class RobustLaw(NamedTuple):

@@ -15,7 +15,10 @@ from undeadzone.errors import InputError, StructureError
 from undeadzone.interfaces import Observer
 from undeadzone.linalg.structure import output_chains
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
+from undeadzone.observers.adaptive.output_error import (
+    build_output_error_observer,
+    read_adapted_widths,
+)
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, vector
@@ -56,7 +59,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Build the observer for a model, continuous or sampled."""
-        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
+        widths = read_adapted_widths(self.gamma, self.widths0, self.width_max, model, sensor)
         L = self._linear_gain(model)
         flow = model.continuous
         chains = output_chains(flow.A, flow.C)
@@ -74,7 +77,9 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         law = TwistingLaw(
             np.linalg.inv(chains.O)[:, order] * model.per_step, np.concatenate(scales)
         )
-        return output_error(model, sensor, L, widths, law, partial(fractional_powers, orders))
+        return build_output_error_observer(
+            model, sensor, L, widths, law, partial(fractional_powers, orders)
+        )
 
     def _linear_gain(self, model: System) -> Floats:
         """Return L (n x p) of the linear correction, per step when sampled, 0 by default."""

@@ -10,7 +10,7 @@ from functools import partial
 import casadi as ca
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Observer, no_further
+from undeadzone.interfaces import Observer, clip_expected_reading
 from undeadzone.nonlinearities.sensor import LEFT, RIGHT, Zone
 from undeadzone.numerics.gaussian import (
     Gaussian,
@@ -21,7 +21,7 @@ from undeadzone.numerics.gaussian import (
     predict,
     update_with_gain,
 )
-from undeadzone.observers.filtering.augmented_state import even_units
+from undeadzone.observers.filtering.augmented_state import power_of_two_units
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System, in_units
 from undeadzone_arena.observers.parts.joint_claims import (
@@ -49,7 +49,7 @@ class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
                 "sensor reads z itself; use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
-        counted = in_units(model, even_units(model))
+        counted = in_units(model, power_of_two_units(model))
         correct = partial(correct_tobit, counted, sensor.limits is not None)
         return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 
@@ -76,7 +76,7 @@ def correct_tobit(
         slope += sign * chance * h
     along = belief.cov @ slope.T
     S = ca.fmax(square - expected**2, slope @ along + q.R[i])
-    foretold = no_further(expected, sample.y, sample.side) if limited else expected
+    foretold = clip_expected_reading(expected, sample.y, sample.side) if limited else expected
     use = ca.logic_and(sample.seen, foretold == expected)
     e = ca.if_else(use, sample.y - foretold, 0.0)
     return update_with_gain(belief, along / S, e, S, q.R[i], use, sample.odds, q.doubt.reach[i])

@@ -9,10 +9,13 @@ import numpy as np
 
 from undeadzone.errors import InputError, StepError, StructureError
 from undeadzone.interfaces import Observer
-from undeadzone.linalg.matrices import Matrices, sizes
-from undeadzone.linalg.riccati import lyapunov, weight
+from undeadzone.linalg.matrices import Matrices, state_response_sizes
+from undeadzone.linalg.riccati import lyapunov_of_loop, require_weight
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.adaptive.output_error import output_error, require_widths_and_gain
+from undeadzone.observers.adaptive.output_error import (
+    build_output_error_observer,
+    read_adapted_widths,
+)
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, list_numbers, nonnegative, vector
@@ -60,8 +63,8 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         law = SlidingLaw(sliding_direction(model, L, self.Q), rho, boundary)
         if model.Ts is not None:
             _require_stable_layer(model, L, law)
-        widths = require_widths_and_gain(self.gamma, self.widths0, self.width_max, model, sensor)
-        return output_error(model, sensor, L, widths, law, sliding_term)
+        widths = read_adapted_widths(self.gamma, self.widths0, self.width_max, model, sensor)
+        return build_output_error_observer(model, sensor, L, widths, law, sliding_term)
 
     def _rho_and_boundary(self, model: System) -> tuple[Floats, Floats]:
         """Return rho, per step when sampled, and boundary (p each).
@@ -129,10 +132,10 @@ def sliding_direction(model: System, L: Floats, Q: Array | None) -> Floats:
     closed = model.linear.A - L @ model.linear.C
     _require_stable_matrix(closed, Ts, "A - L C")
     rate = closed if Ts is None else (closed - np.eye(n)) / Ts
-    unit = 1 / sizes(rate.T, model.linear.C.T)  # of each state
+    unit = 1 / state_response_sizes(rate.T, model.linear.C.T)  # of each state
     A, L, C = model.linear.A * unit / unit[:, None], L / unit[:, None], model.linear.C * unit
-    weights = np.eye(n) if Q is None else weight("observer.Q", Q, n) * np.outer(unit, unit)
-    P = lyapunov(Matrices(A, L, C), C, weights, Ts)
+    weights = np.eye(n) if Q is None else require_weight("observer.Q", Q, n) * np.outer(unit, unit)
+    P = lyapunov_of_loop(Matrices(A, L, C), C, weights, Ts)
     along = np.linalg.solve(P, C.T)
     G = np.linalg.solve((C @ along).T, along.T).T
     hidden = np.linalg.svd(C)[2][model.p :].T  # where C x~ = 0

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import UndeadzoneError
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Sine, Sines, Step
@@ -223,7 +223,7 @@ def _try_value(change: Change, value: float) -> Problem | None:
     """Return the problem with another value of a key, or None if refused or without a graph."""
     try:
         problem = resolve_scenario(change(value))
-        graph_of(problem.observer)
+        require_graph(problem.observer)
     except UndeadzoneError:
         return None
     return problem

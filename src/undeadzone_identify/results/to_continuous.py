@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import logm
 
 from undeadzone.errors import InputError
-from undeadzone.linalg.matrices import Matrices, companion
+from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.plant import Layout
 
@@ -84,7 +84,7 @@ def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -
     rates = np.abs(np.roots(polynomial)).max()
     reach = np.abs(numerator) * rates ** np.arange(n)
     scale = numerator[0] if abs(numerator[0]) > SMALL * reach.max() else 1.0
-    form = companion(polynomial[:0:-1], numerator / scale)
+    form = companion_form(polynomial[:0:-1], numerator / scale)
     return form._replace(B=np.where(form.B > 0, scale, 0.0))
 
 
@@ -92,7 +92,7 @@ def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> 
     """Return the states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
     n = A.shape[0]
     T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
-    return companion(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
+    return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
 
 
 def entry_spread(

@@ -9,8 +9,14 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
-from undeadzone.analysis.convergence.falsify import Cycle, Mode, diverge, falsify, generator
-from undeadzone.analysis.error_dynamics import dynamics, pattern
+from undeadzone.analysis.convergence.falsify import (
+    Cycle,
+    SwitchMode,
+    diverge,
+    error_generator,
+    falsify,
+)
+from undeadzone.analysis.error_dynamics import branch_pattern, build_error_dynamics
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -49,13 +55,13 @@ def test_the_papers_gains_are_broken(Ts: float | None) -> None:
     assert attack.broken
     assert attack.rise > 1e-4
     assert diverge(found.dynamics).factor <= 1 + 1e-9
-    grown = generator(found.dynamics, attack.mode)
+    grown = error_generator(found.dynamics, attack.mode)
     if Ts is None:
         passage = expm(grown * attack.mode.seconds)
     else:
         passage = np.linalg.matrix_power(np.eye(4) + Ts * grown, round(attack.mode.seconds / Ts))
     errors = np.stack([attack.start, passage @ attack.start])
-    before, later = found.V.value(errors[:, :2], errors[:, 2:])
+    before, later = found.V.evaluate_storage(errors[:, :2], errors[:, 2:])
     assert later / before - 1 == pytest.approx(attack.rise, rel=1e-6)
 
 
@@ -68,7 +74,7 @@ def grows(
     state = np.concatenate([rng.normal(size=n), np.zeros(n), [0.3, 0.2]])
     right, left = 1.0, 1.0
 
-    def rate(state: Floats, mode: Mode) -> Floats:
+    def rate(state: Floats, mode: SwitchMode) -> Floats:
         x, x_hat, (right_hat, left_hat) = state[:n], state[n : 2 * n], state[2 * n :]
         side = mode.S[0, 0] + mode.S[0, 1]
         y = linear.C[0] @ x - (right if side > 0 else -left)
@@ -78,7 +84,7 @@ def grows(
         widths = [-gamma * e * float(side > 0), gamma * e * float(side < 0)]
         return np.concatenate([drift @ x, drift @ x_hat + L[:, 0] * e, widths])
 
-    def step(state: Floats, mode: Mode, h: float) -> Floats:
+    def step(state: Floats, mode: SwitchMode, h: float) -> Floats:
         if Ts is None:
             return rk4(lambda s, _: rate(s, mode), state, h)
         return state + h * rate(state, mode)
@@ -107,7 +113,7 @@ def test_divergence_is_found_and_is_real(
     """
     linear = PAPER if Ts is None else zoh(PAPER, Ts)
     gains = column(*L)
-    errors = dynamics(linear, gains, np.array([gamma]), Ts)
+    errors = build_error_dynamics(linear, gains, np.array([gamma]), Ts)
     assert not certify(linear, gains, np.array([gamma]), Ts).certified
     cycle = diverge(errors)
     assert cycle.factor > 1.005
@@ -128,11 +134,11 @@ def test_the_mode_matrices_are_those_of_the_observer() -> None:
     Nothing of that while silent.
     """
     L, gamma = column(1, 1.5), np.array([[10.0, 4.0]])
-    errors = dynamics(PAPER, L, gamma, None)
+    errors = build_error_dynamics(PAPER, L, gamma, None)
     x, d = np.array([0.3, -0.7]), np.array([0.2, 0.5])
     for side, theta in ((1, 1.0), (-1, 0.4), (0, 1.0)):
-        mode = Mode(np.ones(1), pattern((side,)), np.array([theta]), 1.0)
-        rate = generator(errors, mode) @ np.concatenate([x, d])
+        mode = SwitchMode(np.ones(1), branch_pattern((side,)), np.array([theta]), 1.0)
+        rate = error_generator(errors, mode) @ np.concatenate([x, d])
         e = theta * (x[0] - d[0] if side > 0 else x[0] + d[1]) * abs(side)
         assert rate[:2] == pytest.approx(PAPER.A @ x - L[:, 0] * e)
         assert rate[2:] == pytest.approx([10.0 * e * (side > 0), -4.0 * e * (side < 0)])

@@ -13,24 +13,24 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 from scenes import random_plant, scene
 from undeadzone.analysis.branch_schedule import (
     Schedule,
+    level_crossing_times,
     merge_equal_neighbours,
     plan_schedule,
-    roots,
     schedule_of_record,
 )
 from undeadzone.analysis.convergence.floquet import (
     Rates,
+    error_decay_rates,
     error_matrices,
-    product,
-    rates,
-    spans,
-    transitions,
+    integrate_spans,
+    matrix_product,
+    span_transitions,
 )
-from undeadzone.analysis.error_dynamics import adaptation, pattern
-from undeadzone.analysis.identifiability.linear import invisible
+from undeadzone.analysis.error_dynamics import adaptation_matrix, branch_pattern
+from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.scenario.problem import constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, exosystem
+from undeadzone.signals.exosystem import Samples, Sine, Sines, Tone, Trapezoid, build_exosystem
 from undeadzone.simulation.simulate import simulate
 
 seeds = st.integers(0, 2**32 - 1)
@@ -70,7 +70,9 @@ def rates_of(scenario: Scenario) -> Rates:
     problem = resolve_scenario(scenario)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    return rates(problem.model.linear, *gains, schedule_of(scenario), problem.sensor.kind == "jump")
+    return error_decay_rates(
+        problem.model.linear, *gains, schedule_of(scenario), problem.sensor.kind == "jump"
+    )
 
 
 def certified(L: Any, gamma: float, **more: Any) -> dict[str, Any]:
@@ -172,7 +174,7 @@ def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
     rng = np.random.default_rng(seed)
     A, _, C = random_plant(rng, n, 1, p).linear
     L = rng.normal(size=(n, p))
-    gamma = adaptation(rng.uniform(0.5, 3.0, p), p)
+    gamma = adaptation_matrix(rng.uniform(0.5, 3.0, p), p)
     K, Ts = int(rng.integers(1, 8)), 0.02
     sides = rng.integers(-1, 2, (K, p)).astype(float)
     spans = rng.integers(1, 30, K).astype(float) if sampled else rng.uniform(0.01, 2.0, K)
@@ -181,10 +183,10 @@ def test_the_monodromy_matrix_is_the_product_of_naive_transitions(
         sides, spans, Ts if sampled else None, True, 0.0, none, none, none, np.ones((p, 2))
     )
     F, _ = error_matrices(A, C, L, gamma, sides)
-    M, size = product(transitions(F, schedule))
+    M, size = matrix_product(span_transitions(F, schedule))
     naive = np.eye(n + 2 * p)
     for side, span in zip(sides.astype(int), spans, strict=True):
-        S, on = pattern(tuple(side)), np.diag(np.abs(side))
+        S, on = branch_pattern(tuple(side)), np.diag(np.abs(side))
         f = np.block([[A - L @ on @ C, L @ S], [gamma @ S.T @ C, -gamma @ S.T @ S]])
         if sampled:
             naive = np.linalg.matrix_power(np.eye(n + 2 * p) + Ts * f, int(span)) @ naive
@@ -201,7 +203,7 @@ def test_a_long_span_beside_a_short_one_holds_the_integrals_of_each() -> None:
     schedule = Schedule(
         np.zeros((3, 1)), lengths, None, True, 0.0, none, none, none, np.ones((1, 2))
     )
-    whole, plain = spans(F, [H, 2 * H], schedule, 1), spans(F, [H], schedule)
+    whole, plain = integrate_spans(F, [H, 2 * H], schedule, 1), integrate_spans(F, [H], schedule)
     assert (plain.G[0] == whole.G[0]).all()
     assert (whole.G[1] == 2 * whole.G[0]).all()
     assert (len(whole.GG), len(plain.GG)) == (1, 0)
@@ -236,12 +238,12 @@ def test_a_run_that_does_not_repeat_is_predicted_by_its_recorded_sides() -> None
         (problem.model.linear.A - np.eye(2)) / 1e-2,
         problem.model.linear.C,
         gains[0],
-        adaptation(gains[1], 1),
+        adaptation_matrix(gains[1], 1),
         schedule.sides,
     )
-    M, size = product(transitions(F, schedule))
+    M, size = matrix_product(span_transitions(F, schedule))
     assert M @ error[0] * np.exp(size) == pytest.approx(error[-1], abs=1e-9)
-    found = rates(problem.model.linear, *gains, schedule)
+    found = error_decay_rates(problem.model.linear, *gains, schedule)
     assert (found.periodic, found.period) == (False, pytest.approx(6.0))
     assert not schedule_of(scenario).periodic
 
@@ -252,7 +254,7 @@ def test_recorded_and_planned_rates_agree() -> None:
     schedule = schedule_of_record(run.z[8000:], problem.sensor, 1e-3, None)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    assert rates(problem.model.linear, *gains, schedule).rate == pytest.approx(
+    assert error_decay_rates(problem.model.linear, *gains, schedule).rate == pytest.approx(
         rates_of(scenario).rate, rel=1e-3
     )
 
@@ -263,7 +265,7 @@ def test_a_long_record_does_not_underflow() -> None:
     long = once._replace(sides=np.tile(once.sides, (3000, 1)), spans=np.tile(once.spans, 3000))
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    assert rates(problem.model.linear, *gains, long).rate == pytest.approx(
+    assert error_decay_rates(problem.model.linear, *gains, long).rate == pytest.approx(
         rates_of(scenario).rate, rel=1e-6
     )
 
@@ -347,9 +349,9 @@ def test_no_crossing_of_a_sum_of_sines_is_missed(seed: int, tones: int) -> None:
     components = []
     for k, (a, f) in enumerate(zip(amplitude, phase, strict=True), 1):
         components.append(Tone(amplitude=a, frequency=float(k), phase=f))
-    signal = exosystem("r", Sines(components=components), 1)
+    signal = build_exosystem("r", Sines(components=components), 1)
     level = rng.uniform(-1, 1) * np.abs(amplitude).sum() * 0.7
-    found = roots(signal, signal.Q[0], level, np.array([0.0, 1.0]))
+    found = level_crossing_times(signal, signal.Q[0], level, np.array([0.0, 1.0]))
     polynomial = np.zeros(2 * tones + 1, complex)  # z^tones (r - level), z = e^{2 pi j t}
     for k, (a, f) in enumerate(zip(amplitude, phase, strict=True), 1):
         polynomial[tones + k] += a * np.exp(1j * f) / 2j
@@ -358,20 +360,20 @@ def test_no_crossing_of_a_sum_of_sines_is_missed(seed: int, tones: int) -> None:
     z = np.roots(polynomial[::-1])
     expected = np.sort(np.angle(z[np.abs(np.abs(z) - 1) < 1e-6]) / (2 * np.pi) % 1.0)
     assert found == pytest.approx(expected, abs=1e-6)
-    assert signal.value(found)[:, 0] == pytest.approx(level, abs=1e-9)
+    assert signal.output_at(found)[:, 0] == pytest.approx(level, abs=1e-9)
 
 
 def test_crossings_of_samples(tmp_path: Any) -> None:
     path = tmp_path / "r.csv"
     path.write_text("t,r\n0,0\n1,2\n2,-2\n3,2\n")
-    lines = exosystem("r", Samples(path=str(path), smooth=False), 1)
-    assert roots(lines, lines.Q[0], 1.0, lines.corners) == pytest.approx(
+    lines = build_exosystem("r", Samples(path=str(path), smooth=False), 1)
+    assert level_crossing_times(lines, lines.Q[0], 1.0, lines.corners) == pytest.approx(
         [0.5, 1.25, 2.75], abs=1e-12
     )
-    spline = exosystem("r", Samples(path=str(path)), 1)
-    found = roots(spline, spline.Q[0], 1.0, spline.corners)
+    spline = build_exosystem("r", Samples(path=str(path)), 1)
+    found = level_crossing_times(spline, spline.Q[0], 1.0, spline.corners)
     assert found.size == 3
-    assert spline.value(found)[:, 0] == pytest.approx(1.0, abs=1e-12)
+    assert spline.output_at(found)[:, 0] == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -385,7 +387,9 @@ def test_crossings_of_samples(tmp_path: Any) -> None:
     ],
 )
 def test_periods(signal: Any, period: float | None) -> None:
-    assert exosystem("r", signal, 1).period == (None if period is None else pytest.approx(period))
+    assert build_exosystem("r", signal, 1).period == (
+        None if period is None else pytest.approx(period)
+    )
 
 
 def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
@@ -395,15 +399,15 @@ def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
     problem = resolve_scenario(scenario)
     gains = constant_gains(problem.observer, problem.model)
     assert gains is not None
-    found = rates(problem.model.linear, *gains, schedule)
+    found = error_decay_rates(problem.model.linear, *gains, schedule)
     F, _ = error_matrices(
         problem.model.linear.A,
         problem.model.linear.C,
         gains[0],
-        adaptation(gains[1], 1),
+        adaptation_matrix(gains[1], 1),
         schedule.sides,
     )
-    units = invisible(problem.model.linear, schedule.visited_sides()).scale
+    units = unobservable_changes(problem.model.linear, schedule.branch_visits()).scale
     M = np.eye(4)
     for matrix, span in zip(F, schedule.spans, strict=True):
         M = expm(matrix * span) @ M

@@ -14,7 +14,7 @@ from scenes import PAPER_PLANT, linear, random_plant, response
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
-from undeadzone.linalg.matrices import companion
+from undeadzone.linalg.matrices import companion_form
 from undeadzone.plants.build import matrices
 from undeadzone.plants.options import Plant
 
@@ -95,6 +95,6 @@ def test_the_default_gain_is_certified_at_every_sample_time(Ts: float) -> None:
 
     P^-1 C' of the continuous theory is not certified there.
     """
-    stiff = zoh(companion(np.poly([-1.0, -10.0, -1000.0])[:0:-1], [1000.0]), Ts)
+    stiff = zoh(companion_form(np.poly([-1.0, -10.0, -1000.0])[:0:-1], [1000.0]), Ts)
     for gamma in (1e-3 / Ts, 1 / Ts):
         assert certify(stiff, passive_gain(stiff, Ts), np.array([gamma]), Ts).certified

@@ -14,21 +14,21 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.branch_schedule import Schedule, plan_schedule
-from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.disturbance import first_order
+from undeadzone.analysis.error_dynamics import branch_pattern
+from undeadzone.analysis.identifiability.disturbance import first_order_inputs
 from undeadzone.analysis.identifiability.information import (
-    Readings,
-    deviations,
-    information,
+    ReadingConditions,
+    information_matrix,
+    optimal_deviations,
 )
 from undeadzone.analysis.identifiability.linear import (
     DIRECTIONS,
-    Verdict,
-    cures,
-    invisible,
-    kernel,
-    unobservable,
-    verdicts,
+    WidthIdentifiability,
+    find_remedies,
+    null_space_basis,
+    unobservable_changes,
+    unobservable_subspace,
+    width_identifiability,
 )
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -76,7 +76,7 @@ def plan(scenario: Scenario) -> tuple[Matrices, Schedule]:
     )
 
 
-def flags(verdict: Verdict) -> tuple[bool, ...]:
+def flags(verdict: WidthIdentifiability) -> tuple[bool, ...]:
     return verdict[:4]
 
 
@@ -88,7 +88,9 @@ def test_the_centre_is_known_exactly_when_A_is_nonsingular(
     if singular:
         A = np.where(np.arange(n) == 0, 0.0, A)
     plant, Ts = Matrices(A, B, C), 0.01 if sampled else None
-    (found,) = verdicts(plant if Ts is None else zoh(plant, Ts), visiting([True], [True], Ts))
+    (found,) = width_identifiability(
+        plant if Ts is None else zoh(plant, Ts), visiting([True], [True], Ts)
+    )
     assert flags(found) == (not singular, not singular, True, not singular)
     assert ("A is singular (an integrator), only the width" in " ".join(found.reasons)) == singular
 
@@ -97,7 +99,7 @@ def test_the_centre_is_known_exactly_when_A_is_nonsingular(
 @pytest.mark.parametrize(("right", "left"), list(product([True, False], repeat=2)))
 def test_verdict_of_each_visit(plant: Matrices, right: bool, left: bool) -> None:
     integrator = np.linalg.matrix_rank(plant.A) < len(plant.A)
-    (found,) = verdicts(plant, visiting([right], [left]))
+    (found,) = width_identifiability(plant, visiting([right], [left]))
     assert flags(found) == (
         right and not integrator,
         left and not integrator,
@@ -129,7 +131,7 @@ def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(
         ),
     ):
         model = plant if Ts is None else zoh(plant, Ts)
-        (found,) = verdicts(model, visiting([True], [True], Ts), bias=model.B)
+        (found,) = width_identifiability(model, visiting([True], [True], Ts), bias=model.B)
         assert flags(found) == (not felt, not felt, True, not felt)
         assert (
             "constant input bias, centre and bias cannot be told apart" in " ".join(found.reasons)
@@ -137,13 +139,13 @@ def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(
 
 
 def test_a_jump_sensor_tells_each_edge_that_is_passed() -> None:
-    (found,) = verdicts(CHAIN, visiting([True], [False]), jump=True)
+    (found,) = width_identifiability(CHAIN, visiting([True], [False]), jump=True)
     assert flags(found) == (True, False, False, False)
 
 
 def test_each_output_is_judged_by_itself() -> None:
     """Of an integrator and a stable part, each behind a dead zone, the first loses its centre."""
-    found = verdicts(
+    found = width_identifiability(
         Matrices(np.diag([0.0, -1.0]), np.ones((2, 1)), np.eye(2)),
         visiting([True, True], [True, True]),
     )
@@ -153,9 +155,9 @@ def test_each_output_is_judged_by_itself() -> None:
 
 def test_a_state_that_only_a_silent_output_sees_is_not_determined() -> None:
     plant = Matrices(np.diag([-1.0, -2.0]), np.ones((2, 1)), np.eye(2))
-    hidden = invisible(plant, np.array([[True, True], [False, False]]))
-    assert [hidden.state(0), hidden.state(1)] == [True, False]
-    assert hidden.names == ("x[1]", "right[1]", "left[1]")
+    hidden = unobservable_changes(plant, np.array([[True, True], [False, False]]))
+    assert [hidden.is_state_known(0), hidden.is_state_known(1)] == [True, False]
+    assert hidden.names_of_undetermined == ("x[1]", "right[1]", "left[1]")
 
 
 @given(seeds, st.integers(1, 4), st.booleans())
@@ -169,7 +171,7 @@ def test_verdicts_do_not_depend_on_units(seed: int, n: int, singular: bool) -> N
     output = 10.0 ** rng.uniform(-4, 4)
     time = 10.0 ** rng.uniform(-4, 4)
     scaled = Matrices(time * A * state / state[:, None], B / state[:, None], output * C * state)
-    (found,) = verdicts(scaled, visiting([True], [True]))
+    (found,) = width_identifiability(scaled, visiting([True], [True]))
     assert (found.width, found.centre) == (True, not singular)
 
 
@@ -228,7 +230,7 @@ def test_the_invisible_directions_are_the_kernel_of_the_brute_force_gramian(
     plant, widths = problem.model.linear, np.tile(WIDTHS, (p, 1))
     rows = np.concatenate(sensitivities(plant, run.x[0], run.u, widths, 1e-5))
     visited = np.stack([(run.side == side).sum(axis=0) > 4 for side in (1, -1)], axis=1)
-    hidden = invisible(plant, visited, 2e-2)
+    hidden = unobservable_changes(plant, visited, 2e-2)
     _, singular, rotation = np.linalg.svd(rows)
     kernel = rotation[int((singular > 1e-6 * singular[0]).sum()) :].T
     found = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
@@ -248,8 +250,10 @@ def test_deviations_are_those_of_the_brute_force_gramian(bias: bool) -> None:
         sensor={"left": 0.7}, simulation={"time": "sampled", "step": 2e-2, "duration": 3.0}
     )
     linear, schedule = plan(scenario)
-    found = deviations(
-        linear, schedule, Readings(np.array([0.05]), 2e-2, 3.0, bias=linear.B if bias else None)
+    found = optimal_deviations(
+        linear,
+        schedule,
+        ReadingConditions(np.array([0.05]), 2e-2, 3.0, bias=linear.B if bias else None),
     )
     run = simulate(
         scene(
@@ -283,7 +287,7 @@ PAPER = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]
 
 def test_continuous_information_is_the_integral_of_squared_sensitivities() -> None:
     linear, schedule = plan(scene(sensor={"left": 0.7}, simulation={"duration": 1.0}))
-    found = information(linear, schedule, Readings(np.array([0.2]), 1e-3, 1.0))
+    found = information_matrix(linear, schedule, ReadingConditions(np.array([0.2]), 1e-3, 1.0))
     fine = zoh(linear, 1e-5)
     total, Phi, k = np.zeros((4, 4)), np.eye(2), 0
     ends = np.cumsum(schedule.spans)
@@ -305,7 +309,9 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
     linear, schedule = plan(scenario)
     Q = np.zeros((4, 4))
     Q[:2, :2] = 0.3 * linear.B @ linear.B.T
-    found = deviations(linear, schedule, Readings(np.array([0.05]), 2e-2, 6.0, process=Q[:2, :2]))
+    found = optimal_deviations(
+        linear, schedule, ReadingConditions(np.array([0.05]), 2e-2, 6.0, process=Q[:2, :2])
+    )
     F, P = np.eye(4), 1e6 * np.eye(4)
     F[:2, :2] = linear.A
     for side in np.tile(np.repeat(schedule.sides[:, 0], schedule.spans.astype(int)), 6):
@@ -324,14 +330,16 @@ def test_deviations_with_process_noise_are_those_of_a_kalman_filter() -> None:
 def test_continuous_and_sampled_deviations_agree_for_short_samples() -> None:
     for process in (None, 0.2 * PAPER_PLANT.linear.B @ PAPER_PLANT.linear.B.T):
         linear, schedule = plan(scene(sensor={"left": 0.7}))
-        one = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 10.0, process=process))
+        one = optimal_deviations(
+            linear, schedule, ReadingConditions(np.array([0.05]), 1e-3, 10.0, process=process)
+        )
         linear, schedule = plan(
             scene(sensor={"left": 0.7}, simulation={"time": "sampled", "step": 1e-3})
         )
-        other = deviations(
+        other = optimal_deviations(
             linear,
             schedule,
-            Readings(
+            ReadingConditions(
                 np.array([0.05]), 1e-3, 10.0, process=None if process is None else process * 1e-3
             ),
         )
@@ -344,7 +352,7 @@ def test_fast_and_slow_poles_over_a_long_run_do_not_overflow() -> None:
     linear, schedule = plan(
         scene(plant={"A": [[-0.05, 0.0], [0.0, -400.0]], "B": [[1.0], [400.0]], "C": [[1.0, 1.0]]})
     )
-    found = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 1e4))
+    found = optimal_deviations(linear, schedule, ReadingConditions(np.array([0.05]), 1e-3, 1e4))
     assert 0 < found.widths[0]["centre"] < 1.0
 
 
@@ -356,8 +364,8 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
     """
     linear, schedule = plan(scene())
     process = linear.B @ linear.B.T
-    (found,) = deviations(
-        linear, schedule, Readings(np.array([noise]), 1e-3, 10.0, process=process)
+    (found,) = optimal_deviations(
+        linear, schedule, ReadingConditions(np.array([noise]), 1e-3, 10.0, process=process)
     ).widths
     h, F = 5e-3, np.zeros((4, 4))
     F[:2, :2] = linear.A
@@ -366,7 +374,7 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
     sigma = max(noise, 1e-4) * np.sqrt(1e-3 / h)
     for _ in range(10):
         for sides, span in zip(schedule.sides, schedule.spans, strict=True):
-            row = np.hstack([linear.C * abs(sides), -pattern(tuple(sides.astype(int)))])
+            row = np.hstack([linear.C * abs(sides), -branch_pattern(tuple(sides.astype(int)))])
             for _ in range(round(span / h)):
                 if sides.any():
                     joint = np.block(
@@ -381,13 +389,15 @@ def test_a_disturbance_beside_exact_readings_is_that_of_a_square_root_filter(noi
 
 def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
     linear, schedule = plan(scene())
-    one = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 100.0)).widths[0]["width"]
-    noisier = deviations(linear, schedule, Readings(np.array([0.1]), 1e-3, 100.0)).widths[0][
-        "width"
-    ]
-    longer = deviations(linear, schedule, Readings(np.array([0.05]), 1e-3, 400.0)).widths[0][
-        "width"
-    ]
+    one = optimal_deviations(
+        linear, schedule, ReadingConditions(np.array([0.05]), 1e-3, 100.0)
+    ).widths[0]["width"]
+    noisier = optimal_deviations(
+        linear, schedule, ReadingConditions(np.array([0.1]), 1e-3, 100.0)
+    ).widths[0]["width"]
+    longer = optimal_deviations(
+        linear, schedule, ReadingConditions(np.array([0.05]), 1e-3, 400.0)
+    ).widths[0]["width"]
     assert noisier == pytest.approx(2 * one, rel=1e-9)
     assert longer == pytest.approx(one / 2, rel=0.02)
 
@@ -400,7 +410,7 @@ def test_noise_widens_in_proportion_and_time_narrows_as_its_root() -> None:
 def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offset: float) -> None:
     time = {"time": "sampled", "step": 1e-2} if sampled else {}
 
-    def judge(amplitude: float, offset: float) -> tuple[Verdict, Any]:
+    def judge(amplitude: float, offset: float) -> tuple[WidthIdentifiability, Any]:
         linear, schedule = plan(
             scene(
                 reference={
@@ -412,7 +422,7 @@ def test_the_cure_cures_and_less_does_not(sampled: bool, amplitude: float, offse
                 simulation={"duration": 10.0, **time},
             )
         )
-        return verdicts(linear, schedule)[0], cures(linear, schedule)
+        return width_identifiability(linear, schedule)[0], find_remedies(linear, schedule)
 
     before, (cure,) = judge(amplitude, offset)
     assert not before.centre
@@ -432,7 +442,7 @@ def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> N
     linear, schedule = plan(
         scene(reference={"kind": "sines", "components": tones}, sensor={"left": 1.6})
     )
-    (cure,) = cures(linear, schedule)
+    (cure,) = find_remedies(linear, schedule)
     assert cure.shift is not None
     assert cure.shift < 0
     moved = plan(
@@ -441,17 +451,17 @@ def test_a_lopsided_reference_is_shifted_where_that_is_the_smaller_change() -> N
             sensor={"left": 1.6},
         )
     )
-    assert verdicts(*moved)[0].centre
-    assert cures(*moved) == []
+    assert width_identifiability(*moved)[0].centre
+    assert find_remedies(*moved) == []
 
 
 def test_a_constant_reference_and_an_integrator_are_told_what_would_help() -> None:
-    (cure,) = cures(*plan(scene(reference={"kind": "step", "amplitude": 0.0})))
+    (cure,) = find_remedies(*plan(scene(reference={"kind": "step", "amplitude": 0.0})))
     assert "let output 0 move: a swing of 1.05 about 0" in cure.text
-    (cure,) = cures(CHAIN, visiting([True], [True]))
+    (cure,) = find_remedies(CHAIN, visiting([True], [True]))
     assert (cure.factor, cure.shift) == (None, None)
     assert cure.text.startswith("no reference can: let the plant pass a place where z is known")
-    (cure,) = cures(PAPER_PLANT.linear, visiting([True], [True]), bias=PAPER_PLANT.linear.B)
+    (cure,) = find_remedies(PAPER_PLANT.linear, visiting([True], [True]), bias=PAPER_PLANT.linear.B)
     assert "calibrate the input" in cure.text
 
 
@@ -472,11 +482,11 @@ def test_what_outputs_do_not_observe() -> None:
     """Of three modes in random coordinates the outputs see the second one only."""
     T = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     A, C = T @ np.diag([-1.0, -2.0, -3.0]) @ T.T / 3, np.array([[0.0, 1.0, 0.0]]) @ T.T
-    U = unobservable(A, C, 1e-11)
+    U = unobservable_subspace(A, C, 1e-11)
     expected = T[:, [0, 2]]
     assert pytest.approx(expected @ expected.T, abs=1e-9) == U @ U.T
-    assert unobservable(A, np.ones((1, 3)) @ T.T, 1e-11).shape == (3, 0)
-    assert kernel(np.zeros((0, 2)), 1e-11).tolist() == [[1.0, 0.0], [0.0, 1.0]]
+    assert unobservable_subspace(A, np.ones((1, 3)) @ T.T, 1e-11).shape == (3, 0)
+    assert null_space_basis(np.zeros((0, 2)), 1e-11).tolist() == [[1.0, 0.0], [0.0, 1.0]]
 
 
 @pytest.mark.parametrize("time", ["continuous", "sampled"])
@@ -587,10 +597,14 @@ def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> No
     model, schedule = plan(scene())
     noise, random = np.array([0.01]), 0.1
     for correlation_time in (1.0, 1e2, 1e4):
-        colour = first_order(model.B, np.array([random]), correlation_time)
-        coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
+        colour = first_order_inputs(model.B, np.array([random]), correlation_time)
+        coloured = optimal_deviations(
+            model, schedule, ReadingConditions(noise, 1e-2, 20.0, colour=colour)
+        ).widths[0]
         white = 2 * random**2 * correlation_time * model.B @ model.B.T
-        stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
+        stand_in = optimal_deviations(
+            model, schedule, ReadingConditions(noise, 1e-2, 20.0, process=white)
+        ).widths[0]
         assert coloured["centre"] <= random * 1.001
         assert coloured["centre"] <= stand_in["centre"] * 1.001
     assert coloured["centre"] == pytest.approx(random, rel=1e-2)
@@ -600,10 +614,14 @@ def test_a_slow_random_disturbance_is_no_worse_than_an_offset_of_its_rms() -> No
 def test_a_fast_random_disturbance_is_white() -> None:
     model, schedule = plan(scene())
     noise, random, correlation_time = np.array([0.01]), 1.0, 1e-3
-    colour = first_order(model.B, np.array([random]), correlation_time)
+    colour = first_order_inputs(model.B, np.array([random]), correlation_time)
     white = 2 * random**2 * correlation_time * model.B @ model.B.T
-    coloured = deviations(model, schedule, Readings(noise, 1e-2, 20.0, colour=colour)).widths[0]
-    stand_in = deviations(model, schedule, Readings(noise, 1e-2, 20.0, process=white)).widths[0]
+    coloured = optimal_deviations(
+        model, schedule, ReadingConditions(noise, 1e-2, 20.0, colour=colour)
+    ).widths[0]
+    stand_in = optimal_deviations(
+        model, schedule, ReadingConditions(noise, 1e-2, 20.0, process=white)
+    ).widths[0]
     for name in ("right", "centre"):
         assert coloured[name] == pytest.approx(stand_in[name], rel=0.01)
 
@@ -614,10 +632,12 @@ def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
     for simulation in ({"step": 0.01}, {"step": 0.01, "time": "sampled"}):
         model, schedule = plan(scene(simulation=simulation))
         B = model.B
-        colour = first_order(B, np.array([0.3]), 0.2)
+        colour = first_order_inputs(B, np.array([0.3]), 0.2)
         noise = np.array([0.01])
         found.append(
-            deviations(model, schedule, Readings(noise, 0.01, 20.0, colour=colour)).widths[0]
+            optimal_deviations(
+                model, schedule, ReadingConditions(noise, 0.01, 20.0, colour=colour)
+            ).widths[0]
         )
     for name in ("right", "width", "centre"):
         assert found[1][name] == pytest.approx(found[0][name], rel=0.03)

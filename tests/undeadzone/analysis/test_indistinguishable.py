@@ -12,7 +12,7 @@ from scipy.signal import lsim
 
 from scenes import scene
 from undeadzone.analysis.identifiability.disturbance import correlation_time, unknown_constants
-from undeadzone.analysis.identifiability.indistinguishable import in_words
+from undeadzone.analysis.identifiability.indistinguishable import describe_indistinguishable
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random, Sine
@@ -86,7 +86,7 @@ def test_a_second_truth_within_the_noise_lies_at_the_end_of_the_interval() -> No
     assert known.second["right"] - 1.0 == pytest.approx(HALF_95 * 0.3 / np.sqrt(2), rel=0.01)
     assert known.second["left"] - 1.0 == pytest.approx(1.0 - known.second["right"], rel=0.01)
     assert known.second["input"][0] == pytest.approx(known.second["right"] - 1.0, rel=0.01)
-    (words,) = in_words([known.second])
+    (words,) = describe_indistinguishable([known.second])
     assert words == (
         "d_r 1.415, d_l 0.5849, a constant 0.415 more at the input and x(0) larger by [0.415, 0]"
     )

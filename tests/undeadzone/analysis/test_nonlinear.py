@@ -14,15 +14,15 @@ from scipy.linalg import expm
 
 from scenes import linear, random_plant
 from undeadzone.analysis.branch_schedule import reading_levels, schedule_of_record
-from undeadzone.analysis.convergence.floquet import exponential
+from undeadzone.analysis.convergence.floquet import matrix_exponentials
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
-from undeadzone.analysis.identifiability.linear import Verdict, verdicts
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability, width_identifiability
 from undeadzone.analysis.identifiability.nonlinear import (
     Observability,
-    observability,
-    variance,
-    verdicts_along,
+    observability_along,
+    reading_variance,
+    width_identifiability_along,
 )
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, resolve, zone
 from undeadzone.plants.build import initial_state, system
@@ -120,12 +120,14 @@ class Trial(NamedTuple):
     def side(self) -> Floats:
         return zone(self.z, *reading_levels(self.sensor).T)
 
-    def verdicts(self, **known: Any) -> list[Verdict]:
-        return verdicts_along(self.model, self.x, self.u, self.z, self.sensor, STEP, **known)
+    def verdicts(self, **known: Any) -> list[WidthIdentifiability]:
+        return width_identifiability_along(
+            self.model, self.x, self.u, self.z, self.sensor, STEP, **known
+        )
 
     def observability(self, **known: Any) -> Observability:
-        return observability(
-            self.model, self.x, self.u, self.side, STEP, variance(self.sensor), **known
+        return observability_along(
+            self.model, self.x, self.u, self.side, STEP, reading_variance(self.sensor), **known
         )
 
 
@@ -184,7 +186,7 @@ def test_the_centre_is_lost_where_nothing_depends_on_a_position_and_only_there(n
             words in verdict.reasons[0]
             and verdict.reasons[0].startswith("the centre is not identifiable")
         )
-    none, some = run.observability().gap
+    none, some = run.observability().share_gap
     assert none < 1e-11
     assert some > 1e-3
 
@@ -201,7 +203,7 @@ def test_no_reading_shows_the_invisible_and_the_gramian_says_how_much_the_others
     leaving_fast = {"upright": 1.5, "two links": 1.5, "cart and pole": 3.0}  # their neighbours
     run = swinging(name, leaving_fast.get(name, 6.0))
     found, n, p = run.observability(), run.model.n, run.model.p
-    rms = np.sqrt(variance(run.sensor))
+    rms = np.sqrt(reading_variance(run.sensor))
 
     def readings(change: Floats) -> Floats:
         d = np.stack([run.sensor.right, run.sensor.left], axis=1) + change[n:].reshape(p, 2)
@@ -228,13 +230,13 @@ def test_long_steps_tell_nearly_the_same(
     run = swinging(name)
     exact = run.observability()
     no_bias = np.zeros((run.model.m, 0))
-    rates = linearised_run._derivatives(run.model, run.model.rate, no_bias, ())
+    rates = linearised_run._build_derivatives(run.model, run.model.rate, no_bias, ())
     work = rates.n_instructions() * len(run.x)
     monkeypatch.setattr(linearised_run, "WORK", 1.5 * work / thinner)
     found = run.observability()
     assert found.tolerance > exact.tolerance
     for i in range(run.model.p):
-        assert found.std(i) == pytest.approx(exact.std(i), rel=0.01)
+        assert found.output_deviations(i) == pytest.approx(exact.output_deviations(i), rel=0.01)
 
 
 def test_a_run_in_continuous_time() -> None:
@@ -263,7 +265,7 @@ def test_a_run_in_continuous_time() -> None:
         check_step=False,
     )
     model = system(SWINGING["a bent integrator"][0])
-    (found,) = verdicts_along(
+    (found,) = width_identifiability_along(
         model, run.x, run.u, run.z, resolve(Sensor(right=0.3, left=0.2), 1, STEP), STEP
     )
     assert found[:4] == (False, False, True, False)
@@ -295,12 +297,12 @@ def test_linear_plants_are_judged_as_by_their_matrices(
     sensor = resolve(Sensor(right=widths[:, 0], left=widths[:, 1]), p, 0.02)
     model = model if discrete else plant
     bias = unknown_bias(Step(amplitude=1.0), np.eye(1)) if biased else None
-    expected = verdicts(
+    expected = width_identifiability(
         model.linear,
         schedule_of_record(z, sensor, 0.02, model.Ts),
         None if bias is None else model.linear.B @ bias,
     )
-    found = verdicts_along(model, x, u, z, sensor, 0.02, bias=bias)
+    found = width_identifiability_along(model, x, u, z, sensor, 0.02, bias=bias)
     assert [verdict[:4] for verdict in found] == [verdict[:4] for verdict in expected]
     assert [bool(verdict.reasons) for verdict in found] == [
         bool(verdict.reasons) for verdict in expected
@@ -319,12 +321,12 @@ def test_growth_and_decay_over_hundreds_of_powers_of_ten(a: float) -> None:
         linear=model.linear._replace(A=np.array([[a]])),
     )
     N = 20000
-    found = observability(
+    found = observability_along(
         model, np.ones((N, 1)), np.zeros((N, 1)), np.ones((N, 1)), 1.0, np.array([0.04])
     )
     expected = np.inf if a == 1.0 else 0.2 / np.sqrt(N - (1 + a) / abs(1 - a))
-    assert found.std(0)["right"] == pytest.approx(expected, rel=1e-6)
-    assert found.std(0)["left"] == np.inf
+    assert found.output_deviations(0)["right"] == pytest.approx(expected, rel=1e-6)
+    assert found.output_deviations(0)["left"] == np.inf
 
 
 @pytest.mark.parametrize("name", ["cart and pole", "motor of an elastic joint on a table"])
@@ -340,8 +342,8 @@ def test_what_is_known_very_well_need_not_be_known_better(
     monkeypatch.setattr(nonlinear, "CAP", 1e8)
     found = run.observability()
     for i in range(run.model.p):
-        assert capped.hidden.width(i, "centre") == (i == 1)
-        assert capped.std(i) == pytest.approx(found.std(i), rel=1e-6)
+        assert capped.hidden.is_width_known(i, "centre") == (i == 1)
+        assert capped.output_deviations(i) == pytest.approx(found.output_deviations(i), rel=1e-6)
 
 
 def test_a_known_start_tells_the_centre() -> None:
@@ -434,7 +436,9 @@ def test_the_exponent_of_a_long_step_is_of_fourth_order() -> None:
         h, total = 1.0 / steps, np.eye(2)
         for k in range(steps):
             rates = [(A + t * B)[None] for t in (k * h, (k + 0.5) * h, (k + 1) * h)]
-            total = exponential(linearised_run._magnus(*rates, np.array(h)))[0] @ total
+            total = (
+                matrix_exponentials(linearised_run._magnus_exponent(*rates, np.array(h)))[0] @ total
+            )
         return total
 
     exact = over(512)
@@ -445,7 +449,7 @@ def test_the_exponent_of_a_long_step_is_of_fourth_order() -> None:
 def test_exponentials_of_many_matrices() -> None:
     rng = np.random.default_rng(0)
     X = rng.normal(size=(20, 4, 4)) * 10 ** rng.uniform(-3, 1, (20, 1, 1))
-    for E, one in zip(exponential(X), X, strict=True):
+    for E, one in zip(matrix_exponentials(X), X, strict=True):
         assert pytest.approx(expm(one), rel=1e-10, abs=1e-10 * np.abs(expm(one)).max()) == E
 
 
@@ -458,7 +462,7 @@ def test_a_step_of_magnus_is_of_fourth_order() -> None:
         exact = np.eye(3)
         for t in (np.arange(2000) + 0.5) / 2000 * h:
             exact = expm((A + t * slope)[0] * h / 2000) @ exact
-        exponent = linearised_run._magnus(
+        exponent = linearised_run._magnus_exponent(
             A, A + h / 2 * slope, A + h * slope, np.full((1, 1, 1), h)
         )
         off.append(np.abs(expm(exponent[0]) - exact).max())

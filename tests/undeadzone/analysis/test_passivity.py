@@ -14,20 +14,20 @@ from scipy.linalg import block_diag, expm
 
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.analysis.certificate import weights
-from undeadzone.analysis.certificate.nearest import decay_limit, nearest
+from undeadzone.analysis.certificate.nearest import decay_limit, nearest_certified_gains
 from undeadzone.analysis.certificate.passivity import (
     Certificate,
     certify,
     certify_dynamics,
-    defective,
+    is_defective,
     passive_gain,
-    recheck,
+    recheck_proof,
 )
-from undeadzone.analysis.certificate.weights import margin
-from undeadzone.analysis.error_dynamics import Dynamics, adaptation, dynamics
+from undeadzone.analysis.certificate.weights import margin_of_weights
+from undeadzone.analysis.error_dynamics import Dynamics, adaptation_matrix, build_error_dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.hold import zoh
-from undeadzone.linalg.matrices import Matrices, delta
+from undeadzone.linalg.matrices import Matrices, delta_form
 from undeadzone.util.arrays import Floats
 
 PAPER = PAPER_PLANT.linear
@@ -49,7 +49,7 @@ def gridded(linear: Matrices, L: Floats, Ts: float | None) -> float:
     else:
         s = np.expm1(1j * np.concatenate([[0.0], np.geomspace(1e-6, np.pi, 20001)])) / Ts
     n = len(L)
-    pencils = s[:, None, None] * np.eye(n) - delta(linear, Ts).A
+    pencils = s[:, None, None] * np.eye(n) - delta_form(linear, Ts).A
     G = linear.C @ np.linalg.solve(pencils, L[None].astype(complex))
     return float(np.linalg.eigvalsh((G + G.conj().transpose(0, 2, 1)) / 2)[:, 0].min())
 
@@ -74,7 +74,9 @@ def test_certified_exactly_where_theory_says_for_two_thousand_gains() -> None:
         expected, distance = condition(L)
         if distance < 1e-7:
             continue
-        wrong[0] += (margin(dynamics(PAPER, L, np.ones(1), None), np.ones(1))[0] > 0) != expected
+        wrong[0] += (
+            margin_of_weights(build_error_dynamics(PAPER, L, np.ones(1), None), np.ones(1))[0] > 0
+        ) != expected
         if k % 25 == 0 and distance > 1e-4:
             wrong[1] += certify(PAPER, L, np.ones(1)).certified != expected
     assert wrong == [0, 0]
@@ -127,13 +129,13 @@ def test_worst_frequency_is_never_above_a_dense_grid(seed: int) -> None:
     n, p = int(rng.integers(1, 9)), int(rng.integers(1, 4))
     Ts = TIMES[seed % len(TIMES)]
     linear, L = sampled(random_matrices(rng, n, p, spread=3.0), Ts), rng.normal(size=(n, p))
-    least, w = margin(dynamics(linear, L, np.zeros(p), Ts), np.ones(p))
+    least, w = margin_of_weights(build_error_dynamics(linear, L, np.zeros(p), Ts), np.ones(p))
     grid = 1 + gridded(linear, L, Ts)
     assert least <= grid + 1e-9 * max(1, abs(grid))
     assert grid - least < 1e-3 * max(1, abs(grid))
-    G = weights.response(delta(linear, Ts).A, linear.C, L, np.eye(p), Ts)
+    G = weights.frequency_response(delta_form(linear, Ts).A, linear.C, L, np.eye(p), Ts)
     at = w if Ts is None else 2 / Ts * np.tan(w * Ts / 2)
-    there = np.linalg.eigvalsh(G.at(np.array([at]))[0])[0]
+    there = np.linalg.eigvalsh(G.hermitian_part(np.array([at]))[0])[0]
     assert there == pytest.approx(least, rel=1e-6, abs=1e-9)
 
 
@@ -183,7 +185,7 @@ def test_proofs_hold_in_rational_arithmetic(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n = 1 + seed % 4
     linear, L, gamma, Ts = random_design(rng, n, min(n, 1 + seed % 3))
-    found = certify(linear, L, np.diag(adaptation(gamma, len(linear.C))).reshape(-1, 2), Ts)
+    found = certify(linear, L, np.diag(adaptation_matrix(gamma, len(linear.C))).reshape(-1, 2), Ts)
     assert found.certified
     assert proved_exactly(found, linear)
     assert not proved_exactly(found._replace(V=found.V._replace(P=100 * found.P)), linear)
@@ -194,12 +196,14 @@ def test_margin_of_several_outputs_is_the_best_over_weights(seed: int) -> None:
     rng = np.random.default_rng(seed)
     linear, L, _, Ts = random_design(rng, 5, 3)
     found = certify(linear, 3 * L, np.ones(3), Ts)
-    at, w = margin(found.dynamics, found.W)
+    at, w = margin_of_weights(found.dynamics, found.W)
     assert at == pytest.approx(found.margin, abs=1e-6 * max(1, abs(at)))
     assert found.frequency == pytest.approx(w, rel=1e-3, abs=1e-3)
     for _ in range(100):
         other = found.W * np.exp(rng.normal(size=3) * 10 ** rng.uniform(-2, 0.5))
-        assert margin(found.dynamics, other)[0] <= found.margin + 1e-5 * max(1, abs(found.margin))
+        assert margin_of_weights(found.dynamics, other)[0] <= found.margin + 1e-5 * max(
+            1, abs(found.margin)
+        )
 
 
 @pytest.mark.parametrize("Ts", [None, 0.01])
@@ -213,7 +217,7 @@ def test_weights_are_found_however_slow_a_pole_is(slow: float, Ts: float | None)
     assert certify_dynamics(found.dynamics, np.ones(2)).margin < 0
     assert found.certified
     ratios = 10 ** np.linspace(-3, 3, 601)
-    tried = [margin(found.dynamics, np.array([1.0, ratio]))[0] for ratio in ratios]
+    tried = [margin_of_weights(found.dynamics, np.array([1.0, ratio]))[0] for ratio in ratios]
     assert found.margin >= max(tried) - 1e-6
 
 
@@ -272,17 +276,22 @@ def test_stiff_plants_are_proved() -> None:
     rng = np.random.default_rng(1)
     for _ in range(10):
         linear, L = random_matrices(rng, 4, 1, spread=4.0), rng.normal(size=(4, 1))
-        least, _ = margin(dynamics(linear, L, np.zeros(1), None), np.ones(1))
+        least, _ = margin_of_weights(build_error_dynamics(linear, L, np.zeros(1), None), np.ones(1))
         found = certify(linear, L * 0.9 / max(1 - least, 1e-3), np.ones(1))
         assert found.certified
 
 
 def test_gamma_may_differ_right_and_left_and_be_full() -> None:
-    assert adaptation(np.array(3.0), 1).tolist() == [[3, 0], [0, 3]]
-    assert np.diag(adaptation(np.array([1.0, 2.0]), 2)).tolist() == [1, 1, 2, 2]
-    assert np.diag(adaptation(np.array([[1.0, 2.0], [3.0, 4.0]]), 2)).tolist() == [1, 2, 3, 4]
+    assert adaptation_matrix(np.array(3.0), 1).tolist() == [[3, 0], [0, 3]]
+    assert np.diag(adaptation_matrix(np.array([1.0, 2.0]), 2)).tolist() == [1, 1, 2, 2]
+    assert np.diag(adaptation_matrix(np.array([[1.0, 2.0], [3.0, 4.0]]), 2)).tolist() == [
+        1,
+        2,
+        3,
+        4,
+    ]
     full = np.array([[2.0, 1.0], [1.0, 3.0]])
-    assert adaptation(full, 1).tolist() == full.tolist()
+    assert adaptation_matrix(full, 1).tolist() == full.tolist()
     linear, Ts = zoh(PAPER, 0.1), 0.1
     right, left = (
         certify(linear, column(1, 1.5), np.array([pair]), Ts) for pair in ([6.0, 1.0], [1.0, 6.0])
@@ -302,7 +311,7 @@ def test_outputs_that_gamma_couples_share_a_weight() -> None:
     assert found.certified
     assert found.W[0] == found.W[1]
     assert np.allclose(found.V.R, found.V.R.T)
-    assert not recheck(found.dynamics, found.P, found.W * np.array([1.0, 1.0 + 1e-6])).proved
+    assert not recheck_proof(found.dynamics, found.P, found.W * np.array([1.0, 1.0 + 1e-6])).proved
 
 
 @pytest.mark.parametrize(
@@ -333,17 +342,17 @@ def test_recheck_trusts_nobody() -> None:
     found = certify(PAPER, column(1, 1.5), np.array([10.0]))
     P, W, errors = found.P, found.W, found.dynamics
     assert found.recheck() == found.check
-    assert recheck(errors, P * 3, W * 3).proved
-    assert not recheck(errors, -P, W).proved
-    assert not recheck(errors, P, -W).proved
-    assert not recheck(errors, P * np.nan, W).proved
-    assert not recheck(errors, P + np.diag([0, 50.0]), W).proved
-    assert not recheck(errors, P, 30 * W).proved
-    assert not recheck(errors._replace(L=column(12, 15)), P, W).proved
-    assert not recheck(errors._replace(A=(-PAPER.A,)), P, W).proved
+    assert recheck_proof(errors, P * 3, W * 3).proved
+    assert not recheck_proof(errors, -P, W).proved
+    assert not recheck_proof(errors, P, -W).proved
+    assert not recheck_proof(errors, P * np.nan, W).proved
+    assert not recheck_proof(errors, P + np.diag([0, 50.0]), W).proved
+    assert not recheck_proof(errors, P, 30 * W).proved
+    assert not recheck_proof(errors._replace(L=column(12, 15)), P, W).proved
+    assert not recheck_proof(errors._replace(A=(-PAPER.A,)), P, W).proved
     edge = errors._replace(A=(np.array([[-1.0]]),), C=np.ones((1, 1)), L=np.ones((1, 1)))
-    assert recheck(edge, np.eye(1), np.ones(1)).proved
-    assert not recheck(
+    assert recheck_proof(edge, np.eye(1), np.ones(1)).proved
+    assert not recheck_proof(
         edge._replace(A=(np.array([[-1e-17]]),), L=column(1 + 2e-8)), np.eye(1), np.ones(1)
     ).proved
 
@@ -355,12 +364,12 @@ def test_a_p_that_is_not_symmetric_proves_nothing(Ts: float | None) -> None:
     spiral = Matrices(0.1 * np.eye(2) + turn, column(0, 1), np.array([[1.0, 0.0]]))
     if Ts is not None:
         spiral = spiral._replace(A=expm(Ts * spiral.A))
-    errors = dynamics(spiral, 1e-3 * column(1, 1), np.array([1e-3]), Ts)
-    assert not recheck(errors, np.eye(2) + turn, np.array([1e-2])).proved
+    errors = build_error_dynamics(spiral, 1e-3 * column(1, 1), np.array([1e-3]), Ts)
+    assert not recheck_proof(errors, np.eye(2) + turn, np.array([1e-2])).proved
     for share in (1.0, 1e-3, 1e-8):
-        assert not recheck(errors, np.eye(2) + share * turn, np.array([1e-2])).proved
+        assert not recheck_proof(errors, np.eye(2) + share * turn, np.array([1e-2])).proved
     stable = certify(PAPER, column(1, 1.5), np.array([10.0]))
-    assert not recheck(stable.dynamics, stable.P + 1e-9 * turn, stable.W).proved
+    assert not recheck_proof(stable.dynamics, stable.P + 1e-9 * turn, stable.W).proved
 
 
 @pytest.mark.parametrize(
@@ -368,7 +377,9 @@ def test_a_p_that_is_not_symmetric_proves_nothing(Ts: float | None) -> None:
     [(np.eye(3), np.ones(1)), (np.eye(2), np.ones(2)), (np.eye(2), np.array([np.inf]))],
 )
 def test_a_proof_of_the_wrong_shape_or_size_proves_nothing(P: Floats, W: Floats) -> None:
-    assert not recheck(dynamics(PAPER, column(1, 1.5), np.ones(1), None), P, W).proved
+    assert not recheck_proof(
+        build_error_dynamics(PAPER, column(1, 1.5), np.ones(1), None), P, W
+    ).proved
 
 
 def test_a_full_gamma_that_is_a_little_asymmetric_is_refused() -> None:
@@ -402,7 +413,7 @@ def test_marginal_and_unstable_models_get_an_honest_no(
     assert re.search(reason, found.reason)
     assert not found.check.proved
     with pytest.raises(StructureError, match=r"observer\.L: no gains can be certified"):
-        nearest(linear, np.ones((n, 1)), np.ones(1), Ts)
+        nearest_certified_gains(linear, np.ones((n, 1)), np.ones(1), Ts)
 
 
 @pytest.mark.parametrize("Ts", TIMES)
@@ -416,7 +427,7 @@ def test_passive_gain_is_certified_for_every_stable_model(seed: int, Ts: float |
 
 
 def test_nearest_gains_to_the_papers() -> None:
-    found = nearest(PAPER, column(12, 15), np.array([2.0]))
+    found = nearest_certified_gains(PAPER, column(12, 15), np.array([2.0]))
     assert found.certificate.certified
     assert found.certificate.margin == pytest.approx(0.01, abs=2e-5)
     assert found.certificate.dynamics.L.ravel() == pytest.approx([12.185, 14.552], abs=2e-3)
@@ -430,34 +441,34 @@ def test_nothing_certified_is_nearer(seed: int) -> None:
     Ts = TIMES[seed % len(TIMES)]
     linear = sampled(random_matrices(rng, 3, 1), Ts)
     L, gamma = rng.normal(size=(3, 1)) * 20, np.array([0.1 / (Ts or 1)])
-    found = nearest(linear, L, gamma, Ts)
+    found = nearest_certified_gains(linear, L, gamma, Ts)
     assert found.certificate.margin >= 0.01 * (1 - 1e-6)
 
     def size(change: Floats) -> float:
         """Energy of the impulse response of C (s - A)^-1 change, summed over eigenvalues."""
-        poles, V = np.linalg.eig(delta(linear, Ts).A)
+        poles, V = np.linalg.eig(delta_form(linear, Ts).A)
         residues = (linear.C @ V).ravel() * np.linalg.solve(V, change).ravel()
         overlap = poles[:, None] + poles.conj() + (Ts or 0) * poles[:, None] * poles.conj()
         return float(np.sqrt(np.real(-(residues[:, None] * residues.conj() / overlap).sum())))
 
     best = size(found.certificate.dynamics.L - L)
     assert found.distance == pytest.approx(best / size(L) if best > 0 else 0.0, rel=1e-3, abs=1e-9)
-    errors = dynamics(linear, L, gamma, Ts)
+    errors = build_error_dynamics(linear, L, gamma, Ts)
     for _ in range(300):
         other = found.certificate.dynamics.L + rng.normal(size=(3, 1)) * 10 ** rng.uniform(-3, 1)
-        if margin(errors._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
+        if margin_of_weights(errors._replace(L=other), np.ones(1))[0] >= 0.01 * (1 + 1e-3):
             assert size(other - L) >= best * (1 - 1e-3)
 
 
 def test_nearest_keeps_what_is_certified_and_serves_several_outputs() -> None:
-    kept = nearest(PAPER, column(1, 1.5), np.array([10.0]))
+    kept = nearest_certified_gains(PAPER, column(1, 1.5), np.array([10.0]))
     assert kept.distance == 0
     assert kept.certificate.dynamics.L.tolist() == [[1.0], [1.5]]
-    slower = nearest(zoh(PAPER, 0.01), column(1, 1.5), np.array([500.0]), 0.01)
+    slower = nearest_certified_gains(zoh(PAPER, 0.01), column(1, 1.5), np.array([500.0]), 0.01)
     assert slower.certificate.dynamics.gamma[0, 0] == pytest.approx(100)
     rng = np.random.default_rng(0)
     linear, L = random_matrices(rng, 5, 3), rng.normal(size=(5, 3)) * 20
-    found = nearest(linear, L, np.ones(3))
+    found = nearest_certified_gains(linear, L, np.ones(3))
     assert found.certificate.certified
     assert found.certificate.margin >= 0.01 * (1 - 1e-6)
     assert 0 < found.distance < 1
@@ -482,14 +493,18 @@ def test_one_v_for_several_vertices() -> None:
         corners = []
         for a, b in itertools.product((-1, 1), repeat=2):
             corners.append(np.array([[0, 1], [-(1 + a * spread), -2 * (1 + b * spread)]]))
-        return dynamics(PAPER, column(1, 1.5), np.ones(1), None)._replace(A=tuple(corners))
+        return build_error_dynamics(PAPER, column(1, 1.5), np.ones(1), None)._replace(
+            A=tuple(corners)
+        )
 
     found = certify_dynamics(vertices(0.5))
     assert found.certified
     assert found.frequency is None
     for A in found.dynamics.A:
-        assert recheck(found.dynamics._replace(A=(A,)), found.P, found.W).proved
-        assert margin(found.dynamics._replace(A=(A,)), np.ones(1))[0] >= found.margin - 1e-6
+        assert recheck_proof(found.dynamics._replace(A=(A,)), found.P, found.W).proved
+        assert (
+            margin_of_weights(found.dynamics._replace(A=(A,)), np.ones(1))[0] >= found.margin - 1e-6
+        )
     assert "share no V" in certify_dynamics(vertices(0.95)).reason
     assert "unstable (vertex 0)" in certify_dynamics(vertices(1.05)).reason
 
@@ -500,10 +515,10 @@ def test_an_inequality_in_other_coordinates_is_congruent(Ts: float | None) -> No
     rng = np.random.default_rng(0)
     linear = random_matrices(rng, 3, 2)
     L = rng.normal(size=(3, 2))
-    plain = dynamics(sampled(linear, Ts), L, np.full(2, 0.5), Ts).inequality(np.ones(2))
+    plain = build_error_dynamics(sampled(linear, Ts), L, np.full(2, 0.5), Ts).inequality(np.ones(2))
     T, P = rng.normal(size=(3, 3)), np.eye(3)
-    other = plain.transform(T, np.linalg.inv(T))
-    for M, M_xi in zip(plain.matrices(P), other.matrices(T.T @ P @ T), strict=True):
+    other = plain.transform_coordinates(T, np.linalg.inv(T))
+    for M, M_xi in zip(plain.lmi_matrices(P), other.lmi_matrices(T.T @ P @ T), strict=True):
         parts = [T, np.eye(2)] if Ts is None else [T, np.eye(2), T]
         both = block_diag(*parts)
         assert M_xi == pytest.approx(both.T @ M @ both, abs=1e-9)
@@ -512,8 +527,8 @@ def test_an_inequality_in_other_coordinates_is_congruent(Ts: float | None) -> No
 def test_models_that_are_marginally_stable_are_told_from_those_that_diverge() -> None:
     undamped = np.array([[0.0, 1.0], [-4.0, 0.0]])
     chain = np.array([[0.0, 1.0], [0.0, 0.0]])
-    assert not defective(undamped, None)
-    assert not defective(np.zeros((2, 2)), None)
-    assert defective(chain, None)
-    assert defective(np.block([[undamped, np.eye(2)], [np.zeros((2, 2)), undamped]]), None)
-    assert defective(delta(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1).A, 0.1)
+    assert not is_defective(undamped, None)
+    assert not is_defective(np.zeros((2, 2)), None)
+    assert is_defective(chain, None)
+    assert is_defective(np.block([[undamped, np.eye(2)], [np.zeros((2, 2)), undamped]]), None)
+    assert is_defective(delta_form(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1).A, 0.1)

@@ -18,7 +18,10 @@ from test_play import CENSORED, KALMAN, late, slow
 
 import undeadzone as uz
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
-from undeadzone.analysis.identifiability.play_and_zone import Readings, gap_and_width_information
+from undeadzone.analysis.identifiability.play_and_zone import (
+    ReadingConditions,
+    gap_and_width_information,
+)
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
@@ -340,12 +343,12 @@ def told(scenario: Scenario, gaps_known: bool = False) -> tuple[Any, Floats]:
     """What `told_of_both` says along the reference, and the information of its readings."""
     problem = resolve_scenario(scenario)
     t = np.arange(problem.steps) * 0.01
-    z = problem.reference.value(t)
+    z = problem.reference.output_at(t)
     schedule = schedule_of_record(z, problem.sensor, 0.01, problem.model.Ts)
     span = len(t) * 0.01
     known = np.zeros((0, problem.model.n + 2))
     rest = (np.ones(1), None, None, known, gaps_known)
-    readings = Readings(np.array([0.02]), 0.01, span, *rest)
+    readings = ReadingConditions(np.array([0.02]), 0.01, span, *rest)
     (one,) = gap_and_width_information(problem.model.linear, schedule, readings)
     return one, brute(problem.model.linear, z[:, 0], BOTH, 0.02)
 
@@ -362,7 +365,7 @@ def test_deviations_are_those_of_all_readings() -> None:
     gap, width = (np.array(row, float) for row in ([0, 0, 1, 1, 0, 0], [0, 0, 0, 0, 1, 1]))
     assert one.gap_std == pytest.approx(np.sqrt(gap @ cov @ gap), rel=1e-3)
     assert one.zone.std["width"] == pytest.approx(np.sqrt(width @ cov @ width), rel=1e-3)
-    assert one.both
+    assert one.has_backlash_ahead
     assert not one.zone.centre
     assert not one.gap.centre
 

@@ -15,12 +15,12 @@ from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
 from undeadzone.analysis.certificate.polytopic import (
     _entry_slopes,
-    absolute,
+    absolute_matrix,
+    build_inequality_form,
     certify_on,
     design_on,
-    form,
     halve_boxes,
-    slopes_on,
+    jacobian_on_box,
 )
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.compile.interval import Interval, build_enclosure
@@ -119,7 +119,7 @@ def test_bounds_of_an_arms_jacobian_and_of_its_derivatives_hold(Ts: float | None
     )
     arm = arm if Ts is None else sample_plant(arm, Ts, 1)
     about, size = np.array([HANGING, 0, 0, 0, 0, 0]), np.array([0.4, 0.4, 1, 1, 3, 3])
-    slopes = slopes_on(arm, Box(about - size, about + size))
+    slopes = jacobian_on_box(arm, Box(about - size, about + size))
     rng = np.random.default_rng(0)
     for share in (1.0, 0.1, 1e-3):
         part = Box(about - share * size, about + share * size)
@@ -150,7 +150,7 @@ def test_slopes_are_the_linearisation() -> None:
     ):
         Ts = model.Ts
         expected = model.linear.A if Ts is None else (model.linear.A - np.eye(2)) / Ts
-        assert slopes_on(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(
+        assert jacobian_on_box(model, ranges(1, 1, 1)).at(np.zeros((1, 3)))[0] == pytest.approx(
             expected, abs=1e-8
         )
 
@@ -220,10 +220,10 @@ def rises(found: Certificate, model: System, within: Box, seed: int, rows: int =
     )
     errors, V = found.dynamics, found.V
     change = np.einsum("kij,ki->kj", S, e) @ errors.gamma
-    value = V.value(error, d)
+    value = V.evaluate_storage(error, d)
     if model.Ts is not None:
         error_next = moved - guessed - model.Ts * e @ errors.L.T
-        return (V.value(error_next, d + model.Ts * change) - value) / model.Ts / value
+        return (V.evaluate_storage(error_next, d + model.Ts * change) - value) / model.Ts / value
     of_states = 2 * np.einsum("ki,ij,kj->k", error, V.P, moved - guessed - e @ errors.L.T)
     return (of_states + 2 * np.einsum("ki,ij,kj->k", d, V.R, change)) / value
 
@@ -258,12 +258,12 @@ def test_v_falls_along_trajectories_with_random_sides() -> None:
     x = rng.normal(0, 0.2, (200, 2))
     guess = rng.normal(0, 0.2, (200, 2))
     d = rng.normal(0, 0.3, (200, 2))
-    inside, last, first = np.ones(200, bool), np.inf, found.V.value(x - guess, d)
+    inside, last, first = np.ones(200, bool), np.inf, found.V.evaluate_storage(x - guess, d)
     side, u = rng.integers(-1, 2, 200), np.zeros((200, 1))
     for k in range(1500):
         u = rng.normal(0, 3, (200, 1)) if k % 20 == 0 else u
         side = np.where(rng.uniform(size=200) < 0.05, rng.integers(-1, 2, 200), side)
-        V = found.V.value(x - guess, d)
+        V = found.V.evaluate_storage(x - guess, d)
         inside &= ~within.is_outside(x, guess, u)
         assert (V[inside] <= np.broadcast_to(last, 200)[inside] * (1 + 1e-12)).all()
         last = V
@@ -430,19 +430,19 @@ def test_the_depth_of_v_is_the_least_eigenvalue_of_its_inequality() -> None:
     """At any A between and beyond the vertices; over a range it is no more than at any A inside."""
     found = certify_on(pendulum(1.5), np.array([[0.5], [0.3]]), np.array([5.0]), ranges(1.1, 5, 10))
     entries = np.array([1]), np.array([0])  # the stiffness
-    of_A = form(found, entries)
+    of_A = build_inequality_form(found, entries)
     inequality = found.dynamics.inequality(found.W)
     rng = np.random.default_rng(0)
     stiffness = rng.uniform(-12, 0, 50)
-    for c, depth in zip(stiffness, of_A.depth(stiffness[:, None]), strict=True):
+    for c, depth in zip(stiffness, of_A.certificate_depth(stiffness[:, None]), strict=True):
         A = found.dynamics.A[0].copy()
         A[1, 0] = c
-        (M,) = inequality._replace(A=(A,)).matrices(found.P)
+        (M,) = inequality._replace(A=(A,)).lmi_matrices(found.P)
         assert (depth > 0) == (np.linalg.eigvalsh(-M)[0] > 0)
     middle, loose, turns = np.array([[-8.0]]), np.array([[0.1]]), np.array([[[0.3], [0.2]]])
     within = of_A.depth_within(middle, loose, turns)[0]
     inside = rng.uniform(-8.6, -7.4, (200, 1))
-    assert within <= of_A.depth(inside).min()
+    assert within <= of_A.certificate_depth(inside).min()
     assert of_A.depth_within(middle, np.array([[np.inf]]), turns)[0] == -np.inf
 
 
@@ -450,7 +450,7 @@ def test_the_size_of_a_symmetric_matrix_bounds_it_from_both_sides() -> None:
     M = np.random.default_rng(0).normal(size=(5, 4, 4))
     M = M + M.swapaxes(1, 2)
     for sign in (1, -1):
-        assert np.linalg.eigvalsh(absolute(M) - sign * M).min() > -1e-12
+        assert np.linalg.eigvalsh(absolute_matrix(M) - sign * M).min() > -1e-12
 
 
 def test_halves_of_a_box_are_cut_across_the_side_of_most_effect() -> None:
@@ -474,12 +474,12 @@ def test_slopes_by_the_entries_of_A_are_those_of_the_inequality(Ts: float | None
     P = P + P.T
     errors = Dynamics((A,), np.eye(1, 3), L, np.eye(2), Ts)
     rows, columns = np.array([0, 2, 1]), np.array([1, 2, 0])
-    (M,) = errors.inequality(np.ones(1)).matrices(P)
+    (M,) = errors.inequality(np.ones(1)).lmi_matrices(P)
     slopes = _entry_slopes(P, len(M), Ts, (rows, columns))
     for slope, i, j in zip(slopes, rows, columns, strict=True):
         moved = A.copy()
         moved[i, j] += 1.0
-        (other,) = errors._replace(A=(moved,)).inequality(np.ones(1)).matrices(P)
+        (other,) = errors._replace(A=(moved,)).inequality(np.ones(1)).lmi_matrices(P)
         assert slope == pytest.approx(other - M, abs=1e-12)
 
 

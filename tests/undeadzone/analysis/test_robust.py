@@ -16,11 +16,11 @@ from scipy.optimize import minimize_scalar
 
 from certificates import project, sector
 from scenes import PAPER_PLANT, scene
-from undeadzone.analysis.certificate.driven import leaking, ultimate_bound
+from undeadzone.analysis.certificate.driven import add_leakage, ultimate_bound
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
 from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain
-from undeadzone.analysis.convergence.falsify import Mode, falsify, generator
-from undeadzone.analysis.error_dynamics import Dynamics, dynamics, pattern
+from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator, falsify
+from undeadzone.analysis.error_dynamics import Dynamics, branch_pattern, build_error_dynamics
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -35,7 +35,9 @@ SIDES = (1, 0, -1)
 
 
 def paper(Ts: float | None = None, gains: Floats = L, gamma: Any = 10.0) -> Dynamics:
-    return dynamics(PAPER if Ts is None else zoh(PAPER, Ts), gains, np.asarray(gamma), Ts)
+    return build_error_dynamics(
+        PAPER if Ts is None else zoh(PAPER, Ts), gains, np.asarray(gamma), Ts
+    )
 
 
 def entry(Ts: float | None) -> Floats:
@@ -84,9 +86,9 @@ def held_map(
 ) -> tuple[Floats, Floats]:
     """What a step on certain sides makes of [x~; d~], and of [w; v; d0] held over it."""
     n, p = errors.L.shape
-    S = pattern(tuple(sides.astype(int)))
+    S = branch_pattern(tuple(sides.astype(int)))
     active = np.diag(np.abs(sides))
-    F = generator(errors, Mode(np.ones(1), S, np.ones(p), h))
+    F = error_generator(errors, SwitchMode(np.ones(1), S, np.ones(p), h))
     F[n:, n:] -= leak * errors.gamma
     to_states = np.hstack([E, -errors.L @ active * noise, np.zeros((n, 2 * p))])
     of_w = np.zeros((2 * p, E.shape[1]))
@@ -137,7 +139,7 @@ def test_disturbance_and_noise_gains_hold(gains: tuple[float, float], Ts: float 
         for found, dist, noise in ((both, w, v), (only_w, w, 0 * v), (only_v, 0 * w, v)):
             path = switched(errors, sides, steps, h, E, dist, np.array([0.3]), noise, start)
             z2 = (path[:-1, 0] ** 2).sum() * h
-            supply = found.V.value(start[None, :2], start[None, 2:])[0] + h * (
+            supply = found.V.evaluate_storage(start[None, :2], start[None, 2:])[0] + h * (
                 found.disturbance**2 * (dist**2).sum() + found.noise**2 * (noise**2).sum()
             )
             assert z2 <= supply * (1 + (0.03 if Ts is None else 1e-9))
@@ -179,7 +181,7 @@ def test_gains_of_an_uncertified_observer_are_infinite() -> None:
 
 def test_gains_do_not_depend_on_units() -> None:
     errors, x, y = paper(), np.array([1e4, 1e-3]), 100.0
-    other = dynamics(
+    other = build_error_dynamics(
         Matrices(PAPER.A * x / x[:, None], B / x[:, None], C * x / y),
         L * y / x[:, None],
         np.array([10.0]),
@@ -217,7 +219,7 @@ def test_ultimate_bound_holds_with_projection_and_with_leakage(
         path = switched(errors, sides, steps, h, E, w, noise, v, start, sigma, d0, limit)
         tail = path[-1500:]
         assert np.abs(tail[:, 0]).max() <= found.bound
-        assert found.V.value(tail[:, :2], tail[:, 2:]).max() <= found.level
+        assert found.V.evaluate_storage(tail[:, :2], tail[:, 2:]).max() <= found.level
 
 
 def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
@@ -227,7 +229,7 @@ def test_leakage_alone_keeps_the_widths_as_good_as_their_first_guess() -> None:
     """
     errors = paper(gamma=1.0)
     found = ultimate_bound(errors, np.array([0.5, 0.5]), sigma=0.1)
-    level = found.V.value(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
+    level = found.V.evaluate_storage(np.zeros((1, 2)), np.full((1, 2), 0.5))[0]
     assert found.check.proved
     assert found.level == pytest.approx(level, rel=0.1)
 
@@ -250,7 +252,7 @@ def test_bounds_of_models_that_are_not_stable_are_infinite(
     n = len(A)
     flow = Matrices(np.array(A), np.ones((n, 1)), np.eye(1, n))
     model = flow if Ts is None else zoh(flow, Ts)
-    errors = dynamics(model, np.ones((n, 1)), np.ones(1), Ts)
+    errors = build_error_dynamics(model, np.ones((n, 1)), np.ones(1), Ts)
     bound = ultimate_bound(errors, 0.5, model.B, np.ones(1), sigma)
     assert (bound.bound, bound.level, bound.check.proved) == (np.inf, np.inf, False)
     gain = l2_gain(errors, model.B, np.ones(1))
@@ -288,7 +290,7 @@ def test_v_falls_for_every_perturbation_within_the_certified_radius(Ts: float | 
     """x~' = (A + E Delta F) x~, |Delta| <= r: V falls just below r, and can rise at 5 r."""
     rng = np.random.default_rng(3)
     linear = random_matrices(rng, 3, 1) if Ts is None else zoh(random_matrices(rng, 3, 1), Ts)
-    errors = dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
+    errors = build_error_dynamics(linear, passive_gain(linear, Ts), np.ones(1), Ts)
     E, F = rng.normal(size=(3, 2)), rng.normal(size=(2, 3))
     radius = certified_radius(errors, E, F)
     assert radius > 0
@@ -330,7 +332,9 @@ def test_known_nonlinear_plant(Ts: float | None) -> None:
     No linear part alone is stable. Sampled: the plant is x+ = x + Ts (...) itself.
     """
     linear = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), B, C)
-    errors = dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(Ts=Ts)
+    errors = build_error_dynamics(linear, np.array([[0.5], [0.5]]), np.array([1.0]), None)._replace(
+        Ts=Ts
+    )
     found = sector(errors, -B, C, np.array([0.2]), np.array([1.0]))
     assert found.certified
     ends = errors._replace(A=tuple(linear.A - slope * B @ C for slope in (0.2, 1.0)))
@@ -375,7 +379,7 @@ def test_v_falls_along_a_nonlinear_closed_loop() -> None:
     errors = paper(gamma=5.0)
     found = sector(errors, -B, C, np.array([0.0]), np.array([0.9]))
     assert found.certified
-    V = found.V.value(run.x - run.x_hat, np.array([1.0, 1.0]) - run.d_hat)
+    V = found.V.evaluate_storage(run.x - run.x_hat, np.array([1.0, 1.0]) - run.d_hat)
     assert V[-1] < 0.05 * V[0]
     assert np.diff(V).max() <= 1e-9 * V[0]
 
@@ -431,7 +435,9 @@ def test_v_falls_along_a_mismatched_closed_loop() -> None:
         plants.append(Matrices(np.array([[0, 1], [-1 - a, -2 - b]]), B * (1 + c), C))
     found = certify_dynamics(closed_loop(PAPER, plants, L, np.array([[1.0, 1.0]]), np.array([5.0])))
     assert found.certified
-    V = found.V.value(np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat)
+    V = found.V.evaluate_storage(
+        np.hstack([run.x, run.x - run.x_hat]), np.array([1.0, 1.0]) - run.d_hat
+    )
     assert np.diff(V).max() <= 1e-9 * V[0]
     assert V[-1] < 0.1 * V[0]
 
@@ -447,7 +453,7 @@ def test_projection_in_the_metric_of_v_never_raises_it() -> None:
         d, d_hat = rng.uniform(0, 1, 2), rng.normal(0.5, 1.0, 2)
         nearest = project(d_hat, found.V, limit)
         points = d_hat, nearest, np.clip(d_hat, 0, limit)
-        before, after, naive = found.V.value(np.zeros((3, 3)), d - np.array(points))
+        before, after, naive = found.V.evaluate_storage(np.zeros((3, 3)), d - np.array(points))
         assert ((nearest >= 0) & (nearest <= limit)).all()
         assert after <= before * (1 + 1e-9)
         clipped += naive > before * (1 + 1e-9)
@@ -486,7 +492,7 @@ def test_noise_below_the_threshold_obeys_the_noise_gain() -> None:
     found = l2_gain(paper(Ts), noise=np.array([1.0]))
     v = run.y - np.where(run.z > 1, run.z - 1, np.where(run.z < -1, run.z + 1, 0.0))
     assert np.abs(v).max() < 6 * noise
-    V0 = found.V.value((run.x - run.x_hat)[:1], np.array([1.0, 1.0]) - run.d_hat[:1])[0]
+    V0 = found.V.evaluate_storage((run.x - run.x_hat)[:1], np.array([1.0, 1.0]) - run.d_hat[:1])[0]
     assert Ts * ((run.z - run.z_hat) ** 2).sum() <= V0 + found.noise**2 * Ts * (v**2).sum()
 
 
@@ -561,7 +567,7 @@ def test_l2_gains_are_least_within_one_percent(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for k in range(15):
         model, gains, gamma, Ts = random_design(rng, int(rng.integers(1, 5)), 1)
-        errors = dynamics(model, gains, gamma, Ts)
+        errors = build_error_dynamics(model, gains, gamma, Ts)
         E = model.B if Ts is None else model.B / Ts
         size = float(10 ** rng.uniform(-2, 2))
         if k % 2:
@@ -583,7 +589,7 @@ def test_noise_gains_that_were_too_large_or_missing(
 ) -> None:
     """w^2 N^2 / (2 w (1 + Re G) - |G|^2), by hand: once 227 times too large, once none."""
     plant = Matrices(np.array([[a]]), np.ones((1, 1)), np.array([[c]]))
-    errors = dynamics(plant, np.array([[gain]]), np.ones(1), None)
+    errors = build_error_dynamics(plant, np.array([[gain]]), np.ones(1), None)
     found = l2_gain(errors, noise=np.array([noise]))
     assert found.check.proved
     assert least * 0.999 <= found.noise <= 1.01 * least
@@ -633,7 +639,7 @@ def test_l2_gains_of_two_outputs_are_least() -> None:
     rng = np.random.default_rng(3)
     for _ in range(12):
         model, gains, gamma, Ts = random_design(rng, 3, 2)
-        errors, reading = dynamics(model, gains, gamma, Ts), np.exp(rng.normal(size=2))
+        errors, reading = build_error_dynamics(model, gains, gamma, Ts), np.exp(rng.normal(size=2))
         if len(errors.steps) > 1 or not certify_dynamics(errors).certified:
             continue
         found = l2_gain(errors, noise=reading)
@@ -645,6 +651,6 @@ def test_l2_gains_of_two_outputs_are_least() -> None:
 def test_sampled_leakage_asks_for_a_larger_gamma() -> None:
     """d~+ = (1 - eps)(d~ + g / (1 - eps) S'e) + eps delta: the LMI is for g / (1 - eps)."""
     errors = paper(0.05, gamma=np.array([[4.0, 2.0]]))
-    gamma = np.diag(leaking(errors, 0.5).gamma)
+    gamma = np.diag(add_leakage(errors, 0.5).gamma)
     assert gamma == pytest.approx([4.0 / (1 - 0.1), 2.0 / (1 - 0.05)])
-    assert (leaking(paper(None), 0.5).gamma == paper(None).gamma).all()
+    assert (add_leakage(paper(None), 0.5).gamma == paper(None).gamma).all()

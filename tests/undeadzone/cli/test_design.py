@@ -22,10 +22,14 @@ from test_report import check_page
 import once
 import undeadzone
 from scenes import PAPER, scene
-from undeadzone.analysis.certificate.design_file import Design, plain
-from undeadzone.analysis.convergence.falsify import Mode, generator
-from undeadzone.analysis.convergence.trajectories import Trajectory, settling, trajectories
-from undeadzone.analysis.error_dynamics import pattern
+from undeadzone.analysis.certificate.design_file import Design, format_gains
+from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator
+from undeadzone.analysis.convergence.trajectories import (
+    Trajectory,
+    simulate_trajectories,
+    worst_settling_time,
+)
+from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.cli import group
 from undeadzone.errors import UndeadzoneError
 from undeadzone.report.gain_figures import ellipses, root_locus
@@ -418,7 +422,7 @@ def test_a_wrong_scenario_is_no_answer(paper: Callable[..., Path]) -> None:
     ],
 )
 def test_gains_as_one_writes_them(gains: list[Any], text: str) -> None:
-    assert plain(gains) == text
+    assert format_gains(gains) == text
 
 
 # ---- courses and figures
@@ -467,7 +471,7 @@ def test_v_never_rises_on_any_course_of_certified_gains(changes: dict[str, Any])
 def test_the_reference_s_course_falls_at_the_rate() -> None:
     of = counted()
     assert of.gains is not None
-    course = trajectories(of.gains.dynamics, of.gains.V, of.schedule, 30.0)[-1]
+    course = simulate_trajectories(of.gains.dynamics, of.gains.V, of.schedule, 30.0)[-1]
     late = [np.interp(t, course.t, course.V) for t in (20.0, 30.0)]
     assert np.log(late[0] / late[1]) / 20 == pytest.approx(of.gains.rates.rate, rel=1e-3)
 
@@ -479,13 +483,17 @@ def test_settling_is_the_first_pass_that_suffices() -> None:
     given, V = of.gains.dynamics, of.gains.V
     once = np.eye(6)
     for sides, span in zip(of.schedule.sides, of.schedule.spans, strict=True):
-        mode = Mode(np.ones(1), pattern(tuple(sides.astype(int))), np.ones(2), float(span))
-        once = expm(generator(given, mode) * span) @ once
+        mode = SwitchMode(
+            np.ones(1), branch_pattern(tuple(sides.astype(int))), np.ones(2), float(span)
+        )
+        once = expm(error_generator(given, mode) * span) @ once
     T = np.block([[np.linalg.cholesky(V.P).T, np.zeros((2, 4))], [np.zeros((4, 2)), np.sqrt(V.R)]])
     left, passes = once, 1
     while np.linalg.norm(T @ left @ np.linalg.inv(T), 2) > 0.01:
         left, passes = once @ left, passes + 1
-    assert settling(given, V, of.schedule) == pytest.approx(passes * of.schedule.duration)
+    assert worst_settling_time(given, V, of.schedule) == pytest.approx(
+        passes * of.schedule.total_duration
+    )
     assert passes > 3
 
 

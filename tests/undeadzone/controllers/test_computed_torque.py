@@ -14,12 +14,12 @@ from scipy.linalg import expm, solve_discrete_are
 
 from scenes import random_plant, scene, slopes, table
 from undeadzone.controllers import LQR, ComputedTorque
-from undeadzone.controllers.lqr import Params, gains, linearise_trajectory
+from undeadzone.controllers.lqr import Params, linearise_trajectory, trajectory_gains
 from undeadzone.errors import InputError, ShapeError, StepError
 from undeadzone.feedforward.targets import Target, flat_targets
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.riccati import riccati, riccati_along
+from undeadzone.linalg.riccati import riccati_along, solve_riccati
 from undeadzone.plants.robots.arm import acceleration
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.run import Run
@@ -72,7 +72,7 @@ def targets(problem: Problem) -> Target:
     return Target(
         *np.split(
             inputs.exogenous(problem),
-            np.cumsum([tracked, n, m, problem.controller.planned]),
+            np.cumsum([tracked, n, m, problem.controller.plan_size]),
             axis=1,
         )[:4]
     )
@@ -109,7 +109,7 @@ def test_targets_of_an_arm_satisfy_its_equations() -> None:
     assert problem.path is not None
     t = np.linspace(0.0, 2.0, 57)
     target = flat_targets(problem.flow, problem.path, [1], t)
-    q, v, a = (problem.path.value(t, order) for order in range(3))
+    q, v, a = (problem.path.output_at(t, order) for order in range(3))
     x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
     move = ca.Function("move", [x, u], [problem.flow.move(ca.SX(problem.flow.params), x, u)])
     np.testing.assert_allclose(
@@ -136,7 +136,7 @@ def test_targets_of_an_elastic_joint_satisfy_its_equations() -> None:
     np.testing.assert_allclose(
         move(here.x_ref.T, here.u_ff.T).full().T, rate, atol=1e-6 * np.abs(rate).max()
     )
-    np.testing.assert_allclose(here.r, problem.path.value(t), atol=1e-14)
+    np.testing.assert_allclose(here.r, problem.path.output_at(t), atol=1e-14)
 
 
 def test_feedforward_held_from_mid_sample_is_of_second_order() -> None:
@@ -218,7 +218,7 @@ def test_the_step_that_is_refused_is_the_one_that_is_unstable() -> None:
             assert (np.abs(np.linalg.eigvals(closed)).max() < 1) == stable
             options = ComputedTorque(k_p=k_p, k_d=k_d)
             if stable:
-                assert options.build(arm_model(Ts)).planned == 2
+                assert options.build(arm_model(Ts)).plan_size == 2
             else:
                 with pytest.raises(StepError, match=r"simulation.step: .* too coarse"):
                     options.build(arm_model(Ts))
@@ -318,7 +318,7 @@ def test_lqr_is_optimal_about_the_trajectory() -> None:
     A, B = linearise_trajectory(model, target, 1)
 
     def stationary(k: int) -> tuple[Floats, Floats]:
-        found = riccati(Matrices(A[k], B[k], np.eye(4)), Q, R, 1e-3)
+        found = solve_riccati(Matrices(A[k], B[k], np.eye(4)), Q, R, 1e-3)
         return found.P, found.K
 
     P, _ = last = stationary(-1)
@@ -345,9 +345,9 @@ def test_lqr_is_optimal_about_the_trajectory() -> None:
 
 def test_lqr_of_every_few_samples_is_nearly_that_of_all() -> None:
     model, target, weights = arm_model(1e-3), on_path(), (np.eye(4), 0.01 * np.eye(2))
-    fine = gains(model, Params(*weights, 1), target)
+    fine = trajectory_gains(model, Params(*weights, 1), target)
     gaps = [
-        float(np.abs(gains(model, Params(*weights, stride), target) - fine).max())
+        float(np.abs(trajectory_gains(model, Params(*weights, stride), target) - fine).max())
         for stride in (16, 8)
     ]
     assert gaps[1] < 2e-3 * np.abs(fine).max()

@@ -70,11 +70,11 @@ def test_a_sampled_system_keeps_its_sample_time() -> None:
 def test_tustin_keeps_the_frequency_response_at_warped_frequencies(
     poles: list[float], numerator: list[float], Ts: float
 ) -> None:
-    from undeadzone.controllers.linear_controller import _tustin
+    from undeadzone.controllers.linear_controller import _discretise_tustin
 
     numerator = [1.0, *numerator[: len(poles)]]
     A, B, C, D = scipy.signal.tf2ss(numerator, np.poly(poles))
-    discrete = _tustin(Params(A, B, C, D), Ts)
+    discrete = _discretise_tustin(Params(A, B, C, D), Ts)
     for omega in (0.1, 1.0, 0.5 / Ts):
         s = 2j / Ts * np.tan(omega * Ts / 2)
         z = np.exp(1j * omega * Ts)

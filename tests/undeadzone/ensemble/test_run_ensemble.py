@@ -156,7 +156,7 @@ def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:
 def test_a_replayed_run_is_the_run_of_the_ensemble(name: str) -> None:
     batch = prepare(named(name))
     rows, last = table(batch), finals(batch, len(batch.exogenous) - 1)
-    largest = np.abs(batch.problem.reference.value(batch.exogenous[:, -2])).max()
+    largest = np.abs(batch.problem.reference.output_at(batch.exogenous[:, -2])).max()
     for k in (0, 7, 149):
         run = replay(batch, k)
         assert identical(run.x[-1], last[k, : run.x.shape[1]])

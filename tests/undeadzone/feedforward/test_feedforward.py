@@ -27,7 +27,7 @@ from undeadzone.signals.exosystem import (
     Step,
     Tone,
     Trapezoid,
-    exosystem,
+    build_exosystem,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -36,7 +36,7 @@ SINE = Sine(amplitude=5.0, frequency=1.0)
 
 
 def exo(signal: Signal, channels: int = 1) -> Exosystem:
-    return exosystem("reference", signal, channels)
+    return build_exosystem("reference", signal, channels)
 
 
 def plant_of(**options: Any) -> System:
@@ -66,7 +66,7 @@ def test_regulator_equations_hold_for_random_plants(
     w = reference.state(T)
     size = 1 + np.abs(target.x_ref).max()
     assert residual < 1e-8
-    assert target.x_ref @ C.T == pytest.approx(reference.value(T), abs=1e-7)
+    assert target.x_ref @ C.T == pytest.approx(reference.output_at(T), abs=1e-7)
     assert w @ (Pi @ reference.S).T == pytest.approx(
         target.x_ref @ A.T + target.u_ff @ B.T, abs=1e-7 * size
     )
@@ -86,7 +86,7 @@ def test_a_plant_started_on_x_ref_follows(signal: Signal, unstable: bool) -> Non
 
     start = linear_targets(plant, reference, [0], np.zeros(1)).x_ref[0]
     z = solve_ivp(rate, (0, 3), start, "DOP853", t_eval=T, rtol=1e-11, atol=1e-11).y[0]
-    assert z == pytest.approx(reference.value(T)[:, 0], abs=1e-7)
+    assert z == pytest.approx(reference.output_at(T)[:, 0], abs=1e-7)
 
 
 def test_amplitude_of_the_feedforward_is_the_inverse_of_the_frequency_response() -> None:
@@ -108,7 +108,7 @@ def test_chains_far_from_unit_scale_are_followed(order: int, frequency: float) -
     reference = exo(Sine(amplitude=1e-3, frequency=frequency))
     t = np.linspace(0, 1 / frequency, 401)
     target = linear_targets(plant_of(integrators=order), reference, [0], t)
-    assert target.x_ref[:, 0] == pytest.approx(reference.value(t)[:, 0], abs=1e-10)
+    assert target.x_ref[:, 0] == pytest.approx(reference.output_at(t)[:, 0], abs=1e-10)
     assert np.abs(target.u_ff).max() == pytest.approx(1e-3 * (2 * np.pi * frequency) ** order)
 
 
@@ -123,13 +123,13 @@ def test_sampled_targets_are_exact_at_the_samples(seed: int, Ts: float) -> None:
     assert target.x_ref[1:] == pytest.approx(
         target.x_ref[:-1] @ A.T + target.u_ff[:-1] @ B.T, abs=1e-7 * size
     )
-    assert target.x_ref @ C.T == pytest.approx(reference.value(t), abs=1e-7)
+    assert target.x_ref @ C.T == pytest.approx(reference.output_at(t), abs=1e-7)
 
 
 def test_tracked_output_is_the_one_asked_for() -> None:
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0], [0.0, 1.0]])
     target = linear_targets(plant, exo(SINE), [1], T)
-    assert target.x_ref[:, 1] == pytest.approx(exo(SINE).value(T)[:, 0], abs=1e-9)
+    assert target.x_ref[:, 1] == pytest.approx(exo(SINE).output_at(T)[:, 0], abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def test_a_zero_elsewhere_is_no_obstacle() -> None:
     )
     reference = exo(Sine(amplitude=1.0, frequency=1.01 / np.pi))
     target = linear_targets(plant, reference, [0], T)
-    assert target.x_ref @ plant.linear.C.T == pytest.approx(reference.value(T), abs=1e-7)
+    assert target.x_ref @ plant.linear.C.T == pytest.approx(reference.output_at(T), abs=1e-7)
 
 
 def test_more_outputs_than_inputs_cannot_follow() -> None:
@@ -187,7 +187,7 @@ PENDULUM: dict[str, Any] = {
 
 def test_inversion_of_a_pendulum_is_that_by_hand() -> None:
     reference = exo(Sine(amplitude=2.5, frequency=0.7, offset=0.3))
-    r, dr, ddr = (reference.value(T, order)[:, 0] for order in range(3))
+    r, dr, ddr = (reference.output_at(T, order)[:, 0] for order in range(3))
     target = invert_targets(plant_of(**PENDULUM), reference, [0], T, np.zeros(2))
     assert target.x_ref == pytest.approx(np.stack([r, dr], axis=1), abs=1e-10)
     assert target.u_ff[:, 0] == pytest.approx(ddr + 9.81 * np.sin(r) + 0.8 * dr, abs=1e-9)
@@ -202,7 +202,7 @@ def test_inversion_of_two_coupled_outputs() -> None:
     )
     reference = exo(Sine(amplitude=[1.0, 0.5], frequency=0.5, phase=[0.0, 1.0]), 2)
     target = invert_targets(plant, reference, [0, 1], T, np.zeros(2))
-    (r, s), (dr, ds) = reference.value(T).T, reference.value(T, 1).T
+    (r, s), (dr, ds) = reference.output_at(T).T, reference.output_at(T, 1).T
     a, b, da = r - s**3, s, dr - 3 * s**2 * ds
     assert target.x_ref == pytest.approx(np.stack([a, b], axis=1), abs=1e-9)
     assert target.u_ff == pytest.approx(
@@ -258,7 +258,7 @@ def test_inversion_of_fast_and_large_references() -> None:
     for frequency in (1.0, 30.0, 300.0):
         t = np.linspace(0, 1 / frequency, 501)
         reference = exo(Sine(amplitude=1.0, frequency=frequency))
-        r, dr, ddr = (reference.value(t, order)[:, 0] for order in range(3))
+        r, dr, ddr = (reference.output_at(t, order)[:, 0] for order in range(3))
         target = invert_targets(plant_of(**PENDULUM), reference, [0], t, np.zeros(2))
         assert target.u_ff[:, 0] == pytest.approx(
             ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max()

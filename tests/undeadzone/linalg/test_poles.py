@@ -14,11 +14,11 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import (
-    _ackermann,
-    _place_poles,
+    _ackermann_gain,
+    _multi_input_gain,
     observer_gain,
     parse_poles,
-    place,
+    pole_placement_gain,
     state_gain,
 )
 
@@ -71,7 +71,9 @@ def test_agrees_with_python_control() -> None:
 def test_ackermanns_formula_is_scipys_gain_of_one_input() -> None:
     A, B, _ = random_plant(np.random.default_rng(6), 3).linear
     poles = np.array([-1.0, -2.0, -3.0])
-    assert pytest.approx(_place_poles(A, B, poles, "p"), rel=1e-6) == _ackermann(A, B, poles, "p")
+    assert pytest.approx(_multi_input_gain(A, B, poles, "p"), rel=1e-6) == _ackermann_gain(
+        A, B, poles, "p"
+    )
 
 
 @pytest.mark.parametrize("Ts", [1e-4, 1e-2, 0.3])
@@ -123,8 +125,12 @@ def test_wrong_poles(poles: Any, error: type[Exception], words: str) -> None:
 def test_poles_that_cannot_be_placed() -> None:
     A = np.diag([-1.0, -2.0, -3.0])
     with pytest.raises(StructureError, match="p: the poles cannot be placed"):
-        place(A, np.array([[1.0], [1.0], [0.0]]), np.array([-4, -5, -6]), "p")
+        pole_placement_gain(A, np.array([[1.0], [1.0], [0.0]]), np.array([-4, -5, -6]), "p")
     with pytest.raises(StructureError, match=r"p: the poles cannot be placed: .*repeated"):
-        place(A, np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([-4, -4, -4]), "p")
+        pole_placement_gain(
+            A, np.array([[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), np.array([-4, -4, -4]), "p"
+        )
     with pytest.raises(StructureError, match="nearly uncontrollable"):
-        place(np.diag(np.arange(1.0, 13.0)), np.ones((12, 1)), -np.arange(1.0, 13.0), "p")
+        pole_placement_gain(
+            np.diag(np.arange(1.0, 13.0)), np.ones((12, 1)), -np.arange(1.0, 13.0), "p"
+        )

@@ -17,13 +17,13 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import (
-    _candidate,
     _Equation,
-    feedback,
-    lyapunov,
+    _evaluate_riccati,
+    lyapunov_of_loop,
+    paper_feedback,
     paper_riccati,
-    riccati,
-    weight,
+    require_weight,
+    solve_riccati,
 )
 
 seeds = st.integers(0, 2**32 - 1)
@@ -49,9 +49,12 @@ def test_a_candidate_shows_what_it_leaves_of_the_equation(Ts: float | None) -> N
     A, B, C = random_plant(np.random.default_rng(2), 3, 2).linear
     linear = Matrices(A, B, C) if Ts is None else zoh(Matrices(A, B, C), Ts)
     Q, R = np.eye(3), np.diag([1.0, 2.0])
-    solution = riccati(linear, Q, R, Ts)
+    solution = solve_riccati(linear, Q, R, Ts)
     equation = _Equation(linear.A, linear.B, Q, R, Ts)
-    exact, wrong = _candidate(equation, solution.P), _candidate(equation, 2 * solution.P)
+    exact, wrong = (
+        _evaluate_riccati(equation, solution.P),
+        _evaluate_riccati(equation, 2 * solution.P),
+    )
     assert exact.residual == solution.residual < 1e-12
     assert wrong.residual > 0.05
     assert np.linalg.norm(wrong.left) > 1e6 * np.linalg.norm(exact.left)
@@ -75,15 +78,15 @@ def test_no_stabilising_solution_is_said() -> None:
     unmoved = Matrices(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]]), np.eye(2))
     words = "discrete Riccati equation has no stabilising solution"
     with pytest.raises(StructureError, match=words):
-        feedback(unmoved, 1.0, np.eye(2), 0.1)
+        paper_feedback(unmoved, 1.0, np.eye(2), 0.1)
 
 
 def test_sampled_gain_tends_to_the_continuous_one_in_first_order() -> None:
-    exact = feedback(PAPER_PLANT.linear, 10.0, np.eye(2), None)
+    exact = paper_feedback(PAPER_PLANT.linear, 10.0, np.eye(2), None)
     steps = [0.02, 0.01, 0.005]
     errors = []
     for Ts in steps:
-        sampled = feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts)
+        sampled = paper_feedback(zoh(PAPER_PLANT.linear, Ts), 10.0, np.eye(2), Ts)
         errors.append(np.abs(sampled - exact).max())
     assert slopes(steps, errors) == pytest.approx(1.0, abs=0.1)
 
@@ -92,28 +95,28 @@ def test_half_the_sampled_optimal_gain_may_not_stabilise() -> None:
     fast = Matrices(4.0 * np.eye(1), np.eye(1), np.eye(1))
     words = r"controller.alpha: .* does not stabilise .spectral radius"
     with pytest.raises(StructureError, match=words):
-        feedback(fast, 1000.0, np.eye(1), 1.0)
+        paper_feedback(fast, 1000.0, np.eye(1), 1.0)
 
 
 @given(seeds, st.integers(1, 4))
 def test_lyapunov_equations_hold(seed: int, n: int) -> None:
     linear = random_plant(np.random.default_rng(seed), n).linear
     K, Q = np.zeros((1, n)), np.eye(n)
-    P = lyapunov(linear, K, Q, None)
+    P = lyapunov_of_loop(linear, K, Q, None)
     assert pytest.approx(-Q, abs=1e-7) == linear.A.T @ P + P @ linear.A
     sampled = zoh(linear, 0.1)
-    P = lyapunov(sampled, K, Q, 0.1)
+    P = lyapunov_of_loop(sampled, K, Q, 0.1)
     assert pytest.approx(-Q, abs=1e-7) == sampled.A.T @ P @ sampled.A - P
 
 
 def test_lyapunov_needs_a_stable_loop() -> None:
     with pytest.raises(StructureError, match="controller: A - BK is not stable, its poles are"):
-        lyapunov(PAPER_PLANT.linear, np.array([[-9.0, 0.0]]), np.eye(2), None)
+        lyapunov_of_loop(PAPER_PLANT.linear, np.array([[-9.0, 0.0]]), np.eye(2), None)
 
 
 def test_weight_of_a_number_is_a_multiple_of_the_identity() -> None:
-    assert weight("Q", 3.0, 2).tolist() == [[3, 0], [0, 3]]
-    assert weight("Q", [[2, 1], [1, 2]], 2).tolist() == [[2, 1], [1, 2]]
+    assert require_weight("Q", 3.0, 2).tolist() == [[3, 0], [0, 3]]
+    assert require_weight("Q", [[2, 1], [1, 2]], 2).tolist() == [[2, 1], [1, 2]]
 
 
 @pytest.mark.parametrize(
@@ -132,4 +135,4 @@ def test_weight_of_a_number_is_a_multiple_of_the_identity() -> None:
 )
 def test_wrong_weights(Q: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        weight("controller.Q", Q, 2)
+        require_weight("controller.Q", Q, 2)

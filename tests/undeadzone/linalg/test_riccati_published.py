@@ -14,8 +14,8 @@ from scenes import random_plant
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.poles import place
-from undeadzone.linalg.riccati import paper_riccati, riccati
+from undeadzone.linalg.poles import pole_placement_gain
+from undeadzone.linalg.riccati import paper_riccati, solve_riccati
 from undeadzone.util.arrays import Floats
 
 REAL = [k for k, case in enumerate(Darex.cases) if not any(np.iscomplexobj(M) for M in case[:4])]
@@ -39,7 +39,7 @@ def test_carex(k: int) -> None:
     """
     A, B, Q, R, _ = Carex.cases[k]
     A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in (A, B, Q, R))
-    P, K, residual, _ = riccati(model(A, B), Q, R)
+    P, K, residual, _ = solve_riccati(model(A, B), Q, R)
     assert residual < 1e-10
     direct = A.T @ P + P @ A - P @ B @ np.linalg.solve(R, B.T @ P) + Q
     size = np.linalg.norm(Q) + 2 * np.linalg.norm(A.T @ P) + np.linalg.norm(P @ B @ K)
@@ -57,7 +57,7 @@ def test_there_are_twenty_cases() -> None:
 @pytest.mark.parametrize("k", REAL)
 def test_darex(k: int) -> None:
     A, B, Q, R = (np.atleast_2d(np.asarray(M, float)) for M in Darex.cases[k][:4])
-    P, K, residual, _ = riccati(model(A, B), Q, R, 1.0)
+    P, K, residual, _ = solve_riccati(model(A, B), Q, R, 1.0)
     assert residual < 1e-11
     direct = A.T @ P @ A - P - A.T @ P @ B @ np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A) + Q
     size = np.linalg.norm(Q) + np.linalg.norm(P) + np.linalg.norm(A.T @ P @ A)
@@ -72,19 +72,19 @@ def test_care_figures_of_octave() -> None:
     """
     c = np.array([[1.0, -1.0]])
     A, B = np.array([[-3.0, 2.0], [1.0, 1.0]]), np.array([[0.0], [1.0]])
-    P, K, *_ = riccati(model(A, B), c.T @ c, np.array([[3.0]]))
+    P, K, *_ = solve_riccati(model(A, B), c.T @ c, np.array([[3.0]]))
     assert pytest.approx(np.array([[0.5895, 1.8216], [1.8216, 8.8188]]), abs=1e-4) == P
     assert pytest.approx(np.array([[0.6072, 2.9396]]), abs=1e-4) == K
     assert np.sort(np.linalg.eigvals(A - B @ K)) == pytest.approx([-3.5026, -1.4370], abs=1e-4)
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
-    P, K, *_ = riccati(model(A, B), np.eye(2), np.eye(1))
+    P, K, *_ = solve_riccati(model(A, B), np.eye(2), np.eye(1))
     assert pytest.approx(np.array([[1.7321, 1.0], [1.0, 1.7321]]), abs=1e-4) == P
     assert pytest.approx(np.array([[1.0, 1.7321]]), abs=1e-4) == K
 
 
 def test_place_figures_of_octave() -> None:
     """Its examples for one input and for two; there K is not unique, but the figure's poles are."""
-    K = place(
+    K = pole_placement_gain(
         np.array([[0.0, 1.0], [3.0, 2.0]]),
         np.array([[0.0], [1.0]]),
         np.array([-1.0, -0.5]),
@@ -95,7 +95,7 @@ def test_place_figures_of_octave() -> None:
     B = np.array([[5.64, 0], [0, 0], [0, 1.18], [0, 0]])
     figure = -np.array([[-0.0876, -4.2138, 0.0837, -18.1412], [-0.0233, 18.2483, -0.4259, -4.8120]])
     poles = np.linalg.eigvals(A - B @ figure)
-    K = place(A, B, poles, "poles")
+    K = pole_placement_gain(A, B, poles, "poles")
     placed = np.linalg.eigvals(A - B @ K)
     assert np.sort_complex(placed) == pytest.approx(np.sort_complex(poles), abs=1e-6)
     distance = np.abs(poles[:, None] - np.array([-0.5 + 0.15j, -0.5 - 0.15j])).min(axis=0)
@@ -109,12 +109,12 @@ def test_agrees_with_python_control(seed: int, n: int, m: int) -> None:
     linear = random_plant(rng, n, m).linear
     root = rng.normal(size=(m, m))
     Q, R = np.eye(n), root @ root.T + np.eye(m)
-    P, K, *_ = riccati(linear, Q, R)
+    P, K, *_ = solve_riccati(linear, Q, R)
     X, _, G = control.care(linear.A, linear.B, Q, R)
     assert np.allclose(P, X, rtol=1e-7, atol=1e-9)
     assert np.allclose(K, G, rtol=1e-7, atol=1e-9)
     sampled = zoh(linear, 0.1)
-    P, K, *_ = riccati(sampled, Q, R, 0.1)
+    P, K, *_ = solve_riccati(sampled, Q, R, 0.1)
     X, _, G = control.dare(sampled.A, sampled.B, Q, R)
     assert np.allclose(P, X, rtol=1e-7, atol=1e-9)
     assert np.allclose(K, G, rtol=1e-7, atol=1e-9)
@@ -129,7 +129,7 @@ def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
     linear = random_plant(np.random.default_rng(m), 4, m).linear
     alpha = 3.0
     P, K, residual, _ = paper_riccati(linear.A, linear.B, alpha, np.eye(4))
-    optimal = riccati(linear, np.eye(4), np.eye(m) / (2 * alpha))
+    optimal = solve_riccati(linear, np.eye(4), np.eye(m) / (2 * alpha))
     assert pytest.approx(optimal.P) == P
     assert pytest.approx(optimal.K / 2) == K
     assert residual < 1e-13
@@ -138,8 +138,10 @@ def test_equation_34_is_the_optimal_one_with_half_the_gain(m: int) -> None:
 
 def test_what_has_no_solution_is_said() -> None:
     with pytest.raises(StructureError, match="the Riccati equation has no stabilising solution"):
-        riccati(model(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1))
+        solve_riccati(model(np.diag([1.0, -1.0]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1))
     with pytest.raises(
         StructureError, match="the discrete Riccati equation has no stabilising solution"
     ):
-        riccati(model(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1), 0.1)
+        solve_riccati(
+            model(np.diag([1.5, 0.5]), np.array([[0.0], [1.0]])), np.eye(2), np.eye(1), 0.1
+        )

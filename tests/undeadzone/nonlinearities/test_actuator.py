@@ -14,8 +14,8 @@ from test_engines import distance, parts, small
 
 import undeadzone as uz
 from scenes import PAPER_PLANT, scene
-from undeadzone.analysis.identifiability.linear import invisible
-from undeadzone.analysis.identifiability.sensor_and_actuator import both_ends
+from undeadzone.analysis.identifiability.linear import unobservable_changes
+from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
@@ -28,7 +28,7 @@ from undeadzone.nonlinearities.actuator import (
     within_rate,
 )
 from undeadzone.numerics.gaussian import Gaussian
-from undeadzone.observers.filtering.constant_states import Zones, entering
+from undeadzone.observers.filtering.constant_states import Zones, predict_plant_input
 from undeadzone.plants.system import sample_plant
 from undeadzone.report.log_page import estimation_page
 from undeadzone.report.run_figures import overview
@@ -186,7 +186,7 @@ def test_what_needs_samples_says_so(changes: dict[str, Any], words: str) -> None
 def through(zones: Zones, mean: Floats, std: Floats, u: float) -> tuple[float, Floats, float]:
     """(mean, slope, variance left) of what enters the plant under a command."""
     X, cov = ca.DM(mean), ca.DM(np.diag(std**2))
-    drive, left = entering(zones, Gaussian(ca.SX(X), ca.SX(cov)), ca.SX(u))
+    drive, left = predict_plant_input(zones, Gaussian(ca.SX(X), ca.SX(cov)), ca.SX(u))
     at = ca.SX.sym("X", len(mean))
     value = drive(at)
     f = ca.Function("f", [at], [value, ca.jacobian(value, at), left])
@@ -272,12 +272,12 @@ def test_one_combination_is_lost_and_others_are_not() -> None:
     plant = PAPER_PLANT.linear
     drive = resolve_actuator(Actuator(), 1)
     drives = [plant.B @ np.array([[-1.0, 0.0]]), plant.B @ np.array([[0.0, 1.0]])]
-    hidden = invisible(plant, np.array([[True, True]]), drives=drives)
+    hidden = unobservable_changes(plant, np.array([[True, True]]), drives=drives)
     gain = float((plant.C @ np.linalg.solve(-plant.A, plant.B))[0, 0])
-    assert hidden.sees(np.array([0, 0, 1, 1, 0, 0.0]))
-    assert hidden.sees(np.array([0, 0, 0, 0, 1, 1.0]))
-    assert hidden.sees(np.array([0, 0, 1, -1, gain, -gain]))
-    assert not hidden.sees(np.array([0, 0, 1, -1, -gain, gain]))
+    assert hidden.is_combination_known(np.array([0, 0, 1, 1, 0, 0.0]))
+    assert hidden.is_combination_known(np.array([0, 0, 0, 0, 1, 1.0]))
+    assert hidden.is_combination_known(np.array([0, 0, 1, -1, gain, -gain]))
+    assert not hidden.is_combination_known(np.array([0, 0, 1, -1, -gain, gain]))
     assert drive.slope_right == 1
 
 
@@ -299,7 +299,9 @@ def test_no_mode_visited_tells_nothing_of_the_actuator() -> None:
     from undeadzone.analysis.branch_schedule import schedule_of_record
 
     schedule = schedule_of_record(run.z, problem.sensor, TS, TS)
-    found = both_ends(problem.model.linear, schedule, np.zeros((0, 1)), problem.belief.drive)
+    found = sensor_actuator_identifiability(
+        problem.model.linear, schedule, np.zeros((0, 1)), problem.belief.drive
+    )
     assert not any((found.inputs[0].right, found.inputs[0].left, found.inputs[0].width))
 
 

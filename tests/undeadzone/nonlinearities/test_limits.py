@@ -23,12 +23,12 @@ from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.interfaces import Estimate, Reading, graph_of, receive_reading
+from undeadzone.interfaces import Estimate, Reading, require_graph, to_reading
 from undeadzone.logs.range_ends import RunningEnds, range_ends
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, quantise, resolve
 from undeadzone.observers.adaptive import branch_observer
-from undeadzone.observers.filtering.measurement_update import Ends, surely_exact
+from undeadzone.observers.filtering.measurement_update import RangeLimits, is_surely_exact
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
@@ -118,7 +118,7 @@ def test_a_limit_may_be_missing_on_either_side() -> None:
 )
 def test_the_side_of_a_reading_from_outside(y: float, side: int, seen: float) -> None:
     symbol = ca.SX.sym("y")
-    reading = receive_reading(symbol, 0.1, Limits(-0.6, 0.5))
+    reading = to_reading(symbol, 0.1, Limits(-0.6, 0.5))
     found_y, found_side = ca.Function("f", [symbol], [reading.y, reading.side])(y)
     assert float(found_side) == side
     assert np.array_equal(float(found_y), seen, equal_nan=True)
@@ -254,14 +254,16 @@ def rise(high: float, low: float, right: float, left: float, time: str) -> float
 def test_v_rises_if_a_limit_is_taken_with_the_wrong_sign(
     time: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    right_one = branch_observer.bound_reading
+    right_one = branch_observer.drop_limit_corrections
 
     def wrong(correction: Any, side: Any, jump: bool) -> Any:
         return right_one(correction, -side, jump)
 
-    monkeypatch.setattr(branch_observer, "bound_reading", wrong)
+    monkeypatch.setattr(branch_observer, "drop_limit_corrections", wrong)
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
-    monkeypatch.setattr(branch_observer, "bound_reading", lambda correction, side, jump: correction)
+    monkeypatch.setattr(
+        branch_observer, "drop_limit_corrections", lambda correction, side, jump: correction
+    )
     assert rise(1.0, 1.0, 1.0, 1.0, time) > 1e-4
 
 
@@ -273,7 +275,7 @@ def test_a_limit_that_the_estimate_is_beyond_says_nothing(method: str) -> None:
     """It is as good as a missing reading."""
     options = small("sampled", observer={"method": method} | OBSERVERS[method][1]).observer
     model = first_order()
-    observer = graph_of(options.build(model, zone()))
+    observer = require_graph(options.build(model, zone()))
     step = OnNumbers(observer, model)
     state = observer.init(observer.params)
     for _ in range(600):
@@ -293,7 +295,7 @@ def test_a_limit_that_the_estimate_contradicts_moves_it(method: str) -> None:
     table = {"method": method} | OBSERVERS[method][1] | trusting
     options = small("sampled", observer=table).observer
     model = first_order()
-    observer = graph_of(options.build(model, zone()))
+    observer = require_graph(options.build(model, zone()))
     step = OnNumbers(observer, model)
     state = observer.init(observer.params)
     for _ in range(600):
@@ -317,7 +319,7 @@ def test_a_bound_is_the_conditional_mean_and_variance(method: str, end: float) -
         claims |= {"bias": 0.0, "tolerance": 0.0, "calibrated": 0.0, "levels": 1}
     options = scene(observer={"method": method} | claims, simulation={"time": "sampled"}).observer
     model = first_order()
-    observer = graph_of(options.build(model, sensor))
+    observer = require_graph(options.build(model, sensor))
     y = 0.5 if end > 0 else -0.6
     after, _ = OnNumbers(observer, model)(observer.init(observer.params), 0.0, y, 2 * end)
     mean, _ = belief(after)
@@ -359,7 +361,7 @@ def test_a_reading_beyond_its_range_is_refused_and_counted(method: str) -> None:
 def test_refused_readings_beyond_the_range_show() -> None:
     model = first_order()
     options = small("sampled", observer={"method": "kalman", "right": [0.1, 1.0]}).observer
-    observer = graph_of(options.build(model, zone()))
+    observer = require_graph(options.build(model, zone()))
     step, state = OnNumbers(observer, model), observer.init(observer.params)
     for y in (0.3, np.inf, 0.3):
         state, estimate = step(state, 0.0, y, 1.0 if np.isfinite(y) else 0.0)
@@ -408,11 +410,11 @@ def test_observers_in_python_take_a_limit_for_a_bound(build: Any) -> None:
     ],
 )
 def test_which_readings_are_surely_exact(before: float, last: float, y: float, sure: bool) -> None:
-    numbers: Any = SimpleNamespace(gate=0.1, ends=Ends(low=-2.0, high=1.0, gate=0.1))
+    numbers: Any = SimpleNamespace(gate=0.1, ends=RangeLimits(low=-2.0, high=1.0, gate=0.1))
     setup: Any = SimpleNamespace(jump=False)
     values = (ca.SX(y), ca.SX(last), ca.SX(before))
-    assert bool(ca.evalf(surely_exact(setup, numbers, *values, ca.SX(1.0)))) == sure
-    assert not bool(ca.evalf(surely_exact(setup, numbers, *values, ca.SX(2.0))))
+    assert bool(ca.evalf(is_surely_exact(setup, numbers, *values, ca.SX(1.0)))) == sure
+    assert not bool(ca.evalf(is_surely_exact(setup, numbers, *values, ca.SX(2.0))))
 
 
 # Verdicts

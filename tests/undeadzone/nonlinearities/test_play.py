@@ -29,7 +29,7 @@ from undeadzone.observers.filtering import motion_detection
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.signals.exosystem import Sine, exosystem
+from undeadzone.signals.exosystem import Sine, build_exosystem
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.log import Options
@@ -172,7 +172,7 @@ def test_keys_of_a_play_are_refused_of_a_dead_zone(key: str) -> None:
 @pytest.mark.parametrize("window", [8, 20, 100])
 def test_the_fading_line_has_the_variance_of_a_straight_one(window: int) -> None:
     """The stationary variance of its slope under unit noise, by the Lyapunov equation."""
-    fade = motion_detection.fading(window)
+    fade = motion_detection.line_fading(window)
     g, h = 1 - fade**2, (1 - fade) ** 2
     F = np.array([[1 - g, 1 - g], [-h, 1 - h]])
     drive = np.array([g, h])
@@ -184,7 +184,7 @@ def test_the_fading_line_has_the_variance_of_a_straight_one(window: int) -> None
 @pytest.mark.parametrize("window", [4, 10, 25])
 def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> None:
     """Of the slope through any number of readings since the beginning, in exact deviations."""
-    fade, sigmas = motion_detection.fading(window), 5.0
+    fade, sigmas = motion_detection.line_fading(window), 5.0
     sensor = resolve(Sensor(kind="play", right=1.0, left=1.0, noise=1.0), 1, 0.01, 1.0)
     q = motion_detection.Motion(
         slope=np.ones(1),
@@ -199,7 +199,7 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
     for place in range(size):
         s = motion_detection.State(None, none, none, none, ca.DM.ones(1), none)
         for k in range(size):
-            line = motion_detection.follow_level(sensor, q, s, ca.DM(float(k == place)), 1.0)
+            line = motion_detection.update_line(sensor, q, s, ca.DM(float(k == place)), 1.0)
             s = motion_detection.State(None, *line, ca.DM.ones(1), none)
             slopes[k, place] = float(s.slope)
             assert float(s.known) == min(k + 1, window)
@@ -207,7 +207,9 @@ def test_a_young_line_asks_for_as_many_deviations_as_an_old_one(window: int) -> 
         s = motion_detection.State(None, none, none, ca.DM(min(k + 1, window)), ca.DM.ones(1), none)
         for share, moves in ((0.88, 0.0), (1.08, 1.0)):
             young = s._replace(slope=ca.DM(share * sigmas * max(std, 1e-9)))
-            assert float(motion_detection.by_line(q, young, none, 0)[0]) == (moves if k else 0.0)
+            assert float(motion_detection.branch_by_line(q, young, none, 0)[0]) == (
+                moves if k else 0.0
+            )
 
 
 @pytest.mark.parametrize("reading", READINGS)
@@ -348,13 +350,13 @@ def rise(right: float, left: float, x0: float, start: float) -> float:
 def test_v_rises_if_a_held_reading_is_heard_with_the_wrong_sign(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    right_one = branch_observer.silent_violation
+    right_one = branch_observer.zone_violation
 
     def wrong(*arguments: Any) -> Any:
         over, under = right_one(*arguments)
         return -under, -over
 
-    monkeypatch.setattr(branch_observer, "silent_violation", wrong)
+    monkeypatch.setattr(branch_observer, "zone_violation", wrong)
     assert rise(0.4, 0.4, 3.0, -3.0) > 1e-4
 
 
@@ -380,7 +382,7 @@ def test_an_integrator_hides_the_centre_of_its_play_but_not_the_width() -> None:
 
 def test_a_plan_knows_the_gap_of_the_pass_before() -> None:
     problem = resolve_scenario(slow({}, CERTIFIED))
-    reference = exosystem("reference", problem.scenario.reference, 1)
+    reference = build_exosystem("reference", problem.scenario.reference, 1)
     schedule = plan_schedule(problem.model, reference, [0], problem.sensor, 20.0)
     assert schedule.periodic
     moving = schedule.spans @ (schedule.sides != 0) / schedule.spans.sum()

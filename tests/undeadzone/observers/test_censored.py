@@ -20,7 +20,7 @@ from scipy.stats import norm, truncnorm
 import undeadzone as uz
 from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.compile import interpret
-from undeadzone.controllers.state_feedback import rest
+from undeadzone.controllers.state_feedback import rest_response
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.linalg.hold import zoh
@@ -30,15 +30,19 @@ from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics import gaussian
 from undeadzone.observers import Censored, Kalman
 from undeadzone.observers.filtering import multiple_models
-from undeadzone.observers.filtering.gaussian_filter import Params, ambiguous
-from undeadzone.observers.filtering.multiple_models import mean_of_models, mixture_std, wider_of_two
+from undeadzone.observers.filtering.gaussian_filter import Params, mix_two_gaussians
+from undeadzone.observers.filtering.multiple_models import (
+    mean_of_models,
+    mixture_std,
+    wider_component_weights,
+)
 from undeadzone.observers.filtering.unknown_inputs import (
     SMALL,
-    coloured_noise_model,
-    rest_under_bias,
-    slopes_of_sampled_model,
-    tolerances,
-    unknowns,
+    bias_rest_state,
+    build_colour,
+    build_unknown_inputs,
+    read_tolerance,
+    zoh_entry_slopes,
 )
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -160,7 +164,7 @@ def test_a_silence_that_contradicts_nothing_changes_nothing() -> None:
 def test_the_disturbance_is_first_order_noise_of_unit_rms(
     correlation: float, relative_step: float
 ) -> None:
-    colour = coloured_noise_model(correlation, None, relative_step * correlation)
+    colour = build_colour(correlation, None, relative_step * correlation)
     assert np.concatenate([*colour.F, *colour.Q, *colour.cov, colour.C]) == pytest.approx(
         [np.exp(-relative_step), -np.expm1(-2 * relative_step), 1.0, 1.0]
     )
@@ -175,7 +179,7 @@ def test_with_a_washout_it_has_no_constant_part(
     Its integral is 0; a = 1 / correlation, b = 1 / washout.
     """
     Ts, washout = relative_step * correlation, ratio * correlation * 1.0001
-    F, Q, cov, w = coloured_noise_model(correlation, washout, Ts)
+    F, Q, cov, w = build_colour(correlation, washout, Ts)
     assert F @ cov @ F.T + Q == pytest.approx(cov, rel=1e-9)
     a, b = 1 / correlation, 1 / washout
     for lag in (0, 1, 5, 20):
@@ -191,7 +195,7 @@ def test_with_a_washout_it_has_no_constant_part(
 def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: int) -> None:
     rng = np.random.default_rng(seed)
     flow = random_plant(rng, n, m)
-    tolerance = tolerances(sample_plant(flow, TS), 0.1)
+    tolerance = read_tolerance(sample_plant(flow, TS), 0.1)
     A, B, C = flow.linear
     assert tolerance.std == pytest.approx(np.full(n * (n + m), 0.1))
     slopes, h = tolerance.slopes.reshape(-1, n, n + m), 1e-6
@@ -209,9 +213,9 @@ def test_tolerances_are_derivatives_of_the_sampled_model(seed: int, n: int, m: i
 
 
 def test_rows_that_only_say_that_one_state_moves_another_are_exact() -> None:
-    assert tolerances(MODEL, 0.1).std.size == 3  # a_0, a_1 and b of (39)
-    assert tolerances(MODEL, {"A[1,0]": 0.2}).std == pytest.approx([0.2])
-    assert tolerances(MODEL, 0.0).slopes.shape == (0, 3)
+    assert read_tolerance(MODEL, 0.1).std.size == 3  # a_0, a_1 and b of (39)
+    assert read_tolerance(MODEL, {"A[1,0]": 0.2}).std == pytest.approx([0.2])
+    assert read_tolerance(MODEL, 0.0).slopes.shape == (0, 3)
 
 
 def test_the_time_scale_is_a_quarter_period() -> None:
@@ -566,7 +570,7 @@ def test_what_the_model_leaves_out_is_countered_at_rest(n: int) -> None:
     rng = np.random.default_rng(n)
     flow = random_plant(rng, n)
     for model in (flow, sample_plant(flow, TS)):
-        at_rest = rest(model)
+        at_rest = rest_response(model)
         A, B, C = flow.linear
         assert A @ at_rest[:n] + B @ at_rest[n:] == pytest.approx(-np.eye(n), abs=1e-9)
         assert C @ at_rest[:n] == pytest.approx(np.zeros((1, n)), abs=1e-9)
@@ -728,8 +732,10 @@ def test_tolerance_of_a_nonlinear_plant_is_one_number() -> None:
 def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
     """Where nothing has been read yet: its variance is (SMALL b)^2, and the odds stay."""
     rms = 0.7
-    colour, none = coloured_noise_model(0.5, None, TS), np.zeros(1)
-    augmentation = unknowns(MODEL, colour, none, np.array([rms]), 0.8, tolerances(MODEL, 0.0))
+    colour, none = build_colour(0.5, None, TS), np.zeros(1)
+    augmentation = build_unknown_inputs(
+        MODEL, colour, none, np.array([rms]), 0.8, read_tolerance(MODEL, 0.0)
+    )
     assert augmentation.alternative is not None
     params = Params(*[None] * 10)._replace(augmentation=augmentation.params)
     cov = ca.diag(ca.SX([1.0, 2.0, 0.1, 0.1, rms**2]))
@@ -739,7 +745,7 @@ def test_a_small_bias_is_a_prior_a_hundred_times_narrower() -> None:
 
 
 def test_a_bias_leads_to_the_rest_that_it_says() -> None:
-    at_rest = rest_under_bias(MODEL, np.eye(1))
+    at_rest = bias_rest_state(MODEL, np.eye(1))
     assert MODEL.linear.A @ at_rest + MODEL.linear.B == pytest.approx(at_rest)
 
 
@@ -747,7 +753,7 @@ def test_slopes_of_a_sampled_model_are_its_derivatives() -> None:
     """Against differences of the exact zero-order hold, for an entry of A and one of B."""
     A, B, C = PAPER_PLANT.linear
     entries, Ts, h = [(1, 0), (1, 2)], 0.1, 1e-6
-    slopes = slopes_of_sampled_model(np.hstack([A, B]), entries, Ts).reshape(2, 2, 3)
+    slopes = zoh_entry_slopes(np.hstack([A, B]), entries, Ts).reshape(2, 2, 3)
     for slope, at in zip(slopes, entries, strict=True):
         ends = []
         for change in (1 + h, 1 - h):
@@ -770,7 +776,7 @@ def test_a_mixture_spreads_by_its_parts_and_by_what_lies_between() -> None:
 def test_intervals_of_ambiguous_levels_hold_95_percent(shares: list[float]) -> None:
     """Of the mixture of N(0, 1), N(0, 1 / 16), N(0, 1 / 256)."""
     share, stds = np.array(shares) / np.sum(shares), np.array([1.0, 1 / 4, 1 / 16])
-    wide = wider_of_two(ca.SX(share))
+    wide = wider_component_weights(ca.SX(share))
     assert float(ca.sum1(wide)) == pytest.approx(1.0)
     std = float(mixture_std(ca.SX(share), wide, [0.0] * 3, stds))
     held = share @ (2 * norm.cdf(1.96 * std / stds) - 1)
@@ -787,7 +793,7 @@ def test_levels_lie_about_the_claim_and_wider_about_the_default(
         return member
 
     found: list[list[float]] = []
-    monkeypatch.setattr(multiple_models, "bank", levels)
+    monkeypatch.setattr(multiple_models, "build_multiple_models", levels)
     told: dict[str, Any] = {"disturbance": 1.0}
     for options in (told, told | {"levels": 2}, {}):
         Censored(right=[0, 2], **options).build(MODEL, zone())
@@ -807,7 +813,7 @@ def test_intervals_of_an_ambiguous_bias_hold_95_percent(
     stronger, weaker = (
         gaussian.Gaussian(ca.SX(m), ca.SX(s**2)) for m, s in ((gap, narrow), (0.0, 1.0))
     )
-    shown = ambiguous(stronger, weaker, share)
+    shown = mix_two_gaussians(stronger, weaker, share)
     mean, std = float(shown.mean), float(shown.cov) ** 0.5
 
     def below(x: float) -> float:

@@ -16,7 +16,7 @@ from test_recovery import AT, PLANT, SENSOR, TS, drive
 
 import undeadzone as uz
 from scenes import PAPER_PLANT
-from undeadzone.interfaces import Estimate, InPython, Reading
+from undeadzone.interfaces import Estimate, PythonObserver, Reading
 from undeadzone.linalg.hold import zoh
 from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_at_bounds, update_with_outliers
@@ -49,7 +49,7 @@ def built(name: str) -> Any:
 def follow(name: str, y: Floats, u: Floats) -> list[Estimate]:
     """The estimates along readings and inputs."""
     observer, estimates = built(name), []
-    if not isinstance(observer, InPython):
+    if not isinstance(observer, PythonObserver):
         online = uz.Online(observer, PLANT, SENSOR, TS)
         return [online.update(*pair) for pair in zip(y, u, strict=True)]
     state = observer.start(0)

@@ -20,10 +20,10 @@ from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, con
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
-    combine_joints,
-    drive_of,
-    either,
-    posture,
+    apply_gear_impulses,
+    build_drive,
+    mean_posture,
+    mix_posteriors,
 )
 from undeadzone.observers.contact_filter.modes import (
     LOST,
@@ -31,9 +31,9 @@ from undeadzone.observers.contact_filter.modes import (
     Layout,
     Mode,
     Posterior,
-    _predict_mode,
+    _move_mode,
     condition_on_impact,
-    replace_diverged_filter,
+    replace_diverged,
 )
 from undeadzone.plants.robots.build import two_link
 from undeadzone.plants.robots.geared import Gears, motion_of_geared_arm
@@ -258,12 +258,12 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
     told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
-    arm = posture(gears, gears.values, mean, ca.DM.zeros(2))
+    arm = mean_posture(gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
-    first, second = combine_joints([told, told], news, arm)
+    first, second = apply_gear_impulses([told, told], news, arm)
     right, free, left = (float(one.mean[3]) for one in first.beliefs)
-    answer = np.asarray(ca.evalf(drive_of(gears, 1e-3, 1).mobility(gears.values, mean)))
+    answer = np.asarray(ca.evalf(build_drive(gears, 1e-3, 1).mobility(gears.values, mean)))
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])
     assert right == left == 0.0
     assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
@@ -285,12 +285,12 @@ def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
 
 
 def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> None:
-    rng, entries = np.random.default_rng(0), Layout(1).entries
+    rng, entries = np.random.default_rng(0), Layout(1).entry_count
     beliefs = [Gaussian(ca.SX(rng.normal(size=entries)), ca.SX.eye(entries)) for _ in range(2)]
     told = []
     for belief, e in zip(beliefs, (1.0, 3.0), strict=True):
         told.append(Posterior((0.2, 0.3, 0.5), (belief,) * 3, belief, belief.mean, e, 2.0, 0.0))
-    both = either(told, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
+    both = mix_posteriors(told, (ca.SX([0.5, 0.5]), ca.SX([0.25, 0.75])))
     first, second = (np.asarray(ca.evalf(belief.mean)).ravel() for belief in beliefs)
     mean, off = 0.25 * first + 0.75 * second, first - second
     assert np.asarray(ca.evalf(both.whole.mean)).ravel() == pytest.approx(mean)
@@ -303,7 +303,7 @@ def test_filters_count_by_their_shares_and_one_that_overflows_is_renewed() -> No
     assert float(both.std) == pytest.approx(np.sqrt(4 + 1))
     runaway = Gaussian(ca.SX(np.full(entries, np.nan)), beliefs[0].cov)
     lost = told[0]._replace(beliefs=(runaway,) * 3, whole=runaway, news=runaway.mean, log=LOST)
-    kept = replace_diverged_filter([told[1], lost])
+    kept = replace_diverged([told[1], lost])
     for one in kept:
         assert (np.asarray(ca.evalf(one.whole.mean)).ravel() == second).all()
         assert (np.asarray(ca.evalf(one.beliefs[2].mean)).ravel() == second).all()
@@ -321,14 +321,14 @@ def test_a_joint_has_up_to_three_filters() -> None:
 def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
     gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
-    of, mean = Layout(2).of, ca.DM.zeros(Layout(2).entries)
+    of, mean = Layout(2).slice_of, ca.DM.zeros(Layout(2).entry_count)
     place = of("half").start
     mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
-    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(Layout(2).entries))
+    belief = Gaussian(ca.SX(mean), 1e-4 * ca.SX.eye(Layout(2).entry_count))
 
     def told(apart: bool) -> float:
         q = SimpleNamespace(model=gears.values, slack=1e-8, impact=0.3)
-        drive = drive_of(gears, 1e-3, 1, apart)
+        drive = build_drive(gears, 1e-3, 1, apart)
         return float(condition_on_impact(drive, q, 0, -1, belief).mean[place]) - 0.05
 
     assert abs(told(False)) > 1e-3
@@ -343,7 +343,7 @@ def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart:
     example["observer"]["joints"] = joints
     observer = resolve_scenario(convert(example)).observer
     step, (setup,) = example["simulation"]["step"], observer.step.args
-    assert observer.params.modes.Q[Layout(2).of("half")] == pytest.approx(drift**2 * step)
+    assert observer.params.modes.Q[Layout(2).slice_of("half")] == pytest.approx(drift**2 * step)
     assert [drive.apart for drive in setup.drives] == apart
 
 
@@ -351,8 +351,8 @@ def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart:
 def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
     """From a deviation so many times the largest one; what is more uncertain is left so."""
     gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
-    drive = drive_of(gears, 1e-3, 1)
-    entries, half = drive.layout.entries, drive.layout.of("half").start
+    drive = build_drive(gears, 1e-3, 1)
+    entries, half = drive.layout.entry_count, drive.layout.slice_of("half").start
     claim, Q = 0.06, np.full(entries, 1e-9)
     variance = (spread * OPEN * claim) ** 2
     cov = ca.SX.zeros(entries, entries)
@@ -366,7 +366,7 @@ def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float
         high=np.full(entries, claim),
     )
     belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
-    after = _predict_mode(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
+    after = _move_mode(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov
     assert float(after[half, half]) == pytest.approx(variance + part * 1e-9, rel=1e-9, abs=1e-16)
 
 

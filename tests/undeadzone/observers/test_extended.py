@@ -21,7 +21,7 @@ from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Censored, Extended, Kalman
-from undeadzone.observers.filtering.augmented_state import even_units
+from undeadzone.observers.filtering.augmented_state import power_of_two_units
 from undeadzone.plants.build import system
 from undeadzone.plants.options import OneLink, Plant, TwoLink
 from undeadzone.plants.system import System, sample_plant
@@ -266,7 +266,7 @@ def test_it_is_the_textbook_extended_filter(blind: bool, seed: int) -> None:
         ) ** 2 == pytest.approx(np.diag(P)[:8], rel=1e-9, abs=1e-12)
         F = slope(lambda X, u=u: pendulums(X, u, Ts), X)
         X, P = pendulums(X, u, Ts), F @ P @ F.T + Q
-        counted = np.concatenate([even_units(model), np.ones(7)])
+        counted = np.concatenate([power_of_two_units(model), np.ones(7)])
         assert counted * state.filter.mean == pytest.approx(X, rel=1e-9, abs=1e-9)
 
 

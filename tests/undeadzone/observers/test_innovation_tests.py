@@ -13,13 +13,19 @@ from benchmarks import claims as benchmark
 from benchmarks.honesty import CLAIMS as CLAIMED
 
 import undeadzone as uz
-from undeadzone.interfaces import CLAIMS, Estimate, Reading, claims_in_words, false_claims
+from undeadzone.interfaces import (
+    ASSUMPTION_CHECKS,
+    Estimate,
+    Reading,
+    describe_rejected_assumptions,
+    list_rejected_assumptions,
+)
 from undeadzone.observers.filtering.innovation_tests import (
     Scores,
-    rejection_levels,
+    assumption_fields,
+    assumption_ratios,
     start_scores,
     update_scores,
-    verdict,
 )
 from undeadzone.simulation.consistency import Own
 
@@ -28,32 +34,36 @@ RIGHT, LEFT, NOISE = 1.0, 0.7, 0.02
 
 
 def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
-    names = list(CLAIMS)
-    assert false_claims(0.0, 0.0) == []
-    assert false_claims(float(2 ** len(CLAIMS) - 1), 3.0) == [names[2], *names[:2], *names[3:]]
+    names = list(ASSUMPTION_CHECKS)
+    assert list_rejected_assumptions(0.0, 0.0) == []
+    assert list_rejected_assumptions(float(2 ** len(ASSUMPTION_CHECKS) - 1), 3.0) == [
+        names[2],
+        *names[:2],
+        *names[3:],
+    ]
 
 
 def test_the_likeliest_is_told_in_full_and_the_others_by_name() -> None:
-    assert claims_in_words([]) == []
-    gust = f"{CLAIMS['gust'].words}: {CLAIMS['gust'].cure}"
-    assert claims_in_words(["gust"]) == [gust]
-    told = claims_in_words(["gust", "noise", "slope"])
+    assert describe_rejected_assumptions([]) == []
+    gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure}"
+    assert describe_rejected_assumptions(["gust"]) == [gust]
+    told = describe_rejected_assumptions(["gust", "noise", "slope"])
     assert told == [gust, "the same readings speak against noise, slope"]
 
 
 def test_bits_and_the_likeliest() -> None:
-    found = verdict({"noise": ca.SX(30.0), "dynamics": ca.SX(9.0), "gust": ca.SX(0.9)})
+    found = assumption_fields({"noise": ca.SX(30.0), "dynamics": ca.SX(9.0), "gust": ca.SX(0.9)})
     bits, suspect = float(found["claims"]), float(found["suspect"])
     assert not float(found["consistent"])
-    names = list(CLAIMS)
-    assert false_claims(bits, suspect) == ["dynamics", "noise"]
+    names = list(ASSUMPTION_CHECKS)
+    assert list_rejected_assumptions(bits, suspect) == ["dynamics", "noise"]
     assert bits == 2.0 ** names.index("noise") + 2.0 ** names.index("dynamics")
 
 
 def test_what_is_no_number_is_not_consistent() -> None:
-    found = verdict({"noise": ca.SX(0.5), "gust": ca.SX(np.nan)})
+    found = assumption_fields({"noise": ca.SX(0.5), "gust": ca.SX(np.nan)})
     assert not float(found["consistent"])
-    assert false_claims(float(found["claims"]), float(found["suspect"])) == ["gust"]
+    assert list_rejected_assumptions(float(found["claims"]), float(found["suspect"])) == ["gust"]
     own, column = Own(), {name: np.array([[float(value)]]) for name, value in found.items()}
     own.add(Estimate(*[np.zeros((1, 1))] * len(Estimate._fields))._replace(**column))
     assert own.claims == ["gust"]
@@ -86,7 +96,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     found: dict[str, list[float]] = {}
     for lane in range(lanes):
         one = Scores(*[ca.SX(part[lane]) for part in kept])
-        for name, ratio in rejection_levels(doubt, one).items():
+        for name, ratio in assumption_ratios(doubt, one).items():
             found.setdefault(name, []).append(float(ratio))
     return found
 
@@ -141,7 +151,7 @@ def test_readings_are_refused_in_rows_again_and_again(
     rng, told = np.random.default_rng(0), np.resize(refused, 650)
     for k, one in enumerate(told):
         state = step.call([*state, 9.0 if one else rng.normal(), float(one), y[k % 2]])
-    ratio = rejection_levels(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
+    ratio = assumption_ratios(doubt, Scores(*[ca.SX(part) for part in state]))["sensor"]
     assert (float(ratio) > 1) is found
 
 
@@ -192,7 +202,7 @@ def test_a_log_names_the_claim_that_is_false(
     assert result.info.claims[:1] == [name][: bool(name)]
     assert result.consistent is not bool(name)
     if name:
-        assert f"{CLAIMS[name].words}: {CLAIMS[name].cure}" in repr(result)
+        assert f"{ASSUMPTION_CHECKS[name].words}: {ASSUMPTION_CHECKS[name].cure}" in repr(result)
         assert result.summary()["claims"][0] == name
 
 
@@ -202,7 +212,7 @@ def test_logs_that_are_glued_are_named_and_held(claims: str, least: float) -> No
     glued = benchmark.ROWS["glued from 21 pieces"]
     posed = benchmark.posed_of(glued, 1, 40, 77, benchmark.CLAIMED_WORLDS[0])
     found = benchmark.part(CLAIMED[claims], posed)
-    named = found.suspects == 1 + list(CLAIMS).index("sensor")
+    named = found.suspects == 1 + list(ASSUMPTION_CHECKS).index("sensor")
     assert np.mean(found.suspects > 0) >= 0.7
     assert named.mean() >= 0.7
     assert 1 - found.misses.mean(axis=0).max() >= least
@@ -217,4 +227,4 @@ def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
         "refused": np.zeros((4, 1)),
     }
     own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
-    assert own.claims == [list(CLAIMS)[1]]
+    assert own.claims == [list(ASSUMPTION_CHECKS)[1]]

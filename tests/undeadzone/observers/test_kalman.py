@@ -27,9 +27,9 @@ from undeadzone.numerics import gaussian
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers import Kalman
 from undeadzone.observers.filtering import measured_kalman as filtering
-from undeadzone.observers.filtering.gaussian_filter import Params, within_ranges
+from undeadzone.observers.filtering.gaussian_filter import Params, truncate_to_ranges
 from undeadzone.observers.filtering.measured_kalman import State
-from undeadzone.observers.filtering.prior import Assumptions, build_prior, width_ranges
+from undeadzone.observers.filtering.prior import Assumptions, build_prior, read_width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
@@ -546,7 +546,7 @@ def test_widths_within_their_ranges_have_the_mean_of_a_cut_gaussian() -> None:
     params = Params(*[None] * len(Params._fields))._replace(ranges=ranges)
 
     def shown(mean: Any, cov: Any) -> list[Any]:
-        belief, chance = within_ranges(params, 1, Gaussian(mean, cov))
+        belief, chance = truncate_to_ranges(params, 1, Gaussian(mean, cov))
         return [*belief, chance]
 
     cut_mean, cov, chance = evaluate(shown, mean, np.diag(std**2))
@@ -569,4 +569,4 @@ def test_a_prior_is_uniform_over_its_ranges() -> None:
 
 
 def test_the_left_widths_have_the_ranges_of_the_right_ones_by_default() -> None:
-    assert width_ranges([0.5, 2.0], None, 2).tolist() == [[0.5, 2.0]] * 4
+    assert read_width_ranges([0.5, 2.0], None, 2).tolist() == [[0.5, 2.0]] * 4

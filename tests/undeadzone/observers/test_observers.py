@@ -122,7 +122,7 @@ def test_V_never_rises_in_sampled_time(seed: int, n: int, silence: bool, narrow:
     for _ in range(60):
         z = model.linear.C @ x
         errors = np.array([where.right - state.right, where.left - state.left]).ravel()
-        values.append(proof.V.value((x - state.x)[None], errors[None])[0])
+        values.append(proof.V.evaluate_storage((x - state.x)[None], errors[None])[0])
         u = 5 * rng.normal(size=1)
         y = sensor.deadzone(z, where.right, where.left)
         state, _ = step(state, u, y, sensor.side(y))

@@ -68,7 +68,7 @@ def test_the_prior_is_that_of_ranges_given_the_centre(claimed: Any) -> None:
     where = resolve(Sensor(right=0.1, left=0.1, noise=0.01), 1, 0.01)
     ranges = {"right": [0.2, 1.0], "left": [0.0, 0.6]}
     prior = build_prior(Assumptions(**ranges, x_std=1.0, drift=0.0), MODEL, where, centre=claimed)
-    mean, cov = prior.widths()
+    mean, cov = prior.width_moments()
     low, high = np.broadcast_to(np.ravel(claimed), 2)
     spread = max((high - low) / np.sqrt(12), 0.01)
     rng = np.random.default_rng(0)
@@ -166,7 +166,7 @@ def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
 def test_a_claimed_centre_is_the_middle_of_the_zone_that_filters_begin_with() -> None:
     where = resolve(Sensor(right=RIGHT, left=LEFT, noise=0.01), 1, 0.01)
     claims = Assumptions(right=[0.0, 2.0], left=[0.0, 2.0], x_std=1.0, drift=0.0)
-    (right, left), _ = build_prior(claims, MODEL, where, centre=CENTRE).widths()
+    (right, left), _ = build_prior(claims, MODEL, where, centre=CENTRE).width_moments()
     assert (right - left) / 2 == pytest.approx(CENTRE, rel=1e-12)
 
 

@@ -17,7 +17,7 @@ from test_estimate import LOGS_ALONE, scenario
 
 import undeadzone as uz
 from undeadzone.cli import group
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.numerics.adjoint import LaterInformation, smooth_backward
 from undeadzone.simulation.estimate import smooth
 from undeadzone.simulation.online import build_observer
@@ -94,7 +94,7 @@ def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
             options = msgspec.structs.replace(options, silence=False)
         parts = (options, scenario().plant, scenario().sensor, 0.01, 10)
         model, zone, observer = build_observer(*parts)
-        found.append(smooth(model, graph_of(observer), zone, run.y, run.u))
+        found.append(smooth(model, require_graph(observer), zone, run.y, run.u))
     for other in found[1:]:
         for name, one in found[0].items():
             np.testing.assert_allclose(other[name], one, rtol=0, atol=1e-8)

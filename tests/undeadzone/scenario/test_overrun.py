@@ -16,7 +16,7 @@ from undeadzone.errors import InputError
 from undeadzone.scenario.overrun import decelerations
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.signals.exosystem import exosystem
+from undeadzone.signals.exosystem import build_exosystem
 from undeadzone.simulation.simulate import simulate
 
 SINE = {"kind": "sine", "amplitude": 1.0, "frequency": 0.5}
@@ -78,7 +78,7 @@ def test_a_reference_with_corners_tells_no_deceleration() -> None:
 @pytest.mark.parametrize("step", [1e-3, 5e-3])
 def test_the_deceleration_of_a_sum_is_the_largest_against_its_motion(step: float) -> None:
     tones = [{"amplitude": 1.0, "frequency": 0.5}, {"amplitude": 0.3, "frequency": 1.5}]
-    reference = exosystem(
+    reference = build_exosystem(
         "reference", motor({}, reference={"kind": "sines", "components": tones}).reference, 1
     )
     t = np.linspace(0, 2, 200_001)

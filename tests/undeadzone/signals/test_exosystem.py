@@ -22,8 +22,8 @@ from undeadzone.signals.exosystem import (
     Step,
     Tone,
     Trapezoid,
+    build_exosystem,
     common_period,
-    exosystem,
     read_csv,
 )
 
@@ -79,12 +79,12 @@ def test_derivatives_are_those_of_the_values_away_from_corners(
 ) -> None:
     h = 1e-5
     for signal, corners in two_channels(smooth, lines):
-        found = exosystem("reference", signal, 2)
+        found = build_exosystem("reference", signal, 2)
         t = T[np.abs(T[:, None] - np.array([*corners, -1.0])).min(axis=1) > 2 * h]
         assert t.size > 400
         for order in (0, 1, 2):
-            slope = (found.value(t + h, order) - found.value(t - h, order)) / (2 * h)
-            assert found.value(t, order + 1) == pytest.approx(
+            slope = (found.output_at(t + h, order) - found.output_at(t - h, order)) / (2 * h)
+            assert found.output_at(t, order + 1) == pytest.approx(
                 slope, rel=1e-4, abs=1e-4 * (1 + np.abs(slope).max())
             )
 
@@ -92,16 +92,16 @@ def test_derivatives_are_those_of_the_values_away_from_corners(
 def test_state_obeys_its_exosystem_between_corners(smooth: Samples, lines: Samples) -> None:
     h = 1e-3
     for signal, corners in two_channels(smooth, lines):
-        found = exosystem("reference", signal, 2)
+        found = build_exosystem("reference", signal, 2)
         t = T[[not any(at <= corner <= at + h for corner in corners) for at in T]]
         ahead = found.state(t) @ expm(found.S * h).T
         assert found.state(t + h) == pytest.approx(ahead, abs=1e-9 * (1 + np.abs(ahead).max()))
-        assert found.value(t) == pytest.approx(found.state(t) @ found.Q.T)
-        assert found.value(t).shape == (t.size, 2)
+        assert found.output_at(t) == pytest.approx(found.state(t) @ found.Q.T)
+        assert found.output_at(t).shape == (t.size, 2)
 
 
 def one(signal: Signal) -> Any:
-    return lambda *t: exosystem("reference", signal, 1).value(np.array(t, float)).ravel()
+    return lambda *t: build_exosystem("reference", signal, 1).output_at(np.array(t, float)).ravel()
 
 
 def test_values_in_closed_form() -> None:
@@ -153,9 +153,9 @@ def test_csv_goes_through_its_samples_and_is_held_at_its_ends(
 
 def test_smooth_samples_follow_a_sine_closely(smooth: Samples) -> None:
     t = np.linspace(0.5, 5.5, 1001)
-    found = exosystem("reference", smooth, 2)
-    assert np.abs(found.value(t)[:, 0] - np.sin(t)).max() < 1e-5
-    assert np.abs(found.value(t, 1)[:, 1] - 2 * t).max() < 1e-9
+    found = build_exosystem("reference", smooth, 2)
+    assert np.abs(found.output_at(t)[:, 0] - np.sin(t)).max() < 1e-5
+    assert np.abs(found.output_at(t, 1)[:, 1] - 2 * t).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_csv_header_comments_and_byte_order_mark(tmp_path: Path, start: str) -> 
 def test_wrong_csv(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(FileError, match=f"^reference.path: .*bad.csv.*{words}"):
-        exosystem("reference", Samples(path=str(tmp_path / "bad.csv")), 1)
+        build_exosystem("reference", Samples(path=str(tmp_path / "bad.csv")), 1)
 
 
 def test_unreadable_csv(tmp_path: Path) -> None:
@@ -201,7 +201,7 @@ def test_unreadable_csv(tmp_path: Path) -> None:
         ("nul\0.csv", "null"),
     ]:
         with pytest.raises(FileError, match=f"reference.path: cannot read .*{words}"):
-            exosystem("reference", Samples(path=f"{tmp_path}/{path}"), 1)
+            build_exosystem("reference", Samples(path=f"{tmp_path}/{path}"), 1)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +254,7 @@ def test_unreadable_csv(tmp_path: Path) -> None:
 )
 def test_wrong_signals(signal: Signal, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
-        exosystem("reference", signal, 2)
+        build_exosystem("reference", signal, 2)
 
 
 def test_random_is_a_disturbance_only() -> None:
@@ -273,7 +273,7 @@ def test_common_period(frequencies: list[float], period: float | None) -> None:
         assert common_period(frequencies) == pytest.approx(period, rel=1e-12)
 
 
-@pytest.mark.parametrize("shape", [signals.lines, signals.spline])
+@pytest.mark.parametrize("shape", [signals.line_derivatives, signals.spline_derivatives])
 def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) -> None:
     t = np.array([0.0, 0.5, 2.0, 3.0])
     values = np.array([[1.0, 0.0], [2.0, -1.0], [0.0, 4.0], [3.0, 3.0]])
@@ -286,7 +286,7 @@ def test_shapes_go_through_their_samples_and_are_held_at_their_ends(shape: Any) 
 
 def test_a_trapezoid_by_hand() -> None:
     corners = np.array([0.0, 1.0, 3.0, 5.0, 7.0, 8.0])
-    derivatives = signals.trapezoid(corners, np.array([2.0]))
+    derivatives = signals.trapezoid_derivatives(corners, np.array([2.0]))
     values = derivatives(np.array([0.5, 2.0, 4.5, 6.0, 7.5, 8.5]))[:, :, 0]
     assert values[:, 0].tolist() == [1.0, 2.0, -1.0, -2.0, -1.0, 1.0]
     assert values[:, 1].tolist() == [2.0, 0.0, -2.0, 0.0, 2.0, 2.0]

@@ -45,13 +45,15 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def many() -> Floats:
-    return noise.gaussian(1, noise.AFTER, 10_000_000, 1)[:, 0]
+    return noise.standard_normal_numbers(1, noise.AFTER, 10_000_000, 1)[:, 0]
 
 
 def filled(first: int, count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
     """Steps x streams x runs, by lanes."""
     numbers = np.full((count, len(STREAMS), len(runs)), np.nan)
-    normal.fill_normal(numbers, first, seed, [noise.word(*stream) for stream in STREAMS], runs)
+    normal.fill_normal(
+        numbers, first, seed, [noise.counter_word(*stream) for stream in STREAMS], runs
+    )
     return numbers
 
 
@@ -60,7 +62,7 @@ def expected(count: int, seed: int = 3, runs: list[int] = RUNS) -> Floats:
     numbers = np.empty((count, len(STREAMS), len(runs)))
     for i, (stream, channel) in enumerate(STREAMS):
         for k, run in enumerate(runs):
-            channels = noise.gaussian(seed, stream, count, channel + 1, run)
+            channels = noise.standard_normal_numbers(seed, stream, count, channel + 1, run)
             numbers[:, i, k] = channels[:, channel]
     return numbers
 
@@ -210,13 +212,16 @@ NEXT = {
 @pytest.mark.parametrize("change", NEXT.values(), ids=NEXT)
 def test_streams_runs_and_seeds_are_independent(change: dict[str, int]) -> None:
     base = {"seed": 0, "stream": noise.AFTER, "samples": 400_000, "channels": 1}
-    one, other = noise.gaussian(**base)[:, 0], noise.gaussian(**base | change)[:, 0]
+    one, other = (
+        noise.standard_normal_numbers(**base)[:, 0],
+        noise.standard_normal_numbers(**base | change)[:, 0],
+    )
     assert_independent(one, other)
     assert_independent(one[:-1], other[1:])
 
 
 def test_channels_are_independent() -> None:
-    one, other, last = noise.gaussian(0, noise.AFTER, 400_000, 3).T
+    one, other, last = noise.standard_normal_numbers(0, noise.AFTER, 400_000, 3).T
     assert_independent(one, other)
     assert_independent(one, last)
 
@@ -224,7 +229,7 @@ def test_channels_are_independent() -> None:
 @pytest.mark.parametrize("varied", ["seed", "run"])
 def test_one_step_across_many_seeds_or_runs_is_gaussian(varied: str) -> None:
     place = {"seed": 0, "stream": 0, "samples": 8, "channels": 2}
-    parts = [noise.gaussian(**place | {varied: k}) for k in range(3000)]
+    parts = [noise.standard_normal_numbers(**place | {varied: k}) for k in range(3000)]
     numbers = np.concatenate(parts, axis=1)
     for row in numbers:
         assert stats.kstest(row, stats.norm.cdf).pvalue > UNLIKELY
@@ -235,19 +240,21 @@ def test_one_step_across_many_seeds_or_runs_is_gaussian(varied: str) -> None:
 
 
 def test_a_number_is_a_function_of_its_place() -> None:
-    all_of_them = noise.gaussian(4, noise.BEFORE, 1001, 3, run=9)
+    all_of_them = noise.standard_normal_numbers(4, noise.BEFORE, 1001, 3, run=9)
     for samples in (0, 1, 2, 3, 4, 5, 1000):
-        fewer = noise.gaussian(4, noise.BEFORE, samples, 3, run=9)
+        fewer = noise.standard_normal_numbers(4, noise.BEFORE, samples, 3, run=9)
         assert np.array_equal(fewer, all_of_them[:samples])
-    assert np.array_equal(noise.gaussian(4, noise.BEFORE, 1001, 1, run=9), all_of_them[:, :1])
-    assert noise.gaussian(4, noise.BEFORE, 10, 0).shape == (10, 0)
+    assert np.array_equal(
+        noise.standard_normal_numbers(4, noise.BEFORE, 1001, 1, run=9), all_of_them[:, :1]
+    )
+    assert noise.standard_normal_numbers(4, noise.BEFORE, 10, 0).shape == (10, 0)
 
 
 def test_no_two_places_share_numbers() -> None:
     seeds, streams = (0, 1, 2**32, 2**63 - 1), (noise.AFTER, noise.BEFORE, noise.DISTURBANCE)
     parts = []
     for seed, stream, run in itertools.product(seeds, streams, RUNS):
-        parts.append(noise.gaussian(seed, stream, 40, 3, run).ravel())
+        parts.append(noise.standard_normal_numbers(seed, stream, 40, 3, run).ravel())
     numbers = np.concatenate(parts)
     # Of float32 some coincide; of two places alike it would be 120.
     assert np.unique(numbers).size > numbers.size - 60
@@ -275,7 +282,7 @@ def test_bits_do_not_depend_on_the_number_of_lanes(width: int) -> None:
 def test_steps_far_out() -> None:
     far = 10**10 + 3
     assert np.array_equal(filled(far, 9), np.concatenate([filled(far, 2), filled(far + 2, 7)]))
-    counter = (far // 4, noise.word(*STREAMS[1]), 5, 0)
+    counter = (far // 4, noise.counter_word(*STREAMS[1]), 5, 0)
     a, b, c, d = philox(*map(np.uint64, counter), np.uint64(3))
     assert filled(far, 1)[0, 1, RUNS.index(5)] == box_muller(c, d)[1]  # the last of four
     assert far % 4 == 3
@@ -296,30 +303,33 @@ CUTS = {"at once": [1000], "in parts": [1, 2, 5, 992], "three at a time": [3] * 
 
 @pytest.mark.parametrize("cuts", CUTS.values(), ids=CUTS)
 def test_coloured_lanes_have_the_same_bits(cuts: list[int]) -> None:
-    words = [noise.word(noise.DISTURBANCE, channel) for channel in range(2)]
+    words = [noise.counter_word(noise.DISTURBANCE, channel) for channel in range(2)]
     state = np.full((2, len(RUNS)), np.nan)
     first, parts = 0, []
     for count in cuts:
         parts.append(np.empty((count, 2, len(RUNS))))
         normal.fill_normal(parts[-1], first, 3, words, RUNS)
-        normal.colour_noise(parts[-1], state, first, *noise.colour(0.2, 0.01))
+        normal.colour_noise(parts[-1], state, first, *noise.first_order_coefficients(0.2, 0.01))
         first += count
     found = np.concatenate(parts)
     for j, run in enumerate(RUNS):
         assert np.array_equal(
-            found[:, :, j], noise.coloured_noise(3, 1000, np.ones(2), 0.2, 0.01, run)
+            found[:, :, j], noise.stationary_first_order_noise(3, 1000, np.ones(2), 0.2, 0.01, run)
         )
 
 
 def test_coloured_noise_has_its_rms_and_correlation_time() -> None:
     step, correlation = 0.01, 0.2
-    found = noise.coloured_noise(3, 200_000, np.array([2.0, 0.5]), correlation, step)
+    found = noise.stationary_first_order_noise(3, 200_000, np.array([2.0, 0.5]), correlation, step)
     assert found.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.05)
     lag = round(correlation / step)
     assert np.corrcoef(found[:-lag, 0], found[lag:, 0])[0, 1] == pytest.approx(np.exp(-1), abs=0.04)
-    starts = [noise.coloured_noise(seed, 1, np.ones(1), correlation, step) for seed in range(2000)]
+    starts = [
+        noise.stationary_first_order_noise(seed, 1, np.ones(1), correlation, step)
+        for seed in range(2000)
+    ]
     assert np.std(starts) == pytest.approx(1.0, abs=0.08)
-    white = noise.gaussian(3, noise.DISTURBANCE, 200_000, 2) * [2.0, 0.5]
+    white = noise.standard_normal_numbers(3, noise.DISTURBANCE, 200_000, 2) * [2.0, 0.5]
     memory = np.exp(-step / correlation)
     driven = found[1:] - memory * found[:-1]
     np.testing.assert_allclose(driven, np.sqrt(1 - memory**2) * white[1:], atol=1e-14)
@@ -343,7 +353,7 @@ def test_lanes_are_drawn_by_vector_instructions() -> None:
 
 
 def test_misuse_is_named() -> None:
-    words = [noise.word(noise.AFTER, 0)]
+    words = [noise.counter_word(noise.AFTER, 0)]
     for numbers in (np.empty((4, 2, 16)), np.empty((4, 1, 15))):
         with pytest.raises(ShapeError, match="numbers: expected steps x 1 channels x 16 lanes"):
             normal.fill_normal(numbers, 0, 0, words, RUNS)

@@ -32,7 +32,7 @@ from undeadzone.plants.robots.arm import Arm, Chain, arm
 from undeadzone.plants.robots.build import flat
 from undeadzone.plants.system import System
 from undeadzone.signals import paths
-from undeadzone.signals.exosystem import Exosystem, Signal, exosystem
+from undeadzone.signals.exosystem import Exosystem, Signal, build_exosystem
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic
 from undeadzone.util.arrays import Floats, decode
 
@@ -50,7 +50,7 @@ def changed(path: Any, **changes: Any) -> Any:
 
 
 def tip_path(path: Path, channels: int = 2) -> Exosystem:
-    return exosystem("reference", changed(path, space="task"), channels, task=True)
+    return build_exosystem("reference", changed(path, space="task"), channels, task=True)
 
 
 def spatial(joints: int, **bounds: Floats) -> Arm:
@@ -131,8 +131,8 @@ def slopes_agree(path: Exosystem, t: Floats, highest: int, tolerance: float = 1e
     t = t[np.abs(t[:, None] - breaks).min(axis=1) > 2 * h]
     assert t.size > 200
     for order in range(highest):
-        slope = (path.value(t + h, order) - path.value(t - h, order)) / (2 * h)
-        assert path.value(t, order + 1) == pytest.approx(
+        slope = (path.output_at(t + h, order) - path.output_at(t - h, order)) / (2 * h)
+        assert path.output_at(t, order + 1) == pytest.approx(
             slope, abs=tolerance * (1 + np.abs(slope).max())
         )
 
@@ -146,10 +146,10 @@ def test_derivatives_are_those_of_the_values(path: Path) -> None:
 def test_smoothness_at_corners(path: Path, smooth: int) -> None:
     found, h = tip_path(path), 1e-9
     for order in range(smooth + 1):
-        jump = found.value(found.corners + h, order) - found.value(found.corners - h, order)
-        assert np.abs(jump).max() < 1e-6 * (1 + np.abs(found.value(T, order)).max())
+        jump = found.output_at(found.corners + h, order) - found.output_at(found.corners - h, order)
+        assert np.abs(jump).max() < 1e-6 * (1 + np.abs(found.output_at(T, order)).max())
     inner = found.corners[1:-1] if isinstance(path, Quintic) else np.empty(0)
-    assert found.value(inner + h, 4) == pytest.approx(found.value(inner - h, 4), rel=1e-5)
+    assert found.output_at(inner + h, 4) == pytest.approx(found.output_at(inner - h, 4), rel=1e-5)
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -162,36 +162,36 @@ def test_state_obeys_its_exosystem_once_the_ramp_is_over(path: Path) -> None:
 
 
 def test_quintic_goes_through_its_points_from_rest_to_rest() -> None:
-    found = exosystem("reference", VIA, 2)
+    found = build_exosystem("reference", VIA, 2)
     times = np.asarray(VIA.times)
-    assert found.value(times) == pytest.approx(np.asarray(VIA.points), abs=1e-12)
+    assert found.output_at(times) == pytest.approx(np.asarray(VIA.points), abs=1e-12)
     for order in (1, 2):
-        assert np.abs(found.value(times[[0, -1]], order)).max() < 1e-12
-    assert found.value(np.array([-5.0, 20.0])) == pytest.approx(np.asarray(VIA.points)[[0, -1]])
-    again = exosystem("reference", changed(VIA, repeat=True), 2)
+        assert np.abs(found.output_at(times[[0, -1]], order)).max() < 1e-12
+    assert found.output_at(np.array([-5.0, 20.0])) == pytest.approx(np.asarray(VIA.points)[[0, -1]])
+    again = build_exosystem("reference", changed(VIA, repeat=True), 2)
     assert again.period == 4.0
-    assert again.value(np.array([8.7, -0.5])) == pytest.approx(
-        found.value(np.array([0.7, 3.5])), abs=1e-12
+    assert again.output_at(np.array([8.7, -0.5])) == pytest.approx(
+        found.output_at(np.array([0.7, 3.5])), abs=1e-12
     )
-    one = exosystem("reference", Quintic(points=[1.0, 3.0], times=[0.5, 2.5]), 1)
+    one = build_exosystem("reference", Quintic(points=[1.0, 3.0], times=[0.5, 2.5]), 1)
     share = (T.clip(0.5, 2.5) - 0.5) / 2
-    assert one.value(T).ravel() == pytest.approx(
+    assert one.output_at(T).ravel() == pytest.approx(
         1 + 2 * (10 * share**3 - 15 * share**4 + 6 * share**5)
     )
-    uneven = exosystem("reference", Quintic(points=[0.0, 2.0, 0.0], times=[0.0, 2.0, 5.0]), 1)
-    assert uneven.value(np.linspace(0, 5, 1001)).max() == pytest.approx(2.16, abs=5e-3)
+    uneven = build_exosystem("reference", Quintic(points=[0.0, 2.0, 0.0], times=[0.0, 2.0, 5.0]), 1)
+    assert uneven.output_at(np.linspace(0, 5, 1001)).max() == pytest.approx(2.16, abs=5e-3)
 
 
 def test_quintic_has_the_least_jerk() -> None:
     """Every variation that keeps points and rest is orthogonal to it in jerk."""
-    found, times = exosystem("reference", VIA, 2), np.asarray(VIA.times)
+    found, times = build_exosystem("reference", VIA, 2), np.asarray(VIA.times)
     roots = np.polynomial.Polynomial.fromroots(np.concatenate([times, times[[0, 0, -1, -1]]]))
     nodes, weights = np.polynomial.legendre.leggauss(8)
     t = np.concatenate([a + (b - a) * (nodes + 1) / 2 for a, b in pairwise(times)])
     weights = np.concatenate([weights * (b - a) / 2 for a, b in pairwise(times)])
     for factor in ([1.0], [0.3, 1.0], [-2.0, 0.5, 1.0]):
         variation = (roots * np.polynomial.Polynomial(factor)).deriv(3)(t)
-        products = found.value(t, 3) * variation[:, None]
+        products = found.output_at(t, 3) * variation[:, None]
         assert np.abs(weights @ products).max() < 1e-12 * (weights @ np.abs(products)).max()
 
 
@@ -199,20 +199,20 @@ def test_turning_paths_in_closed_form() -> None:
     t = T[T > 0]
     angle = 2 * np.pi * t / 4.0 + 0.3
     expected = np.array([0.4, 0.1]) + 0.15 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    assert tip_path(changed(CIRCLE, ramp=0.0)).value(t) == pytest.approx(expected)
-    assert tip_path(CIRCLE).value(t[t > 1.0] + 0.5) == pytest.approx(
+    assert tip_path(changed(CIRCLE, ramp=0.0)).output_at(t) == pytest.approx(expected)
+    assert tip_path(CIRCLE).output_at(t[t > 1.0] + 0.5) == pytest.approx(
         expected[t > 1.0]
     )  # the ramp costs half of itself
     angle = 2 * np.pi * t / 5.0
     expected = np.array([0.35, 0.2]) + np.stack(
         [0.15 * np.sin(angle), 0.1 * np.sin(2 * angle)], axis=1
     )
-    assert tip_path(changed(EIGHT, ramp=0.0)).value(t) == pytest.approx(expected)
+    assert tip_path(changed(EIGHT, ramp=0.0)).output_at(t) == pytest.approx(expected)
     at_rest = tip_path(CIRCLE)
-    assert at_rest.value(np.array([-1.0, 0.0])) == pytest.approx(
+    assert at_rest.output_at(np.array([-1.0, 0.0])) == pytest.approx(
         np.array([[0.4 + 0.15 * np.cos(0.3), 0.1 + 0.15 * np.sin(0.3)]] * 2)
     )
-    assert (np.abs(at_rest.value(np.array([-1.0, 0.0]), 1)).max(), at_rest.period) == (0, None)
+    assert (np.abs(at_rest.output_at(np.array([-1.0, 0.0]), 1)).max(), at_rest.period) == (0, None)
 
 
 @pytest.mark.parametrize(
@@ -227,8 +227,8 @@ def test_turning_paths_in_closed_form() -> None:
 )
 def test_circle_about_a_normal(normal: list[float], start: list[float]) -> None:
     path = tip_path(Circle(centre=[1.0, 2.0, 3.0], radius=0.5, period=1.0, normal=normal), 3)
-    r, v = path.value(T) - [1.0, 2.0, 3.0], path.value(T, 1)
-    assert path.value(np.zeros(1))[0] == pytest.approx(
+    r, v = path.output_at(T) - [1.0, 2.0, 3.0], path.output_at(T, 1)
+    assert path.output_at(np.zeros(1))[0] == pytest.approx(
         np.array([1.0, 2.0, 3.0]) + 0.5 * np.array(start)
     )
     assert np.linalg.norm(r, axis=1) == pytest.approx(np.full(T.size, 0.5))
@@ -244,10 +244,10 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
         np.kron(np.eye(2), [[0.0], [1.0]]),
         np.kron(np.eye(2), [[1.0, 0.0]]),
     )
-    path = exosystem("reference", changed(CIRCLE, space="joint"), 2)
+    path = build_exosystem("reference", changed(CIRCLE, space="joint"), 2)
     found = linear_targets(chains, path, [0, 1], T)
-    assert found.u_ff == pytest.approx(path.value(T, 2), abs=1e-9)
-    assert found.x_ref[:, 1::2] == pytest.approx(path.value(T, 1), abs=1e-9)
+    assert found.u_ff == pytest.approx(path.output_at(T, 2), abs=1e-9)
+    assert found.x_ref[:, 1::2] == pytest.approx(path.output_at(T, 1), abs=1e-9)
     zeros = linear(
         np.kron(np.eye(2), [[0.0, 1.0], [-1.0, -2.0]]),
         np.kron(np.eye(2), [[0.0], [1.0]]),
@@ -256,7 +256,7 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
     steady = T[T > 1.0]
     found, slope = (linear_targets(zeros, path, [0, 1], steady, order) for order in (0, 1))
     A, B, C = zeros.linear
-    assert found.x_ref @ C.T == pytest.approx(path.value(steady))
+    assert found.x_ref @ C.T == pytest.approx(path.output_at(steady))
     assert slope.x_ref == pytest.approx(found.x_ref @ A.T + found.u_ff @ B.T, abs=1e-9)
 
 
@@ -327,7 +327,7 @@ def test_wrong_paths(path: Path, channels: int, error: type[Exception], words: s
 
 def test_task_space_needs_an_arm() -> None:
     with pytest.raises(InputError, match=r"reference.space: task.*plant.arm.*use space = 'joint'"):
-        exosystem("reference", CIRCLE, 2)
+        build_exosystem("reference", CIRCLE, 2)
     words = {
         "kind": "figure_eight",
         "centre": [0, 0],
@@ -337,7 +337,7 @@ def test_task_space_needs_an_arm() -> None:
         "space": "joint",
     }
     read = msgspec.convert(words, Signal, dec_hook=decode)
-    assert exosystem("reference", read, 2).value(np.array([1.5]))[0] == pytest.approx(
+    assert build_exosystem("reference", read, 2).output_at(np.array([1.5]))[0] == pytest.approx(
         [0.5 * np.sin(1.25 * np.pi), 0.25 * np.sin(2.5 * np.pi)]
     )
 
@@ -351,28 +351,28 @@ def test_two_link_follows_with_either_elbow(path: Path, start: list[float]) -> N
     task = tip_path(path)
     found = joints(TWO_LINK, task, start)
     t = np.random.default_rng(3).uniform(0, 8, 400)  # in no order
-    q = found.value(t)
-    assert tips(TWO_LINK, q) == pytest.approx(task.value(t), abs=1e-12)
+    q = found.output_at(t)
+    assert tips(TWO_LINK, q) == pytest.approx(task.output_at(t), abs=1e-12)
     assert (np.sign(q[:, 1]) == np.sign(start[1])).all()
-    assert found.value(np.empty(0), 2).shape == (0, 2)
+    assert found.output_at(np.empty(0), 2).shape == (0, 2)
     slopes_agree(found, t, 2)
 
 
 def test_start_on_the_other_side_of_the_base() -> None:
     """The straight line to the path crosses the hole that the arm cannot reach."""
     found = joints(TWO_LINK, tip_path(CIRCLE), [np.pi + 0.3, 1.3])
-    assert tips(TWO_LINK, found.value(T[T > 0][:300])) == pytest.approx(
-        tip_path(CIRCLE).value(T[T > 0][:300]), abs=1e-12
+    assert tips(TWO_LINK, found.output_at(T[T > 0][:300])) == pytest.approx(
+        tip_path(CIRCLE).output_at(T[T > 0][:300]), abs=1e-12
     )
 
 
 def test_joint_path_against_the_textbook() -> None:
     found, task, l1, l2 = joints(TWO_LINK, tip_path(CIRCLE), ELBOWS[0]), tip_path(CIRCLE), 0.4, 0.3
     t = T[(T > 0) & (T < 8)]
-    x, y = task.value(t).T
+    x, y = task.output_at(t).T
     q2 = np.arccos((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2))
     q1 = np.arctan2(y, x) - np.arctan2(l2 * np.sin(q2), l1 + l2 * np.cos(q2))
-    assert found.value(t) == pytest.approx(np.stack([q1, q2], axis=1), abs=1e-12)
+    assert found.output_at(t) == pytest.approx(np.stack([q1, q2], axis=1), abs=1e-12)
 
 
 def test_a_coarse_grid_gives_the_same_path() -> None:
@@ -380,7 +380,7 @@ def test_a_coarse_grid_gives_the_same_path() -> None:
     coarse = joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=0.05)
     fine = joints(TWO_LINK, tip_path(EIGHT), ELBOWS[0], step=1e-3)
     for order in range(3):
-        assert coarse.value(t, order) == pytest.approx(fine.value(t, order), abs=1e-11)
+        assert coarse.output_at(t, order) == pytest.approx(fine.output_at(t, order), abs=1e-11)
 
 
 @pytest.mark.parametrize(
@@ -405,11 +405,11 @@ def test_period_of_a_joint_path() -> None:
     assert (
         around.period is None
     )  # after a turn about its base the arm is where it was, its first joint a turn further
-    assert around.value(np.array([4.0])) - around.value(np.zeros(1)) == pytest.approx(
+    assert around.output_at(np.array([4.0])) - around.output_at(np.zeros(1)) == pytest.approx(
         np.array([[2 * np.pi, 0.0]])
     )
     with pytest.raises(TrackingError, match=r"known up to t = 8\.\d+ s, not at 9 s"):
-        around.value(np.array([1.0, 9.0]))
+        around.output_at(np.array([1.0, 9.0]))
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 6, 7])
@@ -419,8 +419,8 @@ def test_spatial_arms(count: int) -> None:
     task = tip_path(Circle(centre=centre, radius=0.06, period=4.0, normal=[1.0, 1.0, 0.5]), 3)
     found = joints(given, task, start, step=1e-2)
     t = np.random.default_rng(1).uniform(0, 8, 300)
-    q = found.value(t)
-    assert tips(given, q) == pytest.approx(task.value(t), abs=1e-12)
+    q = found.output_at(t)
+    assert tips(given, q) == pytest.approx(task.output_at(t), abs=1e-12)
     slopes_agree(found, t, 2)
     turned = np.abs(turns(given, q) - turns(given, start[None])).max()
     assert turned < 1e-12 if count >= 6 else turned > 1e-3
@@ -443,8 +443,8 @@ def test_ur5_follows_without_turning() -> None:
         task = tip_path(path, 3)
         found = joints(given, task, start, step=1e-2)
         t = np.random.default_rng(5).uniform(0, 8, 300)
-        q = found.value(t)
-        assert tips(given, q) == pytest.approx(task.value(t), abs=1e-12)
+        q = found.output_at(t)
+        assert tips(given, q) == pytest.approx(task.output_at(t), abs=1e-12)
         assert turns(given, q) == pytest.approx(
             np.broadcast_to(turns(given, start[None]), (300, 3, 3)), abs=1e-12
         )
@@ -502,8 +502,8 @@ def test_unreachable_points_are_said_with_their_distance(
     assert distance == pytest.approx(beyond, rel=0.05)  # among the instants looked at
     assert distance == pytest.approx(max(np.hypot(x, y) - 0.7, 0.1 - np.hypot(x, y)), abs=1e-3)
     path = tip_path(changed(CIRCLE, centre=centre))
-    assert path.value(np.array([t]))[0] == pytest.approx([x, y], abs=2e-3)
-    inside = np.hypot(*path.value(np.linspace(0, max(leaves - 3e-3, 0), 100)).T)
+    assert path.output_at(np.array([t]))[0] == pytest.approx([x, y], abs=2e-3)
+    inside = np.hypot(*path.output_at(np.linspace(0, max(leaves - 3e-3, 0), 100)).T)
     assert leaves == 0 or ((inside >= 0.1) & (inside <= 0.7)).all()
 
 
@@ -540,7 +540,7 @@ def test_singular_configurations() -> None:
 
 def test_limits_of_the_joints() -> None:
     free = joints(TWO_LINK, tip_path(CIRCLE), ELBOWS[0])
-    q, v = (free.value(np.arange(4002) * 2e-3, order) for order in (0, 1))
+    q, v = (free.output_at(np.arange(4002) * 2e-3, order) for order in (0, 1))
     for chain, words in [
         (
             TWO_LINK.chain._replace(limits=np.array([[-9.0, 9.0], [-2.0, 2.0]])),
@@ -571,7 +571,7 @@ def test_limits_of_the_joints() -> None:
 def test_torque_limits() -> None:
     path = joints(TWO_LINK, tip_path(CIRCLE), ELBOWS[0])
     t = np.arange(4001) * 2e-3
-    q, v, a = (path.value(t, order) for order in range(3))
+    q, v, a = (path.output_at(t, order) for order in range(3))
     torques = np.stack(
         [
             (
@@ -610,9 +610,9 @@ def test_too_few_joints() -> None:
 def test_the_closure_holds_on_waves_that_turn_evenly(harmonics: list[int]) -> None:
     w, t = 1.7, np.linspace(0.0, 3.0, 20)
     angle = [w * t, np.full_like(t, w), *[np.zeros_like(t)] * (paths.ORDER - 1)]
-    waves = paths._waves(np.array(harmonics), [part[:, None] for part in angle])
+    waves = paths._wave_derivatives(np.array(harmonics), [part[:, None] for part in angle])
     next_derivative = (1j * w * np.array(harmonics)) ** (paths.ORDER + 1) * waves[:, 0]
-    closure = paths._closure(np.array(harmonics), w)
+    closure = paths._harmonic_closure(np.array(harmonics), w)
     assert np.einsum("i,nik->nk", closure, waves) == pytest.approx(next_derivative, rel=1e-12)
 
 

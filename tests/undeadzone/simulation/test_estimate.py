@@ -13,7 +13,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone as command
-from undeadzone.interfaces import graph_of
+from undeadzone.interfaces import require_graph
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
 from undeadzone.simulation.estimate import smooth
@@ -189,7 +189,7 @@ def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbanc
     options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
     model, zone, observer = build_observer(options, PLANT, SENSOR, 0.01, 10)
     N = 250
-    smoothed = smooth(model, graph_of(observer), zone, run.y[:N], run.u[:N])
+    smoothed = smooth(model, require_graph(observer), zone, run.y[:N], run.u[:N])
     expected = batch(run, model, N, disturbance**2)
     np.testing.assert_allclose(smoothed["x_smooth"], expected[:, :2], rtol=0, atol=2e-6)
     np.testing.assert_allclose(smoothed["x_smooth_std"], expected[:, 2:4], rtol=1e-3, atol=1e-7)

@@ -206,7 +206,7 @@ def test_noise_is_held_over_each_step(twin: Twin, after: float, before: float) -
         check_step=False,
     )
     samples = [
-        rms * noise.gaussian(3, stream, steps + 1, 1)[:, 0]
+        rms * noise.standard_normal_numbers(3, stream, steps + 1, 1)[:, 0]
         for rms, stream in ((after, noise.AFTER), (before, noise.BEFORE))
     ]
 

@@ -16,21 +16,21 @@ from undeadzone.statistics.intervals import (
     QUANTILES,
     Extreme,
     Interval,
-    binomial,
+    binomial_quantile,
     describe,
-    deviation,
-    jackknife,
-    mean,
+    deviation_interval,
+    jackknife_error,
+    mean_interval,
     proportion,
-    quantile,
+    quantile_interval,
 )
 from undeadzone.statistics.sensitivity import (
-    chance,
-    first_order,
-    indices,
+    estimate_sobol_indices,
+    first_order_by_chance,
+    first_order_indices,
     mean_ranks,
     rank_correlations,
-    saltelli,
+    saltelli_indices,
     sensitivities_of_runs,
 )
 from undeadzone.util.arrays import Floats
@@ -72,7 +72,7 @@ def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(
     n: int, share: float
 ) -> None:
     """Values are ranks: X_(low) <= q < X_(high) iff low <= number of runs below q < high."""
-    value, low, high = quantile(np.arange(1.0, n + 1), share)
+    value, low, high = quantile_interval(np.arange(1.0, n + 1), share)
     below = np.arange(n + 1)
     inside = (below >= max(low, 0)) & (below < min(high, n + 1))
     assert stats.binom.pmf(below[inside], n, share).sum() >= LEVEL
@@ -83,14 +83,14 @@ def test_the_interval_of_a_quantile_has_its_coverage_whatever_the_distribution(
 @pytest.mark.parametrize("level", [0.025, 0.3, 0.975])
 def test_binomial_is_the_quantile_of_its_distribution(n: int, level: float) -> None:
     for share in (0.05, 0.5, 0.99):
-        assert binomial(n, share, level) == stats.binom.ppf(level, n, share)
+        assert binomial_quantile(n, share, level) == stats.binom.ppf(level, n, share)
 
 
 def test_what_the_runs_do_not_bound_is_infinite() -> None:
-    assert quantile(np.arange(100.0), 0.99).high == np.inf
-    assert quantile(np.arange(100.0), 0.05).low > -np.inf
-    assert quantile(np.arange(20.0), 0.05).low == -np.inf
-    assert mean(np.array([1.0])).high == np.inf
+    assert quantile_interval(np.arange(100.0), 0.99).high == np.inf
+    assert quantile_interval(np.arange(100.0), 0.05).low > -np.inf
+    assert quantile_interval(np.arange(20.0), 0.05).low == -np.inf
+    assert mean_interval(np.array([1.0])).high == np.inf
 
 
 @pytest.mark.parametrize("count", [0, 3, 50, 100])
@@ -112,7 +112,7 @@ def test_extremes_say_what_share_lies_beyond_them() -> None:
 
 def test_infinite_values_have_quantiles_but_no_mean() -> None:
     statistics = describe(np.r_[np.arange(70.0), np.full(30, np.inf)])
-    assert statistics["median"] == quantile(np.arange(100.0), 0.5)
+    assert statistics["median"] == quantile_interval(np.arange(100.0), 0.5)
     assert statistics["p95"].value == statistics["max"].value == np.inf
     assert np.isnan([*statistics["mean"], *statistics["std"]]).all()
 
@@ -120,7 +120,7 @@ def test_infinite_values_have_quantiles_but_no_mean() -> None:
 def test_a_column_without_spread_is_known_exactly() -> None:
     statistics = describe(np.full(500, 2.5))
     assert statistics["mean"] == statistics["median"] == (2.5, 2.5, 2.5)
-    assert deviation(np.full(500, 2.5)) == (0.0, 0.0, 0.0)
+    assert deviation_interval(np.full(500, 2.5)) == (0.0, 0.0, 0.0)
 
 
 def mean_of_rows(column: Floats, rows: Floats) -> Floats:
@@ -132,7 +132,7 @@ def test_the_jackknife_finds_the_standard_error_of_a_mean() -> None:
     squares = []
     for column in random.exponential(size=(200, 400)):
         estimate = partial(mean_of_rows, column)
-        squares.append(float(jackknife(estimate, 400)) ** 2)
+        squares.append(float(jackknife_error(estimate, 400)) ** 2)
     assert np.mean(squares) == pytest.approx(1 / 400, rel=0.1)
 
 
@@ -163,7 +163,7 @@ def test_ishigami_from_given_data(n: int) -> None:
 
 
 def test_ishigami_from_saltellis_design() -> None:
-    entries = saltelli(ishigami(design(4096, 3, seed=5)))
+    entries = saltelli_indices(ishigami(design(4096, 3, seed=5)))
     for one, first, total in zip(entries, FIRST, TOTAL, strict=True):
         assert covers(one.first, first)
         assert covers(one.total, total)
@@ -175,14 +175,14 @@ def test_indices_are_those_of_scipy() -> None:
     values = {"f_A": blocks[:1], "f_B": blocks[1:2], "f_AB": blocks[2:, None]}
     twin = stats.sobol_indices(func=values, n=256)
     expected = [twin.first_order, twin.total_order]
-    np.testing.assert_allclose(indices(blocks), expected, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(estimate_sobol_indices(blocks), expected, rtol=1e-12, atol=1e-14)
 
 
 def test_rows_with_a_run_that_diverged_are_left_out_of_the_design() -> None:
     blocks = ishigami(design(300, 3, seed=7))
     spoilt = blocks.copy()
     spoilt[[0, 2, 4], [5, 99, 200]] = np.nan
-    assert saltelli(spoilt) == saltelli(np.delete(blocks, [5, 99, 200], axis=1))
+    assert saltelli_indices(spoilt) == saltelli_indices(np.delete(blocks, [5, 99, 200], axis=1))
 
 
 def linear(n: int, weights: Floats, seed: int) -> tuple[Floats, Floats]:
@@ -211,7 +211,7 @@ def test_linear_gaussian_closed_forms() -> None:
 
 def test_the_index_of_given_data_is_unbiased() -> None:
     weights = np.array([0.95, 0.0])
-    trials = np.array([first_order(*linear(300, weights, seed)) for seed in range(200)])
+    trials = np.array([first_order_indices(*linear(300, weights, seed)) for seed in range(200)])
     error = trials.std(axis=0) / np.sqrt(200)
     assert (np.abs(trials.mean(axis=0) - weights**2) < 4 * error).all()
 
@@ -248,7 +248,7 @@ def test_nothing_is_said_where_nothing_can_be() -> None:
     X = np.random.default_rng(9).random((100, 2))
     assert sensitivities_of_runs(X[:30], X[:30, 0]) == []
     assert sensitivities_of_runs(X, np.ones(100)) == []
-    assert saltelli(X[:30].T.repeat(2, axis=0)) == []
+    assert saltelli_indices(X[:30].T.repeat(2, axis=0)) == []
     X[:, 1] = 3.0
     idle = sensitivities_of_runs(X, X[:, 0])[1]
     assert idle.spearman.value == idle.partial.value == idle.first_order.value == 0
@@ -257,4 +257,9 @@ def test_nothing_is_said_where_nothing_can_be() -> None:
 
 def test_chance_grows_as_runs_get_fewer() -> None:
     y = np.random.default_rng(10).standard_normal(5000)
-    assert chance(y[:100]) > 2 * chance(y[:1000]) > 4 * chance(y) > 0
+    assert (
+        first_order_by_chance(y[:100])
+        > 2 * first_order_by_chance(y[:1000])
+        > 4 * first_order_by_chance(y)
+        > 0
+    )

@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import BITS, ROUNDS, _feistel, permute, points
+from undeadzone.statistics.sampling import (
+    BITS,
+    ROUNDS,
+    _feistel_cipher,
+    design_points,
+    permute_indices,
+)
 from undeadzone.util.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
@@ -25,10 +31,10 @@ DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
 @given(data=st.data(), seed=st.integers(0, 2**63 - 1), entries=st.integers(1, 5))
 def test_blocks_do_not_matter(sampling: str, data: st.DataObject, seed: int, entries: int) -> None:
     runs = 24 * (entries + 2)
-    whole = points(sampling, seed, 0, runs, entries, runs)
+    whole = design_points(sampling, seed, 0, runs, entries, runs)
     cuts = sorted(data.draw(st.lists(st.integers(0, runs), max_size=6)))
     blocks = [
-        points(sampling, seed, a, b - a, entries, runs)
+        design_points(sampling, seed, a, b - a, entries, runs)
         for a, b in zip([0, *cuts], [*cuts, runs], strict=True)
     ]
     assert whole.shape == (runs, entries)
@@ -37,7 +43,7 @@ def test_blocks_do_not_matter(sampling: str, data: st.DataObject, seed: int, ent
 
 @pytest.mark.parametrize("sampling", DESIGNS)
 def test_every_column_is_uniform_inside_the_open_unit_interval(sampling: str) -> None:
-    u = points(sampling, 5, 0, 6000, 4, 6000)
+    u = design_points(sampling, 5, 0, 6000, 4, 6000)
     assert u.min() > 0
     assert u.max() < 1
     assert all(stats.kstest(column, "uniform").pvalue > 1e-3 for column in u.T)
@@ -45,15 +51,18 @@ def test_every_column_is_uniform_inside_the_open_unit_interval(sampling: str) ->
 
 @pytest.mark.parametrize("sampling", ["random", "latin_hypercube"])
 def test_columns_and_neighbours_are_independent(sampling: str) -> None:
-    u = points(sampling, 7, 0, 40_000, 4, 40_000)
+    u = design_points(sampling, 7, 0, 40_000, 4, 40_000)
     pairs = np.corrcoef(np.hstack([u[:-1], u[1:]]), rowvar=False) - np.eye(8)
     assert np.abs(pairs).max() < 5 / np.sqrt(len(u))
 
 
 def test_random_numbers_do_not_depend_on_the_runs_or_entries_beside_them() -> None:
-    few, many = points("random", 3, 100, 50, 2, 200), points("random", 3, 100, 50, 9, 10**15)
+    few, many = (
+        design_points("random", 3, 100, 50, 2, 200),
+        design_points("random", 3, 100, 50, 9, 10**15),
+    )
     assert np.array_equal(few, many[:, :2])
-    assert not np.array_equal(few, points("random", 4, 100, 50, 2, 200))
+    assert not np.array_equal(few, design_points("random", 4, 100, 50, 2, 200))
 
 
 @settings(deadline=None)
@@ -61,7 +70,7 @@ def test_random_numbers_do_not_depend_on_the_runs_or_entries_beside_them() -> No
 def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(
     runs: int, seed: int
 ) -> None:
-    intervals = np.floor(points("latin_hypercube", seed, 0, runs, 3, runs) * runs)
+    intervals = np.floor(design_points("latin_hypercube", seed, 0, runs, 3, runs) * runs)
     assert (np.sort(intervals, axis=0) == np.arange(runs)[:, None]).all()
 
 
@@ -69,7 +78,7 @@ def test_a_latin_hypercube_has_one_run_in_each_interval_of_each_column(
 @given(size=st.integers(1, 5000), seed=st.integers(0, 2**32 - 1))
 def test_permutations_take_each_place_once(size: int, seed: int) -> None:
     keys = np.random.default_rng(seed).integers(0, 2**64, ROUNDS, dtype=np.uint64)
-    places = permute(np.arange(size, dtype=np.uint64), size, keys)
+    places = permute_indices(np.arange(size, dtype=np.uint64), size, keys)
     assert np.array_equal(np.sort(places), np.arange(size))
 
 
@@ -77,20 +86,20 @@ def test_rounds_of_the_cipher_permute_the_numbers_of_their_bits() -> None:
     keys = np.random.default_rng(1).integers(0, 2**64, ROUNDS, dtype=np.uint64)
     for half in (1, 2, 5):
         numbers = np.arange(4**half, dtype=np.uint64)
-        assert np.array_equal(np.sort(_feistel(numbers, np.uint64(half), keys)), numbers)
+        assert np.array_equal(np.sort(_feistel_cipher(numbers, np.uint64(half), keys)), numbers)
 
 
 def test_all_permutations_come_up_about_equally_often() -> None:
     rng = np.random.default_rng(0)
     keys = rng.integers(0, 2**64, (3000, ROUNDS), dtype=np.uint64)
-    permutations = [permute(np.arange(3, dtype=np.uint64), 3, key) for key in keys]
+    permutations = [permute_indices(np.arange(3, dtype=np.uint64), 3, key) for key in keys]
     counts = np.bincount(np.array(permutations).astype(int) @ [9, 3, 1], minlength=27)
     assert np.count_nonzero(counts) == 6
     assert stats.chisquare(counts[counts > 0]).pvalue > 1e-3
 
 
 def test_a_latin_hypercube_of_many_runs_needs_no_table() -> None:
-    u = points("latin_hypercube", 1, 10**15, 5, 2, 10**16)
+    u = design_points("latin_hypercube", 1, 10**15, 5, 2, 10**16)
     assert ((u > 0) & (u < 1)).all()
 
 
@@ -98,17 +107,17 @@ def test_a_latin_hypercube_of_many_runs_needs_no_table() -> None:
 def test_sobol_points_are_those_of_scipy(seed: int, entries: int) -> None:
     engine = stats.qmc.Sobol(entries, bits=BITS, rng=seed)
     expected = engine.random(256) + 2.0 ** -(BITS + 1)
-    assert np.array_equal(points("sobol", seed, 0, 256, entries, 256), expected)
-    assert np.array_equal(points("sobol", seed, 100, 50, entries, 256), expected[100:150])
+    assert np.array_equal(design_points("sobol", seed, 0, 256, entries, 256), expected)
+    assert np.array_equal(design_points("sobol", seed, 100, 50, entries, 256), expected[100:150])
     far = engine.fast_forward(10**6).random(10) + 2.0 ** -(BITS + 1)
-    assert np.array_equal(points("sobol", seed, 10**6 + 256, 10, entries, 256), far)
+    assert np.array_equal(design_points("sobol", seed, 10**6 + 256, 10, entries, 256), far)
 
 
 def test_no_warning_escapes_from_blocks_of_any_size() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert len(points("sobol", 0, 0, 100, 3, 1000)) == 100
-        assert len(points("saltelli", 0, 0, 100, 3, 1000)) == 100
+        assert len(design_points("sobol", 0, 0, 100, 3, 1000)) == 100
+        assert len(design_points("saltelli", 0, 0, 100, 3, 1000)) == 100
 
 
 def test_saltelli_is_laid_out_as_the_indices_of_scipy_need_it() -> None:
@@ -118,7 +127,7 @@ def test_saltelli_is_laid_out_as_the_indices_of_scipy_need_it() -> None:
     """
     each, entries = 4096, 3
     runs = each * (entries + 2)
-    angles = 2 * np.pi * points("saltelli", 2, 0, runs, entries, runs).T - np.pi
+    angles = 2 * np.pi * design_points("saltelli", 2, 0, runs, entries, runs).T - np.pi
     f_A, f_B, *f_AB = _ishigami(angles).reshape(entries + 2, each)
     values = {"f_A": f_A[None], "f_B": f_B[None], "f_AB": np.array(f_AB)[:, None]}
     indices = stats.sobol_indices(func=values, n=each)
@@ -132,7 +141,7 @@ def _ishigami(x: Floats) -> Floats:
 
 def test_without_entries_there_is_nothing_to_draw() -> None:
     for sampling in ("random", "latin_hypercube", "sobol"):
-        assert points(sampling, 0, 3, 5, 0, 10).shape == (5, 0)
+        assert design_points(sampling, 0, 3, 5, 0, 10).shape == (5, 0)
 
 
 @pytest.mark.parametrize(
@@ -166,4 +175,4 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
 )
 def test_designs_that_cannot_be(sampling: str, entries: int, runs: int, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        points(sampling, 0, max(0, runs - 1), 1, entries, runs)
+        design_points(sampling, 0, max(0, runs - 1), 1, entries, runs)

@@ -13,8 +13,8 @@ import once
 from scenes import scene, table
 from undeadzone.analysis.certificate.design_file import STATED, Design
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.analysis.convergence.floquet import error_matrices, rates
-from undeadzone.analysis.error_dynamics import adaptation
+from undeadzone.analysis.convergence.floquet import error_decay_rates, error_matrices
+from undeadzone.analysis.error_dynamics import adaptation_matrix
 from undeadzone.errors import (
     FileError,
     InputError,
@@ -103,9 +103,12 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
     problem = resolve_scenario(scenario)
     (A, B, C), Ts = problem.model.linear, scenario.simulation.step
     N = round(1 / Ts)
-    z = problem.reference.value(np.arange(N) * Ts)
+    z = problem.reference.output_at(np.arange(N) * Ts)
     sides = np.where(np.abs(z) > 1, np.sign(z), 0.0)
-    L, gamma = problem.observer.params.L / Ts, adaptation(problem.observer.params.gamma / Ts, 1)
+    L, gamma = (
+        problem.observer.params.L / Ts,
+        adaptation_matrix(problem.observer.params.gamma / Ts, 1),
+    )
     F, G = error_matrices((A - np.eye(2)) / Ts, C, L, gamma, sides)
     Phi, G = np.eye(4) + Ts * F, Ts * G
     Z = np.block([[C, np.zeros((1, 2))], [np.zeros((2, 2)), np.eye(2)]])
@@ -135,7 +138,9 @@ def test_gains_are_those_of_a_step_by_step_simulation() -> None:
     assert found.noise == pytest.approx(noise, rel=1e-9)
     assert found.mismatch == pytest.approx(mismatch, rel=1e-6)
     assert found.rate == pytest.approx(
-        rates(problem.model.linear, found.L, found.gamma, make_task(problem, 0.01).schedule).rate,
+        error_decay_rates(
+            problem.model.linear, found.L, found.gamma, make_task(problem, 0.01).schedule
+        ).rate,
         rel=1e-12,
     )
 

@@ -1,1 +1,1 @@
-"""Whether one V never rises, whatever the sensor shows."""
+"""Certificates: a common V that never rises, for every sequence of branches."""

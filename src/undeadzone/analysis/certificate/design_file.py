@@ -1,4 +1,4 @@
-"""A design is a value: gains, their proof, what they are worth; kept in TOML, proved on load.
+"""Designs as values: gains, proof and scores, stored in TOML and proved again on load.
 
 It is also said in words.
 """
@@ -15,8 +15,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.certificate.passivity import certify, recheck, state_margin
-from undeadzone.analysis.error_dynamics import dynamics
+from undeadzone.analysis.certificate.passivity import certify, margin_of_dynamics, recheck_proof
+from undeadzone.analysis.error_dynamics import build_error_dynamics
 from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
@@ -41,7 +41,7 @@ UNITS: Final = {
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Certified gains and what they are worth, see `synthesis.task.Scores`.
+    """Certified gains and their scores, see `synthesis.task.Scores`.
 
     Attributes:
         L: observer gains (n x p) [1/s].
@@ -108,7 +108,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def model(self) -> Matrices:
-        """Return a, B, C as arrays."""
+        """Return A, B, C as arrays."""
         n = len(self.A)
         return Matrices(
             matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n)
@@ -116,12 +116,12 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def L(self) -> Floats:
-        """Return observer gains (n x p) [1/s]."""
+        """Return the observer gains (n x p) [1/s]."""
         return matrix("best.L", self.best.L, len(self.A), len(self.C))
 
     @property
     def gamma(self) -> Floats:
-        """Return adaptation gains (p) [1/s]."""
+        """Return the adaptation gains (p) [1/s]."""
         return vector("best.gamma", self.best.gamma, len(self.C))
 
     def require_proof(self, model: Matrices, Ts: float | None, what: str) -> None:
@@ -141,8 +141,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 f"{what}: the design is for {n} states and {p} outputs, "
                 f"the model has {model.C.shape[1]} and {model.C.shape[0]}"
             )
-        errors = dynamics(model, self.L, self.gamma, Ts)
-        proof = recheck(errors, matrix("P", self.P, n, n), vector("W", self.W, p))
+        errors = build_error_dynamics(model, self.L, self.gamma, Ts)
+        proof = recheck_proof(errors, matrix("P", self.P, n, n), vector("W", self.W, p))
         if not proof.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality "
@@ -151,8 +151,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             )
 
     def blocks(self) -> list[shown.Block]:
-        """Return the gains, their proof and their trade, as a table."""
-        return [in_words(msgspec.to_builtins(self))]
+        """Return the gains, their proof and their trade-off as a table."""
+        return [describe_design(msgspec.to_builtins(self))]
 
     __repr__ = shown.in_text
     _repr_html_ = shown.in_notebook
@@ -161,7 +161,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write it as TOML, every number exactly.
+        """Write the design as TOML, every number exactly.
 
         Args:
             path: of the file.
@@ -176,7 +176,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
-        """Read a design and prove it again: nothing that follows from A, B, C is believed.
+        """Read a design and prove it again: all that follows from A, B, C is recomputed.
 
         The proof, its margin and frequency, and whether `present` is certified, are recomputed.
         What depends on the reference cannot be: `remarks` then names it.
@@ -213,7 +213,8 @@ def _of_today(design: Design, path: str) -> Design:
 
 
 def _recompute_design(design: Design, path: str) -> Design:
-    """Return a design as read, with everything recomputed that its file allows, and the rest named.
+    """Return a design with all results that its file allows to recompute; remarks name the
+    rest.
 
     Raises:
         InputError: for a sample time that is none.
@@ -223,8 +224,8 @@ def _recompute_design(design: Design, path: str) -> Design:
         raise InputError(f"{path}: Ts: expected a sample time above 0 s, found {design.Ts:g}")
     design.require_proof(design.model, design.Ts, path)
     n, p = len(design.A), len(design.C)
-    errors = dynamics(design.model, design.L, design.gamma, design.Ts)
-    margin, frequency = state_margin(errors, vector("W", design.W, p))
+    errors = build_error_dynamics(design.model, design.L, design.gamma, design.Ts)
+    margin, frequency = margin_of_dynamics(errors, vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
             f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}; "
@@ -246,7 +247,7 @@ def _recompute_design(design: Design, path: str) -> Design:
 
 
 def _require_sizes(design: Design, n: int, p: int) -> None:
-    """Raise ShapeError where what a file states is not of n states and p outputs."""
+    """Raise ShapeError if an entry of the file does not fit n states and p outputs."""
     matrix("K", design.K, design.model.B.shape[1], n)
     stated = {"states": (len(design.states), n), "identifiable": (len(design.identifiable), p)}
     for key, (length, expected) in stated.items():
@@ -258,7 +259,7 @@ def _require_sizes(design: Design, n: int, p: int) -> None:
 
 
 class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What one output's readings can tell of its dead zone.
+    """Identifiability of the dead zone of a single output, as stored in a file.
 
     Attributes:
         right, left: whether they determine d_r, d_l.
@@ -279,8 +280,8 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     second: dict[str, Any] | None = None
 
 
-def in_words(design: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the gains of a design, their proof and their trade.
+def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
+    """Describe the gains of a design, their proof and their trade-off.
 
     Args:
         design: the fields of a `Design`, as its file has them.
@@ -289,29 +290,29 @@ def in_words(design: Mapping[str, Any]) -> dict[str, Any]:
     shown: dict[str, Any] = {
         "scenario": design["title"],
         "chosen": f"{design['chosen']}, seed {design['seed']}",
-        "L": plain(best["L"]),
-        "gamma": plain(best["gamma"]),
-        "certified": in_words_of_margin(design["margin"], design["frequency"]),
+        "L": format_gains(best["L"]),
+        "gamma": format_gains(best["gamma"]),
+        "certified": describe_margin(design["margin"], design["frequency"]),
         "rate": f"{best['rate']:.4g} 1/s along the reference",
-        "proof P": [plain(row) for row in design["P"]],
-        "proof W": plain(design["W"]),
-        "trade": _trade(best, design["present"]),
+        "proof P": [format_gains(row) for row in design["P"]],
+        "proof W": format_gains(design["W"]),
+        "trade": _describe_trade_off(best, design["present"]),
     }
     if design["remarks"]:
         shown["remark"] = design["remarks"]
     return shown
 
 
-def in_words_of_margin(margin: float, frequency: float | None) -> str:
-    """Return the margin of a proof, and where it is attained [rad/s]."""
+def describe_margin(margin: float, frequency: float | None) -> str:
+    """Describe the margin of a proof and the frequency where it is attained [rad/s]."""
     where = "for large frequencies"
     if frequency is not None and math.isfinite(frequency):
         where = f"at {frequency:.4g} rad/s"
     return f"yes, margin {margin:.4g} {where}: V never rises, whatever the sides do"
 
 
-def plain(gains: list[Any]) -> str:
-    """Return gains as one would write them in a scenario, to six digits.
+def format_gains(gains: list[Any]) -> str:
+    """Format gains as in a scenario, to six digits.
 
     One column is written as a plain list, one number as itself.
     """
@@ -322,13 +323,13 @@ def plain(gains: list[Any]) -> str:
         elif len(row) == 1 and not isinstance(row[0], list):
             words.append(f"{row[0]:.6g}")
         else:
-            words.append(plain(row))
+            words.append(format_gains(row))
     single = len(words) == 1 and not isinstance(gains[0], list)
     return words[0] if single else f"[{', '.join(words)}]"
 
 
-def _trade(best: Mapping[str, Any], present: Mapping[str, Any] | None) -> list[str]:
-    """What the gains are worth, against the present ones if there are any."""
+def _describe_trade_off(best: Mapping[str, Any], present: Mapping[str, Any] | None) -> list[str]:
+    """Describe the scores of the gains beside the scores of the present gains, if known."""
     lines = []
     for name, unit in UNITS.items():
         words = f"{name} {best[name]:.4g} {unit}"

@@ -1,4 +1,4 @@
-"""Error dynamics that outside signals drive: their inequality, and the search for its proof.
+"""Error dynamics with outside signals: their inequality, and the search for its proof.
 
 The ultimate bound says where the errors end under disturbance, noise and leakage. Proofs are in
 docs/certificate.md.
@@ -12,24 +12,24 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.dissipation import (
-    NOTHING,
-    Check,
+    NO_PROOF,
+    DefinitenessCheck,
     Extra,
     Family,
     Inequality,
     Solution,
-    check,
-    deepest,
-    no_more,
-    optimise,
+    check_inequality,
+    deepest_solution,
+    no_constraints,
+    optimise_storage,
 )
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Scaling,
     Storage,
-    balance,
-    growth,
+    balance_dynamics,
     identity_storage,
+    largest_growth_rate,
 )
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, matrix, vector
@@ -45,7 +45,7 @@ SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)  # of the way inside that a pr
 
 
 class Channel(NamedTuple):
-    """An outside signal w of k entries.
+    """Outside signal w of k entries.
 
     Attributes:
         state: how it enters x~' = ... + state w (n x k).
@@ -56,10 +56,10 @@ class Channel(NamedTuple):
     reading: Floats
 
 
-def channels(
+def build_channels(
     errors: Dynamics, scaling: Scaling, E: Floats | None, noise: Floats | None
 ) -> list[Channel]:
-    """Return disturbance and noise, as far as there are any, in scaled quantities.
+    """Return the channels of disturbance and noise, if present, in scaled quantities.
 
     Args:
         errors: the error dynamics, not scaled.
@@ -80,13 +80,13 @@ def channels(
 
 
 def output_rows(errors: Dynamics, scaling: Scaling, output: Floats | None) -> Floats:
-    """Return the rows of z = output x~ (C by default) for scaled states."""
+    """Return the rows of z = output x~ (C by default) for scaled states (rows x n)."""
     n = errors.L.shape[0]
     z = errors.C if output is None else matrix("output", output, None, n, "one column per state")
     return z * scaling.state
 
 
-def driven_inequality(
+def dissipation_inequality(
     errors: Dynamics,
     weights: Floats,
     mu: Floats,
@@ -94,7 +94,8 @@ def driven_inequality(
     z: Floats,
     decay: float = 0.0,
 ) -> Inequality:
-    """Return V' + 2 decay x~'P x~ + |z x~|^2 - sum of mu |w|^2 over the channels < 0 in (x~, e, w).
+    """Return V' + 2 decay x~'P x~ + |z x~|^2 - sum mu |w|^2 < 0 as an inequality in (x~, e,
+    w).
 
     Args:
         errors: the error dynamics.
@@ -114,15 +115,15 @@ def driven_inequality(
 
 
 def original_storage(errors: Dynamics, scaling: Scaling, solution: Solution) -> Storage:
-    """Return V in original quantities from a solution in scaled ones, q = [weight per group,
-    ...].
-    """
+    """Return V in original quantities from a scaled solution with q = [weight per group, ...]."""
     weights = errors.groups @ solution.q[: errors.groups.shape[1]]
-    return Storage(scaling.storage(solution.P), scaling.weights(weights), errors.gamma)
+    return Storage(
+        scaling.unscale_storage(solution.P), scaling.unscale_weights(weights), errors.gamma
+    )
 
 
 class _Search(NamedTuple):
-    """What is searched: P, q >= 0 of least cost'q under an inequality and a constraint besides.
+    """Search for P, q >= 0 of least cost'q under an inequality and a further constraint.
 
     Attributes:
         family: q -> the inequality, affine in q.
@@ -134,22 +135,23 @@ class _Search(NamedTuple):
     cost: Floats
     confine: Extra
 
-    def least(self, unit: Floats, passes: int) -> Solution | None:
-        """Return P, q of least cost'q as the solver sees it, the multipliers in units that suit
-        them.
+    def minimise_cost(self, unit: Floats, passes: int) -> Solution | None:
+        """Return P, q of least cost'q according to the solver, or None.
+
+        `unit` scales the multipliers.
         """
 
         def bounds(P: Floats, q: Floats) -> list[Floats]:
+            """Return the constraints on P and q besides the inequality."""
             return [q - FLOOR, CEILING - q, *self.confine(P, q * unit)]
 
         cost = self.cost * unit / max(float(self.cost @ unit), 1e-300)
         start = np.ones(unit.size)
-        best = optimise(lambda q: self.family(q * unit), cost, start, bounds, passes=passes)
+        best = optimise_storage(lambda q: self.family(q * unit), cost, start, bounds, passes=passes)
         return None if best is None else Solution(best.P, best.q * unit)
 
-    def inside(self, best: Solution, excess: float) -> Solution | None:
-        """Return P, q that check and cost little more than the best; None if that is not inside
-        enough.
+    def move_inside(self, best: Solution, excess: float) -> Solution | None:
+        """Return P, q that pass the check and cost little more than the best, or None.
 
         excess: what the deepest point may cost more, relatively.
         """
@@ -157,21 +159,22 @@ class _Search(NamedTuple):
         limit = (1 + excess) * float(self.cost @ unit)
 
         def bounds(P: Floats, q: Floats) -> list[Floats]:
+            """Return the constraints on P and q, with the limit on the cost."""
             left = np.array([1 - self.cost @ (q * unit) / limit])
             return [q - FLOOR, CEILING - q, *self.confine(P, q * unit), left]
 
-        inside = deepest(lambda q: self.family(q * unit), np.ones(unit.size), bounds)
+        inside = deepest_solution(lambda q: self.family(q * unit), np.ones(unit.size), bounds)
         if inside is None:
             return None
         for share in SHARES:
             P = share * inside.P + (1 - share) * best.P
             q = share * inside.q * unit + (1 - share) * best.q
-            if (q > 0).all() and check(self.family(q), P).proved:
+            if (q > 0).all() and check_inequality(self.family(q), P).proved:
                 return Solution(P, q)
         return None
 
-    def cheaper(self, best: Solution, solution: Solution, low: float, high: float) -> Solution:
-        """Return a solution that checks and costs next to no more than need be, by bisection.
+    def reduce_cost(self, best: Solution, solution: Solution, low: float, high: float) -> Solution:
+        """Return a solution that passes the check at nearly the least cost, by bisection.
 
         Where the inequality is hardly feasible the solver's least cost lies below the true one.
 
@@ -182,7 +185,7 @@ class _Search(NamedTuple):
         """
         while high > (1 + EXCESSES[0]) * low:
             middle = float(np.sqrt(low * high))
-            found = self.inside(best, middle - 1)
+            found = self.move_inside(best, middle - 1)
             if found is None:
                 low = middle
             else:
@@ -190,9 +193,11 @@ class _Search(NamedTuple):
         return solution
 
 
-def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | None:
-    """Return P, q >= 0 of least cost'q, drawn so little towards the deep inside that the LMI
-    checks.
+def prove_inequality(
+    family: Family, cost: Floats, confine: Extra = no_constraints
+) -> Solution | None:
+    """Return P, q >= 0 of least cost'q, moved inside just enough that the LMI passes the
+    check.
 
     Args:
         family: q -> the inequality, affine in q.
@@ -204,7 +209,7 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
     """
     search, unit = _Search(family, cost, confine), np.ones(cost.size)
     for _ in range(ROUNDS):
-        rough = search.least(unit, passes=1)
+        rough = search.minimise_cost(unit, passes=1)
         if rough is None:
             unit = unit * LARGER
             continue
@@ -212,20 +217,20 @@ def prove(family: Family, cost: Floats, confine: Extra = no_more) -> Solution | 
         unit = np.clip(rough.q, LOWEST, HIGHEST)
         if change.min() > 1 / NEAR and change.max() < NEAR:
             break
-    best = search.least(unit, passes=2)
+    best = search.minimise_cost(unit, passes=2)
     if best is None:
         return None
     failed = 0.0
     for excess in EXCESSES:
-        solution = search.inside(best, excess)
+        solution = search.move_inside(best, excess)
         if solution is not None:
-            return search.cheaper(best, solution, 1 + failed, 1 + excess)
+            return search.reduce_cost(best, solution, 1 + failed, 1 + excess)
         failed = excess
     return None
 
 
 class Ultimate(NamedTuple):
-    """|z| <= bound as t -> inf; inf where nothing is proved.
+    """Ultimate bound: |z| <= bound as t -> inf; inf if nothing is proved.
 
     Attributes:
         bound: of |z|.
@@ -239,7 +244,7 @@ class Ultimate(NamedTuple):
     level: float
     rate: float
     V: Storage
-    check: Check
+    check: DefinitenessCheck
 
 
 def ultimate_bound(
@@ -250,7 +255,7 @@ def ultimate_bound(
     sigma: float = 0.0,
     output: Floats | None = None,
 ) -> Ultimate:
-    """Where |z|, z = output x~, ends for |w| <= 1, |v| <= 1.
+    """Return the bound that |z|, z = output x~, approaches for |w| <= 1, |v| <= 1.
 
     Args:
         errors: the error dynamics; Gamma diagonal if there is leakage.
@@ -268,16 +273,16 @@ def ultimate_bound(
     p = errors.L.shape[1]
     gamma = errors.gamma
     widths = vector("widths", widths, 2 * p, "[right, left] of each output")
-    nothing = Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), NOTHING)
+    nothing = Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), NO_PROOF)
     if not 0 <= sigma < np.inf:
         raise InputError(f"sigma: expected a number that is not negative, found {sigma:g}")
-    if max(growth(A, errors.Ts) for A in errors.A) >= 0:
+    if max(largest_growth_rate(A, errors.Ts) for A in errors.A) >= 0:
         return nothing
     if sigma > 0:
-        errors = leaking(errors, sigma)
-    scaling = balance(errors)
-    scaled = scaling.dynamics(errors)
-    signals = channels(errors, scaling, E, noise)
+        errors = add_leakage(errors, sigma)
+    scaling = balance_dynamics(errors)
+    scaled = scaling.scale_dynamics(errors)
+    signals = build_channels(errors, scaling, E, noise)
     z = output_rows(errors, scaling, output)
     scaled_widths = widths / np.repeat(scaling.output, 2)
     # The most that d~'R d~ can be, per unit weight of each group.
@@ -286,25 +291,26 @@ def ultimate_bound(
     held = most.sum(axis=1).reshape(p, 2).sum(axis=1) @ errors.groups
     # The rate at which leakage feeds V, per unit weight of each group.
     fed = sigma * np.square(scaled_widths).reshape(p, 2).sum(axis=1) @ errors.groups
-    fastest = _fastest(scaled)
+    fastest = _fastest_rate(scaled)
     if sigma > 0:
         fastest = min(fastest, scaling.time * sigma * float(np.diag(gamma).min()) / 2)
 
     def at(rate: float) -> _Level:
+        """Return the least level of V at a rate."""
         of_widths = fed / (2 * rate) if sigma > 0 else held
-        return _level(scaled, signals, z, of_widths, rate)
+        return _least_level(scaled, signals, z, of_widths, rate)
 
-    rate = _best(lambda rate: at(rate).bound, fastest)
+    rate = _best_rate(lambda rate: at(rate).bound, fastest)
     best = at(rate)
     if best.solution is None:
         return nothing
     V = original_storage(errors, scaling, best.solution)._replace(gamma=gamma)
-    proof = check(best.family(best.solution.q), best.solution.P)
+    proof = check_inequality(best.family(best.solution.q), best.solution.P)
     return Ultimate(best.bound, best.level * scaling.time, rate / scaling.time, V, proof)
 
 
 class _Level(NamedTuple):
-    """The least level of V at one rate, and the bound on |z| that it gives; in scaled quantities.
+    """Least level of V at a given rate and the resulting bound on |z|, in scaled quantities.
 
     Attributes:
         solution: P, q = [weight per group, multiplier per channel]; None if there is none.
@@ -319,7 +325,7 @@ class _Level(NamedTuple):
     bound: float
 
 
-def _level(
+def _least_level(
     scaled: Dynamics, signals: list[Channel], z: Floats, of_widths: Floats, rate: float
 ) -> _Level:
     """Return the least level of V that is approached at this rate.
@@ -330,13 +336,15 @@ def _level(
     nothing = np.zeros((0, z.shape[1]))
 
     def family(q: Floats) -> Inequality:
-        return driven_inequality(scaled, q[:groups], q[groups:], signals, nothing, rate)
+        """Return the inequality for multipliers q."""
+        return dissipation_inequality(scaled, q[:groups], q[groups:], signals, nothing, rate)
 
     def confine(P: Floats, q: Floats) -> list[Floats]:
+        """Return the constraint that bounds |z| by V."""
         return [np.block([[P, z.T], [z, np.eye(len(z))]])]
 
     cost = np.r_[of_widths, np.full(len(signals), 1 / (2 * rate))]
-    solution = prove(family, cost, confine)
+    solution = prove_inequality(family, cost, confine)
     if solution is None:
         return _Level(None, family, np.inf, np.inf)
     level = float(cost @ solution.q)
@@ -344,14 +352,14 @@ def _level(
     return _Level(solution, family, level, float(np.sqrt(level * spread)))
 
 
-def _fastest(errors: Dynamics) -> float:
-    """Return the rate [1/s] that no V with these vertices can exceed."""
-    fastest = min(-growth(A, errors.Ts) for A in errors.A)
+def _fastest_rate(errors: Dynamics) -> float:
+    """Return the rate that no V with these vertices can exceed [1/s]."""
+    fastest = min(-largest_growth_rate(A, errors.Ts) for A in errors.A)
     return fastest if errors.Ts is None else min(fastest, 0.5 / errors.Ts)
 
 
-def leaking(errors: Dynamics, sigma: float) -> Dynamics:
-    """Return error dynamics as the LMI sees leakage: sampled, Gamma grows to Gamma / (1 - Ts sigma
+def add_leakage(errors: Dynamics, sigma: float) -> Dynamics:
+    """Return the error dynamics with leakage: sampled, Gamma becomes Gamma / (1 - Ts sigma
     Gamma).
 
     Raises:
@@ -368,7 +376,7 @@ def leaking(errors: Dynamics, sigma: float) -> Dynamics:
     return errors._replace(gamma=np.diag(gamma / (1 - errors.Ts * sigma * gamma)))
 
 
-def _best(cost: Callable[[float], float], limit: float) -> float:
+def _best_rate(cost: Callable[[float], float], limit: float) -> float:
     """Return the rate in (0, limit] of least cost: the best of a geometric grid, refined."""
     from scipy.optimize import minimize_scalar
 

@@ -1,4 +1,4 @@
-"""The edge of what can be certified: the certified gains nearest to others, the fastest decay.
+"""Limits of certification: the certified gains nearest to given gains, and the fastest decay.
 
 The decay is that of x~'P x~ with one P, over all certified gains.
 """
@@ -10,9 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
-from undeadzone.analysis.certificate.weights import response, worst
+from undeadzone.analysis.certificate.weights import (
+    frequency_response,
+    least_eigenvalue_over_frequencies,
+)
 from undeadzone.analysis.dissipation import LEAST
-from undeadzone.analysis.error_dynamics import Dynamics, balance, dynamics
+from undeadzone.analysis.error_dynamics import Dynamics, balance_dynamics, build_error_dynamics
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.riccati import storage_of
@@ -23,8 +26,8 @@ CUTS = 200  # rounds of cutting planes, at most
 SHARES = (1.0, 0.99, 0.9, 0.5, 0.1, 0.0)  # of the nearest L, until one is proved
 
 
-class Nearest(NamedTuple):
-    """The nearest gains' certificate, and how far they are.
+class NearestGains(NamedTuple):
+    """Certificate of the nearest gains, with their distance.
 
     Attributes:
         certificate: its dynamics hold L and gamma.
@@ -36,10 +39,11 @@ class Nearest(NamedTuple):
     distance: float
 
 
-def nearest(
+def nearest_certified_gains(
     linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01
-) -> Nearest:
-    """Return the gains nearest to L whose margin is `least` or more; L itself if it has that.
+) -> NearestGains:
+    """Return the gains nearest to L with margin `least` or more; L itself if its margin
+    suffices.
 
     With the weights W that suit L best, the admissible gains are an intersection of half-spaces,
     one per frequency and direction, so that the nearest is unique; it is found by adding the exact
@@ -57,7 +61,7 @@ def nearest(
         StructureError: for a model that no gain can certify.
         InputError, ShapeError: for gains of the wrong kind.
     """
-    errors = dynamics(linear, L, gamma, Ts)
+    errors = build_error_dynamics(linear, L, gamma, Ts)
     if errors.Ts is not None:
         largest = errors.Ts * np.linalg.eigvalsh(errors.gamma)[-1]
         errors = errors._replace(gamma=errors.gamma / max(1.0, largest))
@@ -65,22 +69,23 @@ def nearest(
     if certificate.margin == -np.inf:
         raise StructureError(f"observer.L: no gains can be certified: {certificate.reason}")
     if certificate.certified and certificate.margin >= least:
-        return Nearest(certificate, 0.0)
+        return NearestGains(certificate, 0.0)
     W = certificate.W
-    projected = _project(errors, W, least)
+    projected = _project_gain(errors, W, least)
     for share in SHARES:
         L = share * projected
         certificate = certify_dynamics(errors._replace(L=L), W)
         if certificate.certified and certificate.margin >= least:
             break
-    shape = _metric(errors, W)
+    shape = _energy_metric(errors, W)
     change = float(np.linalg.norm(shape.T @ ((errors.L - L) / np.sqrt(W))))
     size = float(np.linalg.norm(shape.T @ (errors.L / np.sqrt(W))))
-    return Nearest(certificate, change / size)
+    return NearestGains(certificate, change / size)
 
 
 def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e-4) -> float:
-    """Return the largest rate [1/s] at which one x~'P x~ can fall while an output is active.
+    """Return the largest rate at which a common x~'P x~ can fall while an output is active
+    [1/s].
 
     The largest over every certified L (and P, W): bisection on the LMI M(P, Y, W) <= 0,
     (A - LC)'P + P(A - LC) <= -2 rate P with Y = PL (sampled: e^(-2 rate Ts) P). It is a limit of
@@ -95,30 +100,31 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
         The rate; inf where there is no limit.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    errors = dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
-    scaling = balance(errors)
-    scaled = scaling.dynamics(errors)
+    errors = build_error_dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
+    scaling = balance_dynamics(errors)
+    scaled = scaling.scale_dynamics(errors)
     size = float(np.linalg.norm(scaled.A[0], 2))
     low, high = 0.0, size
-    while _decays(scaled, high):
+    while _has_decay_proof(scaled, high):
         low, high = high, 2 * high
         if high > 1e4 * size:
             return np.inf
     while high - low > tolerance * high:
         middle = (low + high) / 2
-        if _decays(scaled, middle):
+        if _has_decay_proof(scaled, middle):
             low = middle
         else:
             high = middle
     return low / scaling.time
 
 
-def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
-    """Return L nearest to that of `errors` of margin `least` under W: least-distance cutting
-    planes.
+def _project_gain(errors: Dynamics, W: Floats, least: float) -> Floats:
+    """Return L nearest to that of `errors` with margin `least` under W (n x p) [1/s].
+
+    Found by least-distance cutting planes.
     """
     root = np.sqrt(W)
-    inward = np.linalg.inv(_metric(errors, W)).T
+    inward = np.linalg.inv(_energy_metric(errors, W)).T
     # In units where W = 1.
     errors = errors._replace(C=errors.C * root[:, None], L=errors.L / root)
     L = errors.L
@@ -128,7 +134,9 @@ def _project(errors: Dynamics, W: Floats, least: float) -> Floats:
         done = True
         for step, frequencies in zip(errors.steps, seen, strict=True):
             D = np.eye(root.size) - step / 2
-            lowest = worst(response(errors.A[0], errors.C, L, D, errors.Ts))
+            lowest = least_eigenvalue_over_frequencies(
+                frequency_response(errors.A[0], errors.C, L, D, errors.Ts)
+            )
             done &= lowest.value >= least
             frequencies.add(lowest.w)
             for slope, level in _half_spaces(errors, L, D, least, np.array([*frequencies])):
@@ -150,11 +158,11 @@ def _half_spaces(
     The sum of slope times move is `level` or more for admissible gains errors.L + move.
     """
     (A,), C, target, _, Ts = errors
-    G = response(A, C, L, D, Ts)
+    G = frequency_response(A, C, L, D, Ts)
     half_spaces = []
-    eigen = np.linalg.eigh(G.at(frequencies))
+    eigen = np.linalg.eigh(G.hermitian_part(frequencies))
     for w, values, directions in zip(frequencies, *eigen, strict=True):
-        rows = C @ _resolvent(A, w, Ts)
+        rows = C @ _resolvent_at(A, w, Ts)
         for v in directions.T[values < least]:
             slope = np.real((v.conj() @ rows)[:, None] * v)
             own = np.real(v.conj() @ D @ v)
@@ -162,7 +170,7 @@ def _half_spaces(
     return half_spaces
 
 
-def _metric(errors: Dynamics, W: Floats) -> Floats:
+def _energy_metric(errors: Dynamics, W: Floats) -> Floats:
     """Return M (n x n) such that |M'L|_F is the energy norm of C (s - A)^-1 L weighted by W.
 
     M M' is the observability Gramian. Directions that are hardly observable are given a least
@@ -175,9 +183,10 @@ def _metric(errors: Dynamics, W: Floats) -> Floats:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 1e-14 * values[-1])))
 
 
-def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
-    """Return (s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w; its limit at w =
-    inf.
+def _resolvent_at(A: Floats, w: float, Ts: float | None) -> np.ndarray:
+    """Return (s - A)^-1 at s = jw, sampled at (z - 1)/Ts of Tustin's frequency w (n x n).
+
+    At w = inf the limit is returned.
     """
     if Ts is None and np.isinf(w):
         return np.zeros(A.shape, complex)
@@ -191,7 +200,7 @@ def _resolvent(A: Floats, w: float, Ts: float | None) -> np.ndarray:
 
 
 def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
-    """Return (the shortest x with G x >= h, which rows hold it): Lawson and Hanson 1974, chapter
+    """Return (the shortest x with G x >= h, active rows), by Lawson and Hanson 1974, chapter
     23.
     """
     from scipy.optimize import nnls
@@ -206,8 +215,8 @@ def _least_distance(G: Floats, h: Floats) -> tuple[Floats, np.ndarray]:
     return -r[:-1] / r[-1] * scale, u > 0
 
 
-def _decays(errors: Dynamics, rate: float) -> bool:
-    """Return whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at this rate
+def _has_decay_proof(errors: Dynamics, rate: float) -> bool:
+    """Return whether some P, Y = PL, W satisfy both inequalities of `decay_limit` at a rate
     [1/s].
     """
     n, p = errors.L.shape
@@ -216,6 +225,7 @@ def _decays(errors: Dynamics, rate: float) -> bool:
 
     def blocks(x: Floats) -> list[Floats]:
         # x holds P, Y, the weights but the last (their sum is p), and how deep they lie inside.
+        """Return the matrices that must be positive semidefinite."""
         of_P, of_Y, of_W = np.split(x[:-1], ends)
         P, Y = symmetric_matrix(of_P, n), of_Y.reshape(n, p)
         W = np.append(of_W, p - of_W.sum())
@@ -236,7 +246,7 @@ def _decays(errors: Dynamics, rate: float) -> bool:
 def _decay_inequalities(
     errors: Dynamics, rate: float, P: Floats, Y: Floats, W: Floats
 ) -> tuple[Floats, Floats]:
-    """Return (M of the certificate, N of the decay while active) of `decay_limit`; both must be <=
+    """Return (M of the certificate, N of the active decay) of `decay_limit`; both must be <=
     0.
     """
     (A,), C, _, _, Ts = errors

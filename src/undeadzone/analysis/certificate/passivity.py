@@ -1,4 +1,4 @@
-"""The certificate that replaces Theorem 4.1: one quadratic V for every switching sequence.
+"""Certificate that replaces Theorem 4.1: a common quadratic V for every switching sequence.
 
 Proofs are in docs/certificate.md. V = x~'P x~ + d~'R d~ with R = W Gamma^-1 (W once per edge).
 Continuous: [[A'P + PA, C'W - PL], [., -2W]] < 0.
@@ -14,25 +14,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.certificate.weights import Weights, best_weights, margin
-from undeadzone.analysis.dissipation import NOTHING, Check, check, storage
+from undeadzone.analysis.certificate.weights import OutputWeights, best_weights, margin_of_weights
+from undeadzone.analysis.dissipation import (
+    NO_PROOF,
+    DefinitenessCheck,
+    check_inequality,
+    find_storage,
+)
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     Storage,
-    balance,
-    dynamics,
-    growth,
+    balance_dynamics,
+    build_error_dynamics,
     identity_storage,
+    largest_growth_rate,
 )
 from undeadzone.errors import StructureError
-from undeadzone.linalg.matrices import Matrices, delta, similar
+from undeadzone.linalg.matrices import Matrices, change_state_units, delta_form
 from undeadzone.linalg.riccati import storage_of
 from undeadzone.plants.system import state_units
 from undeadzone.util.arrays import Floats
 
 
 class Certificate(NamedTuple):
-    """Whether gains are certified, the storage V that proves it, and how it checked.
+    """Result of a certification: the storage V that proves the gains, with its check.
 
     Attributes:
         certified: whether it is proved.
@@ -52,25 +57,25 @@ class Certificate(NamedTuple):
     frequency: float | None
     V: Storage
     dynamics: Dynamics
-    check: Check
+    check: DefinitenessCheck
 
     @property
     def P(self) -> Floats:
-        """Return P (n x n) of V."""
+        """Return P of V (n x n)."""
         return self.V.P
 
     @property
     def W(self) -> Floats:
-        """Return the weights (p) of V."""
+        """Return the weights of V (p)."""
         return self.V.W
 
-    def recheck(self) -> Check:
-        """Prove it again from P, W and the dynamics, by eigenvalues alone."""
-        return recheck(self.dynamics, self.P, self.W)
+    def recheck(self) -> DefinitenessCheck:
+        """Prove the certificate again from P, W and the dynamics, by eigenvalues alone."""
+        return recheck_proof(self.dynamics, self.P, self.W)
 
 
 def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None) -> Certificate:
-    """Return whether gains are certified: one V falls whatever the sensor shows.
+    """Certify gains: a common V falls for every sequence of branches.
 
     Args:
         linear: the model's A, B, C (n states, p outputs), of one step if sampled.
@@ -85,38 +90,38 @@ def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None)
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
     """
-    return certify_dynamics(dynamics(linear, L, gamma, Ts))
+    return certify_dynamics(build_error_dynamics(linear, L, gamma, Ts))
 
 
 def certify_dynamics(errors: Dynamics, W: Floats | None = None) -> Certificate:
-    """Return `certify` for error dynamics: one P for all vertices of A and what lies between.
+    """Certify error dynamics: a common P for all vertices of A and their convex hull.
 
     Args:
         errors: the error dynamics.
         W: weights (p) to be used instead of the best, for dynamics with one A.
     """
     V = identity_storage(errors)
-    if reason := unstable(errors):
-        proof = recheck(errors, V.P, V.W)
+    if reason := instability_reason(errors):
+        proof = recheck_proof(errors, V.P, V.W)
         return Certificate(False, reason, -np.inf, None, V, errors, proof)
-    scaling = balance(errors)
-    scaled = scaling.dynamics(errors)
+    scaling = balance_dynamics(errors)
+    scaled = scaling.scale_dynamics(errors)
     if W is None:
         weights = best_weights(scaled)
     else:
         W = W * scaling.output**2
-        weights = Weights(W, *margin(scaled, W))
-    P_scaled = storage(scaled.inequality(weights.W))
+        weights = OutputWeights(W, *margin_of_weights(scaled, W))
+    P_scaled = find_storage(scaled.inequality(weights.W))
     if P_scaled is not None:
-        V = V._replace(P=scaling.storage(P_scaled), W=scaling.weights(weights.W))
-    proof = recheck(errors, V.P, V.W)
+        V = V._replace(P=scaling.unscale_storage(P_scaled), W=scaling.unscale_weights(weights.W))
+    proof = recheck_proof(errors, V.P, V.W)
     w = None if weights.frequency is None else weights.frequency / scaling.time
-    reason = "" if proof.proved else _reason(errors, weights.margin, w)
+    reason = "" if proof.proved else _reason_without_proof(errors, weights.margin, w)
     return Certificate(proof.proved, reason, weights.margin, w, V, errors, proof)
 
 
-def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
-    """Return whether P and W prove the dynamics, by eigenvalues alone; for proofs found elsewhere.
+def recheck_proof(errors: Dynamics, P: Floats, W: Floats) -> DefinitenessCheck:
+    """Check by eigenvalues alone that P and W prove the dynamics; for proofs found elsewhere.
 
     Args:
         errors: the error dynamics.
@@ -125,21 +130,22 @@ def recheck(errors: Dynamics, P: Floats, W: Floats) -> Check:
     """
     p = errors.C.shape[0]
     if W.shape != (p,) or not np.isfinite(W).all():
-        return NOTHING
-    proof = check(errors.inequality(W), P)
+        return NO_PROOF
+    proof = check_inequality(errors.inequality(W), P)
     one_weight = all(np.ptp(W[group > 0]) == 0 for group in errors.groups.T)
     return proof._replace(proved=bool(proof.proved and one_weight and (W > 0).all()))
 
 
-def state_margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """Return `margin` of dynamics that are not balanced yet, as `certify_dynamics` says it.
+def margin_of_dynamics(errors: Dynamics, W: Floats) -> tuple[float, float]:
+    """Return (margin, frequency [rad/s]) of unbalanced dynamics, as `certify_dynamics`
+    reports.
 
     Args:
         errors: error dynamics with one stable A.
         W: weights of the outputs (p).
     """
-    scaling = balance(errors)
-    least, frequency = margin(scaling.dynamics(errors), W * scaling.output**2)
+    scaling = balance_dynamics(errors)
+    least, frequency = margin_of_weights(scaling.scale_dynamics(errors), W * scaling.output**2)
     return least, frequency / scaling.time
 
 
@@ -156,8 +162,8 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     Raises:
         StructureError: if the model is not stable.
     """
-    A, _, C = delta(linear, Ts)
-    if growth(A, Ts) >= 0:
+    A, _, C = delta_form(linear, Ts)
+    if largest_growth_rate(A, Ts) >= 0:
         raise StructureError(
             "observer.L: missing; there is a default only for a stable model, give L"
         )
@@ -171,8 +177,11 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
 
 
-def _reason(errors: Dynamics, least: float, w: float | None) -> str:
-    """Why stable dynamics are not certified; least: their margin, w [rad/s]: where it is."""
+def _reason_without_proof(errors: Dynamics, least: float, w: float | None) -> str:
+    """Describe why stable dynamics are not certified.
+
+    `least` is their margin, `w` its frequency [rad/s].
+    """
     if least > 0:
         return (
             f"positive real with margin {least:.3g}, but the proof is lost in rounding: "
@@ -184,11 +193,13 @@ def _reason(errors: Dynamics, least: float, w: float | None) -> str:
     return f"{what} is not positive real: its least real part is {least:.4g} at {w:.4g} rad/s"
 
 
-def unstable(errors: Dynamics) -> str:
-    """Why no V can exist whatever the gains, or an empty string."""
-    fastest, k = max((growth(A, errors.Ts), k) for k, A in enumerate(errors.A))
+def instability_reason(errors: Dynamics) -> str:
+    """Describe why no V can exist whatever the gains, or return an empty string."""
+    fastest, k = max((largest_growth_rate(A, errors.Ts), k) for k, A in enumerate(errors.A))
     seen = Matrices(errors.A[k], errors.L, errors.C)
-    A = similar(seen.A, state_units(seen))  # what is small must not depend on the unit of time
+    A = change_state_units(
+        seen.A, state_units(seen)
+    )  # what is small must not depend on the unit of time
     size = float(np.linalg.norm(A, 2))
     where = "" if len(errors.A) == 1 else f" (vertex {k})"
     if fastest > 1e-9 * size:
@@ -198,7 +209,7 @@ def unstable(errors: Dynamics) -> str:
         )
     if fastest < -1e-12 * size:
         return ""
-    if defective(A, errors.Ts):
+    if is_defective(A, errors.Ts):
         return (
             f"the model has a chain of integrators or a repeated undamped mode{where}: "
             "while the sensor is silent the error grows, so no common V exists"
@@ -213,7 +224,7 @@ def unstable(errors: Dynamics) -> str:
     )
 
 
-def defective(A: Floats, Ts: float | None) -> bool:
+def is_defective(A: Floats, Ts: float | None) -> bool:
     """Return whether an eigenvalue on the stability boundary has too few eigenvectors.
 
     Args:

@@ -1,4 +1,4 @@
-"""The certificate of a nonlinear model on a box of states and inputs: one V for all its Jacobians.
+"""Certificate of a nonlinear model on a box of states and inputs: a common V for all Jacobians.
 
 Proofs are in docs/certificate.md. By the mean value theorem the error obeys x~' = A(t) x~ - L e,
 A(t) in the convex hull of df/dx over the box, as long as x, x^ and u stay in it. V is sought at
@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.analysis.certificate.passivity import Certificate, certify_dynamics
-from undeadzone.analysis.error_dynamics import Dynamics, adaptation
+from undeadzone.analysis.error_dynamics import Dynamics, adaptation_matrix
 from undeadzone.compile.interval import Interval, build_enclosure
 from undeadzone.errors import InputError, StructureError
 from undeadzone.numerics.semidefinite import minimise_semidefinite, symmetric_matrix
@@ -43,7 +43,7 @@ Bounds = Callable[[Box], Interval]
 def certify_on(
     model: System, L: Floats, gamma: Floats, box: Box, parts: int = PARTS
 ) -> Certificate:
-    """Return whether gains are certified while x, x^ and u stay in a box; of a sampled model too.
+    """Certify gains while x, x^ and u stay in a box, for continuous and sampled models.
 
     Args:
         model: the model (n states, m inputs, p outputs).
@@ -59,11 +59,13 @@ def certify_on(
     Raises:
         InputError: for a model that is not smooth on the box.
     """
-    return _certify_model(model, L, gamma, box, slopes_on(model, box), parts)
+    return _certify_model(model, L, gamma, box, jacobian_on_box(model, box), parts)
 
 
 def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
-    """Return certified gains for a box: L = P^-1 C' with A'P + PA <= -2 w I for every Jacobian A.
+    """Return certified gains for a box:
+
+    L = P^-1 C' with A'P + PA <= -2 w I for every Jacobian A.
 
     w is the largest of their sizes. For a linear model `passivity.passive_gain`.
 
@@ -81,7 +83,7 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
             "design_on: takes a model in continuous time; "
             "`certify_on` then judges its gains in sampled time"
         )
-    slopes = slopes_on(model, box)
+    slopes = jacobian_on_box(model, box)
     no_gain = _certify_model(model, np.zeros((model.n, model.p)), gamma, box, slopes, PARTS)
     if not no_gain.certified:
         raise StructureError(f"no gains can be certified on the region: {no_gain.reason}")
@@ -95,13 +97,12 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
 
 
 def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
-    """Return P (n x n) of least trace with A'P + PA <= -2 w I at every vertex; None if none is
-    found.
-    """
+    """Return P (n x n) of least trace with A'P + PA <= -2 w I at every vertex, or None."""
     n = len(vertices[0])
     q = 2 * max(float(np.linalg.norm(A, 2)) for A in vertices)
 
     def blocks(x: Floats) -> list[Floats]:
+        """Return the matrices that must be positive semidefinite."""
         P = symmetric_matrix(x, n)
         return [P, *(-A.T @ P - P @ A - q * np.eye(n) for A in vertices)]
 
@@ -111,17 +112,19 @@ def _common_storage(vertices: tuple[Floats, ...]) -> Floats | None:
 
 
 def _certify_model(
-    model: System, L: Floats, gamma: Floats, box: Box, slopes: Slopes, parts: int
+    model: System, L: Floats, gamma: Floats, box: Box, slopes: ModelJacobian, parts: int
 ) -> Certificate:
-    """Return `certify_on` with the model's Jacobian: vertices are added until V misses none."""
-    points = _start(box)
+    """Return `certify_on` for the model's Jacobian: vertices are added until V covers all
+    points.
+    """
+    points = _start_points(box)
     for _ in range(ROUNDS):
-        points = points[_different(slopes.at(points))]
+        points = points[_first_of_equal_matrices(slopes.at(points))]
         vertices = tuple(slopes.at(points))
-        errors = Dynamics(vertices, model.linear.C, L, adaptation(gamma, model.p), model.Ts)
+        errors = Dynamics(vertices, model.linear.C, L, adaptation_matrix(gamma, model.p), model.Ts)
         certificate = certify_dynamics(errors)
         if not certificate.certified:
-            return certificate._replace(reason=_why(certificate, points, model.n))
+            return certificate._replace(reason=_failure_reason(certificate, points, model.n))
         beyond = find_missed_points(certificate, slopes, box, parts)
         if not beyond.size:
             return certificate
@@ -135,8 +138,8 @@ def _certify_model(
     return certificate._replace(certified=False, reason=reason)
 
 
-def _start(box: Box) -> Floats:
-    """Return the centre of a box, then corners of it, drawn if there are many."""
+def _start_points(box: Box) -> Floats:
+    """Return the centre of a box, then its corners, drawn at random if many (K x (n + m))."""
     size = box.low.size
     if 2**size <= CORNERS:
         corners = np.array(list(itertools.product((0.0, 1.0), repeat=size)))
@@ -145,16 +148,16 @@ def _start(box: Box) -> Floats:
     return np.vstack([(box.low + box.high) / 2, box.low + corners * (box.high - box.low)])
 
 
-def _different(A: Floats) -> Floats:
-    """Return the first of each set of equal matrices, as their numbers."""
+def _first_of_equal_matrices(A: Floats) -> Floats:
+    """Return the index of the first of each set of equal matrices, ascending."""
     scale = max(float(np.abs(A).max()), 1e-300)
     rounded = np.round(A / scale, 12).reshape(len(A), -1)
     _, first = np.unique(rounded, axis=0, return_index=True)
     return np.sort(first)
 
 
-def _why(certificate: Certificate, points: Floats, n: int) -> str:
-    """Return the reason, with the point of the box that has it if one alone does.
+def _failure_reason(certificate: Certificate, points: Floats, n: int) -> str:
+    """Describe the failure, with the point of the box that causes it, if a single point does.
 
     The centre, which comes first, is named before the worst.
     """
@@ -173,22 +176,22 @@ def _why(certificate: Certificate, points: Floats, n: int) -> str:
         k = min(failing, key=lambda k: own[k].margin)
     singular = np.linalg.svd(errors.A[k], compute_uv=False)
     cure = CURE if singular[-1] < 1e-9 * singular[0] else ""
-    return f"at {_point(points[k], n)} {own[k].reason}{cure}"
+    return f"at {_format_point(points[k], n)} {own[k].reason}{cure}"
 
 
-def _point(point: Floats, n: int) -> str:
-    """Return a point [x, u] in words."""
-    x, u = _numbers(point[:n]), _numbers(point[n:])
+def _format_point(point: Floats, n: int) -> str:
+    """Format a point [x, u] as text."""
+    x, u = _format_four_digits(point[:n]), _format_four_digits(point[n:])
     return f"x = [{x}], u = [{u}]"
 
 
-def _numbers(values: Floats) -> str:
-    """Return numbers in four digits, without the sign of a zero."""
+def _format_four_digits(values: Floats) -> str:
+    """Format numbers with four digits, without the sign of a zero."""
     return ", ".join(f"{value:.4g}" for value in values + 0.0)
 
 
-class Form(NamedTuple):
-    """-M of the certificate as a function of the K entries c of A that vary.
+class InequalityForm(NamedTuple):
+    """Matrix -M of the certificate as a function of the K varying entries c of A.
 
     -M = identity - sum (c - mean)_k slope_k, in coordinates (N of them) that make it so.
 
@@ -206,14 +209,14 @@ class Form(NamedTuple):
     size: Floats
     rounding: tuple[float, Floats]
 
-    def depth(self, c: Floats) -> Floats:
-        """Return the least eigenvalue of -M, less rounding, for every c (rows x K); -inf if
+    def certificate_depth(self, c: Floats) -> Floats:
+        """Return the least eigenvalue of -M minus rounding for every c (rows); -inf if
         unbounded.
         """
         return self.depth_within(c, np.zeros_like(c), np.zeros((len(c), 0, self.mean.size)))
 
     def depth_within(self, c: Floats, loose: Floats, turns: Floats) -> Floats:
-        """Return `depth`, but the least over all entries within +-loose and turns of c.
+        """Return the least `certificate_depth` within +-loose and turns of c (rows).
 
         Args:
             c: the middle (rows x K).
@@ -223,7 +226,7 @@ class Form(NamedTuple):
         c = c - self.mean
         total = np.abs(c) + loose + np.abs(turns).sum(axis=1)  # magnitude of each entry at most
         bounded = np.isfinite(total).all(axis=1)
-        together = absolute(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
+        together = absolute_matrix(np.tensordot(turns[bounded], self.slope, 1)).sum(axis=1)
         M = self.identity - np.tensordot(c[bounded], self.slope, 1)
         M = M - np.tensordot(loose[bounded], self.size, 1) - together
         of_identity, of_slopes = self.rounding
@@ -232,13 +235,15 @@ class Form(NamedTuple):
         return least
 
 
-def absolute(M: Floats) -> Floats:
+def absolute_matrix(M: Floats) -> Floats:
     """Return (M^2)^(1/2) of symmetric matrices, no less than +-M."""
     values, vectors = np.linalg.eigh((M + M.swapaxes(-1, -2)) / 2)
     return (vectors * np.abs(values)[..., None, :]) @ vectors.swapaxes(-1, -2)
 
 
-def form(certificate: Certificate, entries: tuple[Integers, Integers]) -> Form:
+def build_inequality_form(
+    certificate: Certificate, entries: tuple[Integers, Integers]
+) -> InequalityForm:
     """Return the certificate's M as a function of some entries of A.
 
     Args:
@@ -248,21 +253,22 @@ def form(certificate: Certificate, entries: tuple[Integers, Integers]) -> Form:
     errors, P = certificate.dynamics, certificate.P
     mean = np.mean(errors.A, axis=0)
     inequality = errors.inequality(certificate.W)._replace(A=(mean,))
-    (M,), (size,) = inequality.matrices(P), inequality.magnitudes(P)
+    (M,), (size,) = inequality.lmi_matrices(P), inequality.term_magnitudes(P)
     T = np.linalg.inv(np.linalg.cholesky(-M)).T  # T'(-M) T = I
     slopes = _entry_slopes(P, len(M), errors.Ts, entries)
     slope = T.T @ slopes @ T
     unit = 8 * (len(M) + len(slopes) + 4) * np.finfo(float).eps
     around = [np.linalg.norm(np.abs(T.T) @ np.abs(part) @ np.abs(T)) for part in (size, *slopes)]
     rounding = unit * (around[0] + len(M)), unit * np.array(around[1:])
-    return Form(mean[entries], -T.T @ M @ T, slope, absolute(slope), rounding)
+    return InequalityForm(mean[entries], -T.T @ M @ T, slope, absolute_matrix(slope), rounding)
 
 
 def _entry_slopes(
     P: Floats, N: int, Ts: float | None, entries: tuple[Integers, Integers]
 ) -> Floats:
-    """Return dM/dA_ij (K x N x N) for entries (i, j): P A stands at the corner and, sampled, last
-    too.
+    """Return dM/dA_ij (K x N x N) for entries (i, j).
+
+    P A stands at the corner and, sampled, last too.
     """
     n = len(P)
     slopes = np.zeros((entries[0].size, N, N))
@@ -274,10 +280,10 @@ def _entry_slopes(
     return slopes
 
 
-def _doubt(
+def _entry_bounds(
     bounds: Bounds, bends: Bounds, low: Floats, centre: Floats, high: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """What is known of the entries c of A on parts of the box.
+    """Return bounds on the entries c of A on parts of the box.
 
     By the bounds at their centres and on the derivatives.
 
@@ -286,13 +292,15 @@ def _doubt(
         towards each side, and half width of the bounds on turns (parts x (n + m) x K).
     """
     reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
-    middle, loose = _middle(bounds(Box(centre, centre)))
-    turns, doubt = _middle(bends(Box(low, high)))
+    middle, loose = _middle_and_half_width(bounds(Box(centre, centre)))
+    turns, doubt = _middle_and_half_width(bends(Box(low, high)))
     return middle[:, 0], loose[:, 0], turns * reach, doubt * reach
 
 
-def find_missed_points(certificate: Certificate, slopes: Slopes, box: Box, parts: int) -> Floats:
-    """Return points of a box whose Jacobians the certificate's V misses or nearly does.
+def find_missed_points(
+    certificate: Certificate, slopes: ModelJacobian, box: Box, parts: int
+) -> Floats:
+    """Return points of a box whose Jacobians the certificate's V misses or nearly misses.
 
     Args:
         certificate: with V that is proved at its vertices.
@@ -306,9 +314,9 @@ def find_missed_points(certificate: Certificate, slopes: Slopes, box: Box, parts
     bounds, bends = slopes.bounds()
     if not slopes.entries[0].size:
         return np.zeros((0, box.low.size))
-    of_A = form(certificate, slopes.entries)
+    of_A = build_inequality_form(certificate, slopes.entries)
     vertices = np.array(certificate.dynamics.A)[:, *slopes.entries]
-    enough = float(of_A.depth(vertices).min()) / 2
+    enough = float(of_A.certificate_depth(vertices).min()) / 2
     weight = np.linalg.norm(of_A.slope, axis=(1, 2))
     low, high = box.low[None], box.high[None]
     while low.size and parts > 0:
@@ -316,10 +324,10 @@ def find_missed_points(certificate: Certificate, slopes: Slopes, box: Box, parts
         low, high = low[-AT_ONCE:], high[-AT_ONCE:]
         parts -= len(low)
         centre = (low + high) / 2
-        c, loose, turns, doubt = _doubt(bounds, bends, low, centre, high)
+        c, loose, turns, doubt = _entry_bounds(bounds, bends, low, centre, high)
         open_ = ~(of_A.depth_within(c, loose + doubt.sum(axis=1), turns) > 0)
         low, high, centre = low[open_], high[open_], centre[open_]
-        depth = of_A.depth(c[open_])
+        depth = of_A.certificate_depth(c[open_])
         short = depth < enough
         if short.any():
             return centre[short][np.argsort(depth[short])[:WORST]]
@@ -344,15 +352,16 @@ def halve_boxes(
     return np.vstack([low, above]), np.vstack([below, high])
 
 
-def _middle(bound: Interval) -> tuple[Floats, Floats]:
-    """Return (middle, half width) of bounds; not finite where there are none."""
+def _middle_and_half_width(bound: Interval) -> tuple[Floats, Floats]:
+    """Return (middle, half width) of bounds; not finite if unbounded."""
     with np.errstate(invalid="ignore"):
         middle = (bound.low + bound.high) / 2
         return middle, np.nextafter(np.maximum(bound.high - middle, middle - bound.low), np.inf)
 
 
-class Slopes(NamedTuple):
-    """A = df/dx (delta form if sampled) of a model with n states and m inputs, and its bounds.
+class ModelJacobian(NamedTuple):
+    """Jacobian A = df/dx (delta form if sampled) of a model with n states, m inputs, with
+    bounds.
 
     Attributes:
         at: points [x, u] (N x (n + m)) -> A there (N x n x n).
@@ -366,7 +375,7 @@ class Slopes(NamedTuple):
     bounds: Callable[[], tuple[Bounds, Bounds]]
 
 
-def slopes_on(model: System, box: Box) -> Slopes:
+def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
     """Return the Jacobian of a model, with bounds on parts of a box.
 
     Args:
@@ -389,31 +398,38 @@ def slopes_on(model: System, box: Box) -> Slopes:
     numbers = tree.pack(model.params)[:, None]
 
     def function(*values: ca.SX) -> ca.Function:
+        """Return a CasADi function of (p, [x, u])."""
         return ca.Function("slopes", [p, w], list(values), {"cse": True})
 
     everything = function(moved, A)
 
     def at(points: Floats) -> Floats:
+        """Return the Jacobian at points [x, u] (N x n x n)."""
         repeated = np.broadcast_to(numbers, (numbers.size, len(points)))
         side_by_side = everything(repeated, points.T)[1].full()
         return side_by_side.reshape(n, len(points), n).transpose(1, 0, 2)
 
     @functools.cache
     def bounds() -> tuple[Bounds, Bounds]:
+        """Return functions that bound the varying entries and their derivatives over
+        boxes.
+        """
         some = ca.vec(A)[varying.tolist()]
         whole = [Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])]
         try:
             build_enclosure(everything)(whole)  # raises where the model is not smooth
             bends = ca.densify(ca.jacobian(some, w))
-            return _bound_entries(function(some), numbers), _bound_entries(function(bends), numbers)
+            return _bounds_over_boxes(function(some), numbers), _bounds_over_boxes(
+                function(bends), numbers
+            )
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None
 
-    return Slopes(at, (rows, columns), bounds)
+    return ModelJacobian(at, (rows, columns), bounds)
 
 
-def _bound_entries(function: ca.Function, numbers: Floats) -> Bounds:
-    """Bounds on a function of (p, [x, u]) over boxes of [x, u], one box a row.
+def _bounds_over_boxes(function: ca.Function, numbers: Floats) -> Bounds:
+    """Return bounds on a function of (p, [x, u]) over boxes of [x, u], a box per row.
 
     numbers: values of p, as a column. A value (r x c) comes back as (c x r) for each box.
     """
@@ -421,6 +437,7 @@ def _bound_entries(function: ca.Function, numbers: Floats) -> Bounds:
     shape = (-1, *function.size_out(0)[::-1])
 
     def bounds(part: Box) -> Interval:
+        """Return the interval of the function over each box."""
         (value,) = bound([Interval(numbers, numbers), Interval(part.low.T, part.high.T)])
         return Interval(value.low.T.reshape(shape), value.high.T.reshape(shape))
 

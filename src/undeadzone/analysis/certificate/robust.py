@@ -1,4 +1,4 @@
-"""The certificate bears disturbance, noise, uncertain plants and known nonlinearities.
+"""Certificates under disturbance, noise, uncertain plants and known nonlinearities.
 
 Proofs are in docs/certificate.md. Every function takes error dynamics (`error_dynamics.dynamics`,
 or `closed_loop` with a controller) and returns a value with its storage V and the check of its own
@@ -16,19 +16,24 @@ import numpy as np
 from undeadzone.analysis import error_dynamics
 from undeadzone.analysis.certificate.driven import (
     Channel,
-    channels,
-    driven_inequality,
+    build_channels,
+    dissipation_inequality,
     original_storage,
     output_rows,
-    prove,
+    prove_inequality,
 )
-from undeadzone.analysis.dissipation import NOTHING, Check, Inequality, check
-from undeadzone.linalg.matrices import Matrices, delta
+from undeadzone.analysis.dissipation import (
+    NO_PROOF,
+    DefinitenessCheck,
+    Inequality,
+    check_inequality,
+)
+from undeadzone.linalg.matrices import Matrices, delta_form
 from undeadzone.util.arrays import Floats, matrix
 
 
 class Gain(NamedTuple):
-    """int |z|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 for every side sequence.
+    """Bound int |z|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 on any branches.
 
     Attributes:
         disturbance: gain from w to z; inf where nothing is proved.
@@ -40,7 +45,7 @@ class Gain(NamedTuple):
     disturbance: float
     noise: float
     V: error_dynamics.Storage
-    check: Check
+    check: DefinitenessCheck
 
 
 def l2_gain(
@@ -49,7 +54,8 @@ def l2_gain(
     noise: Floats | None = None,
     output: Floats | None = None,
 ) -> Gain:
-    """Return the paper's BIBO claim as numbers: the least sum of squared gains from w and v to z.
+    """Return the gains from w and v to z with the least sum of squares: the paper's BIBO
+    statement.
 
     With E or noise left out the other gain is as small as it can be.
 
@@ -59,11 +65,11 @@ def l2_gain(
         noise: the reading of an active output i is off by noise_i v_i (p).
         output: rows of z = output x~ (rows x n); C by default.
     """
-    if max(error_dynamics.growth(A, errors.Ts) for A in errors.A) >= 0:
-        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NOTHING)
-    scaling = error_dynamics.balance(errors)
-    scaled = scaling.dynamics(errors)
-    signals = channels(errors, scaling, E, noise)
+    if max(error_dynamics.largest_growth_rate(A, errors.Ts) for A in errors.A) >= 0:
+        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NO_PROOF)
+    scaling = error_dynamics.balance_dynamics(errors)
+    scaled = scaling.scale_dynamics(errors)
+    signals = build_channels(errors, scaling, E, noise)
     z = output_rows(errors, scaling, output)
     groups = errors.groups.shape[1]
     # Signals and z in units of their own size.
@@ -74,22 +80,23 @@ def l2_gain(
     unit = [Channel(signal.state / own, signal.reading / own) for signal, own in pairs]
 
     def family(q: Floats) -> Inequality:
-        return driven_inequality(scaled, q[:groups], q[groups:], unit, z / size)
+        """Return the inequality for multipliers q."""
+        return dissipation_inequality(scaled, q[:groups], q[groups:], unit, z / size)
 
     cost = np.r_[np.zeros(groups), np.square(sizes / sizes.max(initial=1e-300))]
-    solution = prove(family, cost)
+    solution = prove_inequality(family, cost)
     if solution is None:
-        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NOTHING)
+        return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NO_PROOF)
     V = original_storage(errors, scaling, solution)
     V = V._replace(P=size**2 * V.P, W=size**2 * V.W)
     gains = [float(gain) for gain in np.sqrt(solution.q[groups:]) * sizes * size]
     disturbance = 0.0 if E is None else gains[0]
     noisy = 0.0 if noise is None else gains[-1]
-    return Gain(disturbance, noisy, V, check(family(solution.q), solution.P))
+    return Gain(disturbance, noisy, V, check_inequality(family(solution.q), solution.P))
 
 
 def certified_radius(errors: error_dynamics.Dynamics, E: Floats, F: Floats) -> float:
-    """Return the largest r such that V falls for x~' = (A + E Delta F) x~ - L e with |Delta(t)| <
+    """Return the largest r such that V falls for x~' = (A + E Delta F) x~ - L e, |Delta(t)| <
     r.
 
     By the same token the largest Lipschitz constant of phi in a known plant
@@ -117,7 +124,7 @@ def closed_loop(
     gamma: Floats,
     Ts: float | None = None,
 ) -> error_dynamics.Dynamics:
-    """Return error dynamics of (x - x_ref, x~) under u = u_ff - K (x^ - x_ref), one vertex per
+    """Return the error dynamics of (x - x_ref, x~), u = u_ff - K (x^ - x_ref), a vertex per
     plant.
 
     x~ is x - x^ of the model. `passivity.certify_dynamics` of it proves convergence for every plant
@@ -136,16 +143,16 @@ def closed_loop(
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
     """
-    A, B, C = delta(model, Ts)
+    A, B, C = delta_form(model, Ts)
     n, p = A.shape[0], C.shape[0]
     vertices = []
     for plant in plants:
-        A_k, B_k, _ = delta(plant, Ts)
+        A_k, B_k, _ = delta_form(plant, Ts)
         dA, dB = A_k - A, B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
     L = matrix("L", L, n, p, "states x outputs")
     of_outputs = np.hstack([np.zeros((p, n)), C])
     to_errors = np.vstack([np.zeros((n, p)), L])
     return error_dynamics.Dynamics(
-        tuple(vertices), of_outputs, to_errors, error_dynamics.adaptation(gamma, p), Ts
+        tuple(vertices), of_outputs, to_errors, error_dynamics.adaptation_matrix(gamma, p), Ts
     )

@@ -1,4 +1,4 @@
-"""The weights of the outputs under which error dynamics have the largest margin.
+"""Weights of the outputs under which error dynamics have the largest margin.
 
 For one A the margin of a W is a least eigenvalue over frequencies, that of D + Herm C (jw - A)^-1
 L, found by level sets: no grid, no solver. Every worst frequency and direction bounds it for all W,
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.dissipation import LEAST, Inequality, optimise
+from undeadzone.analysis.dissipation import LEAST, Inequality, optimise_storage
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.util.arrays import Floats
@@ -23,8 +23,8 @@ ENOUGH: Final = 1e-6  # of the margin: how much better another W may be
 TOLERANCE = 1e-11  # of the response's size: how far the least value may lie below the answer
 
 
-class Weights(NamedTuple):
-    """Weights W (p), their margin and the frequency [rad/s] where it is attained."""
+class OutputWeights(NamedTuple):
+    """Weights W (p), their margin and the frequency where it is attained [rad/s]."""
 
     W: Floats
     margin: float
@@ -32,61 +32,61 @@ class Weights(NamedTuple):
 
 
 class _Cuts(NamedTuple):
-    """The margin of weights q of the groups is at most over @ q / under @ q, in every row."""
+    """Upper bounds on the margin of group weights q: over @ q / under @ q, in every row."""
 
     over: Floats
     under: Floats
 
-    def at(self, q: Floats) -> float:
+    def least_bound(self, q: Floats) -> float:
         """Return the least of these bounds for q."""
         return float((self.over @ q / (self.under @ q)).min())
 
     def join_cuts(self, others: _Cuts) -> _Cuts:
-        """Return both."""
+        """Return the cuts of both sets."""
         return _Cuts(*(np.vstack(rows) for rows in zip(self, others, strict=True)))
 
 
-def margin(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """Return (margin for this W, frequency [rad/s] where it is attained); exact, without a solver.
+def margin_of_weights(errors: Dynamics, W: Floats) -> tuple[float, float]:
+    """Return (margin for W, frequency [rad/s] where it is attained), exact, without a solver.
 
     Args:
         errors: error dynamics with one stable A.
         W: weights of the outputs (p).
     """
-    found, _ = _worst(errors, W)
+    found, _ = _margin_and_cuts(errors, W)
     return found.margin, found.frequency or 0.0
 
 
-def best_weights(errors: Dynamics) -> Weights:
+def best_weights(errors: Dynamics) -> OutputWeights:
     """Return the weights that maximise the margin, with mean 1 over their groups."""
     if len(errors.A) > 1:
-        return _share_weights(errors)
+        return _weights_for_vertices(errors)
     equal = np.ones(errors.groups.shape[1])
-    best, cuts = _worst(errors, errors.groups @ equal)
+    best, cuts = _margin_and_cuts(errors, errors.groups @ equal)
     if equal.size == 1:
         return best
     for _ in range(CUTS):
-        q = _promising(cuts, best.margin)
+        q = _next_weights(cuts, best.margin)
         if q is None:
             break
-        trial, more = _worst(errors, errors.groups @ q)
+        trial, more = _margin_and_cuts(errors, errors.groups @ q)
         cuts = cuts.join_cuts(more)
         best = max(best, trial, key=lambda one: one.margin)
     return best
 
 
-def _worst(errors: Dynamics, W: Floats) -> tuple[Weights, _Cuts]:
-    """Return the margin of W, and what it says of other weights."""
+def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]:
+    """Return the margin of W and the cuts that bound the margin of all weights."""
     (A,), C, L, _, Ts = errors
     root = np.sqrt(W)
     found, over, under = [], [], []
     for step in errors.steps:
         D = np.eye(root.size) - step / 2
-        G = response(A, C * root[:, None], L / root, D, Ts)
-        least = worst(G)
-        found.append(Weights(W, least.value, G.frequency(least.w)))
+        G = frequency_response(A, C * root[:, None], L / root, D, Ts)
+        least = least_eigenvalue_over_frequencies(G)
+        found.append(OutputWeights(W, least.value, G.true_frequency(least.w)))
         v = least.direction / root
-        plain = response(A, C, L, D, Ts).values(np.array([least.w]))[0]
+        plain = frequency_response(A, C, L, D, Ts).response_values(np.array([least.w]))[0]
         terms = np.real(v.conj() * (plain @ v)) @ errors.groups, np.abs(v) ** 2 @ errors.groups
         size = max(float(np.abs(terms).max()), LEAST)
         over.append(terms[0] / size)
@@ -94,22 +94,23 @@ def _worst(errors: Dynamics, W: Floats) -> tuple[Weights, _Cuts]:
     return min(found, key=lambda one: one.margin), _Cuts(np.array(over), np.array(under))
 
 
-def _promising(cuts: _Cuts, best: float) -> Floats | None:
-    """Return the weights of the groups that the cuts bound least; None if `best` is as good."""
+def _next_weights(cuts: _Cuts, best: float) -> Floats | None:
+    """Return the group weights that the cuts bound least; None if `best` is as good."""
     groups, found, level = cuts.over.shape[1], None, best + ENOUGH * max(1.0, abs(best))
     for _ in range(SEARCHES):
-        q = _deep(cuts, level, groups)
-        if q is None or not cuts.at(q) > level:
+        q = _maximise_least_cut(cuts, level, groups)
+        if q is None or not cuts.least_bound(q) > level:
             break
-        found, level = q, cuts.at(q)
+        found, level = q, cuts.least_bound(q)
     return found
 
 
-def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
-    """Return q >= 0 of mean 1 that maximises the least of (over - level under) @ q."""
+def _maximise_least_cut(cuts: _Cuts, level: float, groups: int) -> Floats | None:
+    """Return q >= 0 of mean 1 that maximises the least of (over - level under) @ q, or None."""
     rows = cuts.over - level * cuts.under
 
     def blocks(x: Floats) -> list[Floats]:
+        """Return the linear constraints that must be non-negative."""
         q = np.append(x[:-1], groups - x[:-1].sum())
         return [rows @ q - x[-1], q - LEAST]
 
@@ -120,20 +121,20 @@ def _deep(cuts: _Cuts, level: float, groups: int) -> Floats | None:
     return np.maximum(np.append(solution[:-1], groups - solution[:-1].sum()), LEAST)
 
 
-def _share_weights(errors: Dynamics) -> Weights:
-    """Return the weights for several A, of one P.
+def _weights_for_vertices(errors: Dynamics) -> OutputWeights:
+    """Return the weights for several A under a common P.
 
     The largest m with M + 2m diag(0, W) <= 0 for some P is quasi-convex in W: Dinkelbach's
     iteration, one LMI a step.
     """
-    best = Weights(np.ones(errors.C.shape[0]), -np.inf, None)
+    best = OutputWeights(np.ones(errors.C.shape[0]), -np.inf, None)
     shift = 0.0
     for _ in range(SEARCHES):
-        deepest = _deepest(errors, shift)
+        deepest = _deepest_weights(errors, shift)
         if deepest is None:
             break
         P, W = deepest
-        trial = Weights(W, _reachable_margin(errors, P, W), None)
+        trial = OutputWeights(W, _reachable_margin(errors, P, W), None)
         gain = trial.margin - best.margin
         if gain > 0:
             best = trial
@@ -143,36 +144,35 @@ def _share_weights(errors: Dynamics) -> Weights:
     return best
 
 
-def _deepest(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
-    """Return (P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0; None if there is
-    none.
-    """
+def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
+    """Return (P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0, or None."""
     groups, none = errors.groups, np.zeros((errors.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
+        """Return the output weights of q (p)."""
         return groups @ np.append(q[:-1], groups.shape[1] - q[:-1].sum())
 
     def family(q: Floats) -> Inequality:
+        """Return the inequality for q."""
         W = weights(q)
         return errors.extend_inequality(W, none, [(1, 1, np.diag(2 * (shift * W + q[-1])))])
 
     def positive(P: Floats, q: Floats) -> list[Floats]:
+        """Return the constraint that the weights are positive."""
         return [weights(q) - LEAST]
 
     start = np.append(np.ones(groups.shape[1] - 1), 0.0)
-    solution = optimise(family, -np.eye(start.size)[-1], start, positive, passes=1)
+    solution = optimise_storage(family, -np.eye(start.size)[-1], start, positive, passes=1)
     if solution is None:
         return None
     return solution.P, np.maximum(weights(solution.q), LEAST)
 
 
 def _reachable_margin(errors: Dynamics, P: Floats, W: Floats) -> float:
-    """Return the largest m with M + 2m diag(0, W) <= 0 for every M at this P; -inf if there is
-    none.
-    """
+    """Return the largest m with M + 2m diag(0, W) <= 0 for every M at P; -inf if none exists."""
     n, p = errors.L.shape
     least = np.inf
-    for M in errors.inequality(W).matrices(P):
+    for M in errors.inequality(W).lmi_matrices(P):
         e = np.arange(n, n + p)  # the rows of the innovation
         rest = np.delete(np.arange(len(M)), e)
         if not np.linalg.eigvalsh(M[np.ix_(rest, rest)])[-1] < 0:
@@ -184,7 +184,7 @@ def _reachable_margin(errors: Dynamics, P: Floats, W: Floats) -> float:
 
 
 class Response(NamedTuple):
-    """G(s) = C (s - A)^-1 L + D with a stable A.
+    """Frequency response G(s) = C (s - A)^-1 L + D with a stable A.
 
     Attributes:
         A, C, L, D: its matrices (n x n, p x n, n x p, p x p).
@@ -197,16 +197,16 @@ class Response(NamedTuple):
     D: Floats
     Ts: float | None = None
 
-    def at(self, w: Floats) -> np.ndarray:
+    def hermitian_part(self, w: Floats) -> np.ndarray:
         """Return (G + G*)/2 (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
             w: frequencies [rad/s]; inf is allowed.
         """
-        G = self.values(w)
+        G = self.response_values(w)
         return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
 
-    def values(self, w: Floats) -> np.ndarray:
+    def response_values(self, w: Floats) -> np.ndarray:
         """Return G (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
@@ -219,13 +219,13 @@ class Response(NamedTuple):
         G[finite] = self.C @ np.linalg.solve(pencils, self.L[None].astype(complex))
         return np.asarray(G + self.D)
 
-    def frequency(self, w: float) -> float:
+    def true_frequency(self, w: float) -> float:
         """Return the true frequency [rad/s] of a frequency of the mapped axis."""
         return w if self.Ts is None else float(2 * np.arctan(w * self.Ts / 2) / self.Ts)
 
 
-class Worst(NamedTuple):
-    """The least eigenvalue and where it occurs.
+class LeastEigenvalue(NamedTuple):
+    """Least eigenvalue and the frequency where it occurs.
 
     Attributes:
         value: the eigenvalue.
@@ -238,7 +238,7 @@ class Worst(NamedTuple):
     w: float
 
 
-def response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Response:
+def frequency_response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Response:
     """Return D + C (s - A)^-1 L on the imaginary axis.
 
     Sampled, for A = (Ad - I)/Ts and L = Ld/Ts, Tustin's rule gives the same values there.
@@ -253,8 +253,9 @@ def response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | None) -> Re
     return Response(A @ M, C, M @ M @ L, D - Ts / 2 * C @ M @ L, Ts)
 
 
-def worst(G: Response) -> Worst:
-    """Return minimum over w in [0, inf] of the least eigenvalue of Herm G(jw); A must be stable.
+def least_eigenvalue_over_frequencies(G: Response) -> LeastEigenvalue:
+    """Return the minimum over w in [0, inf] of the least eigenvalue of Herm G(jw), for a
+    stable A.
 
     At a level m every frequency where an eigenvalue of Herm G crosses m is the imaginary part of an
     eigenvalue of the pencil below; the least value at those and halfway between (both means) is the
@@ -264,7 +265,7 @@ def worst(G: Response) -> Worst:
     n, p = A.shape[0], D.shape[0]
     poles = np.linalg.eigvals(A)
     around = np.outer(2.0 ** np.arange(-3, 4), np.abs(poles)).ravel()
-    best = _least(G, np.concatenate([[0.0, np.inf], around, np.abs(poles.imag)]))
+    best = _least_eigenvalue_at(G, np.concatenate([[0.0, np.inf], around, np.abs(poles.imag)]))
     size = max(float(np.linalg.norm(D)), 1.0)
     zero = np.zeros((n, n))
     while True:
@@ -273,14 +274,14 @@ def worst(G: Response) -> Worst:
         pencil = np.block([[A, zero, L], [zero, -A.T, -C.T], [C, L.T, R]])
         crossings = np.append(np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag)), np.inf)
         a, b = crossings[:-2], crossings[1:-1]
-        lower = _least(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
+        lower = _least_eigenvalue_at(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
         if not lower.value < level:
             return best
         best = lower
 
 
 def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
-    """Return eigenvalues s of pencil - s diag(I_n, 0) that are finite."""
+    """Return the finite eigenvalues s of pencil - s diag(I_n, 0)."""
     A, B = pencil[:n, :n], pencil[:n, n:]
     C, D = pencil[n:, :n], pencil[n:, n:]
     least = np.linalg.svd(D, compute_uv=False)[-1]
@@ -294,8 +295,8 @@ def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
     return np.asarray(alpha[finite] / beta[finite])
 
 
-def _least(G: Response, w: Floats) -> Worst:
+def _least_eigenvalue_at(G: Response, w: Floats) -> LeastEigenvalue:
     """Return the least eigenvalue of Herm G at some frequencies."""
-    values, vectors = np.linalg.eigh(G.at(w))
+    values, vectors = np.linalg.eigh(G.hermitian_part(w))
     k = int(np.argmin(values[:, 0]))
-    return Worst(float(values[k, 0]), vectors[k, :, 0], float(w[k]))
+    return LeastEigenvalue(float(values[k, 0]), vectors[k, :, 0], float(w[k]))

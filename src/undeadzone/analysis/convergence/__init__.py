@@ -1,1 +1,1 @@
-"""How fast errors die, and attempts to make them grow."""
+"""Decay rates of the errors, and searches for growing errors."""

@@ -14,8 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.convergence.floquet import exponential, power
-from undeadzone.analysis.error_dynamics import Dynamics, Storage, growth, pattern
+from undeadzone.analysis.convergence.floquet import matrix_exponentials, matrix_powers
+from undeadzone.analysis.error_dynamics import (
+    Dynamics,
+    Storage,
+    branch_pattern,
+    largest_growth_rate,
+)
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, Integers
 
@@ -26,8 +31,8 @@ TINY = 1e-300
 LARGEST_LOG = 700.0  # beyond it e^x is no number
 
 
-class Mode(NamedTuple):
-    """What holds between two switches.
+class SwitchMode(NamedTuple):
+    """Error dynamics between two switches.
 
     Attributes:
         vertices: weights of the vertices.
@@ -43,7 +48,7 @@ class Mode(NamedTuple):
 
 
 class Attack(NamedTuple):
-    """The outcome of an attack on V.
+    """Outcome of an attack on V.
 
     Attributes:
         broken: whether V rose beyond rounding.
@@ -57,13 +62,13 @@ class Attack(NamedTuple):
     broken: bool
     rise: float
     start: Floats
-    mode: Mode
+    mode: SwitchMode
     growth: float
     trajectories: int
 
 
 class Cycle(NamedTuple):
-    """A periodic side sequence along which the error grows.
+    """Periodic branch sequence along which the error grows.
 
     Attributes:
         factor: by which it grows in a period; above 1 it is a proof of divergence.
@@ -73,7 +78,7 @@ class Cycle(NamedTuple):
 
     factor: float
     seconds: float
-    modes: tuple[Mode, ...]
+    modes: tuple[SwitchMode, ...]
 
 
 def falsify(
@@ -84,7 +89,9 @@ def falsify(
     seed: int = 0,
     library: int = 160,
 ) -> Attack:
-    """Try to make V rise. One trajectory in twenty always takes the worst of 24 modes.
+    """Try to make V rise along random and adversarial switching.
+
+    A trajectory in twenty always takes the worst of 24 modes.
 
     The others switch at random. They start at random, and at the directions that single modes raise
     most. The errors are kept in coordinates where V is the squared length, and at length 1, so that
@@ -102,20 +109,20 @@ def falsify(
         InputError: where V is not positive definite.
     """
     rng = np.random.default_rng(seed)
-    modes = _library(errors, rng, library)
+    modes = _mode_library(errors, rng, library)
     if not np.linalg.eigvalsh(V.P)[0] > 0:
         raise InputError("V: its P is not positive definite, there is nothing to break")
     # V = |T e|^2 for the errors e of [x~; d~] that it sees; a width that it does not see is known.
     seen, M = V.visible_errors
     T = np.linalg.cholesky(M).T
     inverse = np.linalg.inv(T)
-    maps = passages(errors, modes, lambda F: T @ F[np.ix_(seen, seen)] @ inverse)
+    maps = mode_transitions(errors, modes, lambda F: T @ F[np.ix_(seen, seen)] @ inverse)
     size = -(-trajectories // GROUPS)
-    states = _starts(rng, maps, size)
+    states = _start_errors(rng, maps, size)
     rise, start, mode = -np.inf, states[0, 0], modes[0]
     log = np.zeros((GROUPS, size))  # of V along each trajectory
     for _ in range(switches):
-        taken, following = _switch(rng, maps, states)
+        taken, following = _switch_modes(rng, maps, states)
         lengths = np.einsum("gij,gij->gi", following, following)
         at = np.unravel_index(np.argmax(lengths), lengths.shape)
         if lengths[at] - 1 > rise:
@@ -128,8 +135,10 @@ def falsify(
     return Attack(rise > ROUNDING, rise, worst, mode, largest, GROUPS * size)
 
 
-def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
-    """Return errors of length 1 (groups x size x N); a map raises the first of each group most."""
+def _start_errors(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
+    """Return errors of length 1 (groups x size x N); a map raises the first of each group
+    most.
+    """
     shape = (GROUPS, size, maps.shape[-1])
     states = rng.normal(size=shape) * 10 ** rng.uniform(-1, 1, shape)
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(maps), size=GROUPS), 0]
@@ -137,8 +146,10 @@ def _starts(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
     return states
 
 
-def _switch(rng: np.random.Generator, maps: Floats, states: Floats) -> tuple[Integers, Floats]:
-    """Return (the modes taken, where they lead): at random, in one group of 20 the worst on
+def _switch_modes(
+    rng: np.random.Generator, maps: Floats, states: Floats
+) -> tuple[Integers, Floats]:
+    """Return (modes, errors after the switch): random modes, in a group of 20 the worst on
     offer.
     """
     groups, size = states.shape[:2]
@@ -154,7 +165,7 @@ def _switch(rng: np.random.Generator, maps: Floats, states: Floats) -> tuple[Int
 
 
 def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
-    """Return the periodic side sequence of fastest growth that a random search finds.
+    """Search at random for the periodic branch sequence of fastest growth.
 
     Its times are refined in continuous time. The factor is the largest modulus of the period's
     eigenvalues on [x~; d~]; a width that is not read counts 1.
@@ -167,8 +178,8 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
     from scipy.optimize import minimize
 
     rng = np.random.default_rng(seed)
-    modes = _library(errors, rng, 120)
-    maps = passages(errors, modes)
+    modes = _mode_library(errors, rng, 120)
+    maps = mode_transitions(errors, modes)
     times = np.array([mode.seconds for mode in modes])
     chosen, fastest = np.zeros(0, int), -np.inf
     for _ in range(tries):
@@ -177,13 +188,17 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
         if not chosen.size or rate > fastest:
             chosen, fastest = cycle, rate
 
-    def timed(logs: Floats) -> list[Mode]:
+    def timed(logs: Floats) -> list[SwitchMode]:
+        """Return the modes of the cycle with times from their logarithms."""
         seconds = np.exp(np.clip(logs, np.log(times.min()), np.log(times.max())))
         return [modes[k]._replace(seconds=float(s)) for k, s in zip(chosen, seconds, strict=True)]
 
     def loss(logs: Floats) -> float:
+        """Return the negative growth rate of the cycle [1/s]."""
         cycle = timed(logs)
-        return -_cycle_rate(passages(errors, cycle), np.array([mode.seconds for mode in cycle]))
+        return -_cycle_rate(
+            mode_transitions(errors, cycle), np.array([mode.seconds for mode in cycle])
+        )
 
     logs = np.log(times[chosen])
     if errors.Ts is None:
@@ -195,14 +210,12 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
 
 
 def _cycle_rate(maps: Floats, times: Floats) -> float:
-    """Return the growth rate [1/s] of a period of these maps (K x N x N), of these times (K)
-    [s].
-    """
+    """Return the growth rate of a period of maps (K x N x N) with times (K) [s], in 1/s."""
     period = np.linalg.multi_dot([np.eye(maps.shape[1]), *maps[::-1]])
     return float(np.log(max(np.abs(np.linalg.eigvals(period)).max(), TINY)) / times.sum())
 
 
-def generator(errors: Dynamics, mode: Mode) -> Floats:
+def error_generator(errors: Dynamics, mode: SwitchMode) -> Floats:
     """Return F of [x~; d~]' = F [x~; d~] in a mode (delta form if sampled) [1/s]."""
     A = np.tensordot(mode.vertices, np.stack(errors.A), 1)
     innovation = mode.theta[:, None] * np.hstack([errors.C, -mode.S])
@@ -213,30 +226,35 @@ def generator(errors: Dynamics, mode: Mode) -> Floats:
     return np.asarray(free + np.vstack([-errors.L, errors.gamma @ mode.S.T]) @ innovation)
 
 
-def passages(
-    errors: Dynamics, modes: list[Mode], moved: Callable[[Floats], Floats] = np.asarray
+def mode_transitions(
+    errors: Dynamics, modes: list[SwitchMode], moved: Callable[[Floats], Floats] = np.asarray
 ) -> Floats:
-    """Return the maps of [x~; d~] over the modes' times, exactly (whole samples if sampled).
+    """Return the exact maps of [x~; d~] over the modes' times (K x N x N).
+
+    Sampled, times are whole samples.
 
     Args:
         errors: the error dynamics.
         modes: one for each map.
         moved: F -> F in the coordinates that are wanted.
     """
-    F = np.stack([moved(generator(errors, mode)) for mode in modes])
+    F = np.stack([moved(error_generator(errors, mode)) for mode in modes])
     seconds = np.array([mode.seconds for mode in modes])
     if errors.Ts is None:
-        return exponential(F * seconds[:, None, None])
-    return power(np.eye(F.shape[-1]) + errors.Ts * F, np.round(seconds / errors.Ts).astype(int))
+        return matrix_exponentials(F * seconds[:, None, None])
+    return matrix_powers(
+        np.eye(F.shape[-1]) + errors.Ts * F, np.round(seconds / errors.Ts).astype(int)
+    )
 
 
-def _library(errors: Dynamics, rng: np.random.Generator, count: int) -> list[Mode]:
-    """Return modes of every side pattern at every vertex, then random ones, from short to long.
+def _mode_library(errors: Dynamics, rng: np.random.Generator, count: int) -> list[SwitchMode]:
+    """Return modes of every branch pattern at every vertex, then random modes, from short to
+    long.
 
     The random ones mix vertices and have shares theta below 1.
     """
     p, vertices = errors.C.shape[0], len(errors.A)
-    times = _durations(errors, rng, count)
+    times = _mode_durations(errors, rng, count)
     corners = list(itertools.product((1, 0, -1), repeat=p))
     modes = []
     for k in range(count):
@@ -248,18 +266,18 @@ def _library(errors: Dynamics, rng: np.random.Generator, count: int) -> list[Mod
             sides = corners[rng.integers(len(corners))]
             weights = rng.dirichlet(np.full(vertices, 0.5))
             theta = np.where(rng.random(p) < 0.5, 1.0, rng.random(p))
-        modes.append(Mode(weights, pattern(sides), theta, float(times[k])))
+        modes.append(SwitchMode(weights, branch_pattern(sides), theta, float(times[k])))
     return modes
 
 
-def _durations(errors: Dynamics, rng: np.random.Generator, count: int) -> Floats:
-    """Return random times [s] from well below the fastest rate to above the slowest, on a log
+def _mode_durations(errors: Dynamics, rng: np.random.Generator, count: int) -> Floats:
+    """Return random times [s] from below the fastest rate to above the slowest, on a log
     scale.
     """
     corrected = [np.linalg.eigvals(A - errors.L @ errors.C) for A in errors.A]
     fast = max(float(np.abs(poles).max()) for poles in corrected)
     fast += float(np.abs(errors.gamma).max())
-    slow = max(min(abs(growth(A, errors.Ts)) for A in errors.A), 1e-3 * fast)
+    slow = max(min(abs(largest_growth_rate(A, errors.Ts)) for A in errors.A), 1e-3 * fast)
     times = 10 ** rng.uniform(np.log10(1e-2 / fast), np.log10(3 / slow), count)
     if errors.Ts is not None:
         times = errors.Ts * np.clip(np.round(times / errors.Ts), 1, 1000)

@@ -1,4 +1,4 @@
-"""How fast the error dies along a schedule of sides, and what disturbances leave of it.
+"""Decay rate of the error along a schedule of branches, and its steady state under disturbance.
 
 The former are Floquet multipliers of (x~, d~), the latter mean squares of what noise, disturbance
 and model error become in the estimate. docs/rates.md derives both. Mean squares take many candidate
@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
-from undeadzone.analysis.error_dynamics import dynamics, pattern
-from undeadzone.analysis.identifiability.linear import Unobservable, invisible
+from undeadzone.analysis.error_dynamics import branch_pattern, build_error_dynamics
+from undeadzone.analysis.identifiability.linear import Unobservable, unobservable_changes
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 
@@ -26,7 +26,8 @@ PASSES = 30  # doublings of the number of passes until the steady state, at most
 
 
 class Rates(NamedTuple):
-    """The Floquet multipliers of the error over one pass of a schedule, and what they say.
+    """Floquet multipliers of the error over a pass of a schedule, with decay rate and slow
+    modes.
 
     Attributes:
         rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable
@@ -51,10 +52,10 @@ class Rates(NamedTuple):
     gain: float
 
 
-def rates(
+def error_decay_rates(
     linear: Matrices, L: Floats, gamma: Floats, schedule: Schedule, jump: bool = False
 ) -> Rates:
-    """Return the rate of x~ -> 0, d~ -> 0 along a schedule.
+    """Return the rate of x~ -> 0, d~ -> 0 along a schedule, with the Floquet multipliers.
 
     A schedule that is not periodic is taken as repeated: the rate is then its mean over many such
     passes. Widths that are not adapted (gamma = 0), or that a jump sensor's readings do not hold,
@@ -67,26 +68,28 @@ def rates(
         schedule: of the sides.
         jump: whether the sensor jumps.
     """
-    errors = dynamics(linear, L, gamma, schedule.Ts)
+    errors = build_error_dynamics(linear, L, gamma, schedule.Ts)
     n = linear.A.shape[0]
     schedule = merge_equal_neighbours(schedule)
     adapted = (np.abs(errors.gamma).sum(axis=0) > 0) & (not jump)
     part = np.concatenate([np.ones(n, bool), adapted])
-    hidden = invisible(linear, schedule.visited_sides(), schedule.Ts, jump=jump).within(part)
+    hidden = unobservable_changes(
+        linear, schedule.branch_visits(), schedule.Ts, jump=jump
+    ).restrict_to_part(part)
     units = hidden.scale[part]
     F, _ = error_matrices(errors.A[0], errors.C, errors.L, errors.gamma, schedule.sides)
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = F[:, part][:, :, part] * units / units[:, None]
-        M, size = product(transitions(scaled, schedule))
+        M, size = matrix_product(span_transitions(scaled, schedule))
     if not np.isfinite(M).all():
-        return _without_bound(part.size, schedule)
-    logs, ways, never = _modes(M, size, hidden, part)
+        return _infinite_growth_rates(part.size, schedule)
+    logs, ways, never = _multipliers_and_modes(M, size, hidden, part)
     # The modes that die last; a complex pair gives its real and its imaginary part.
     slowest = np.flatnonzero(logs.real > logs.real.max(initial=-np.inf) - 1e-7)
     ways = ways * units[:, None]
     slow = np.zeros((part.size, slowest.size))
     slow[part] = np.where(logs[slowest].imag < 0, ways[:, slowest].imag, ways[:, slowest].real)
-    T = schedule.duration
+    T = schedule.total_duration
     rate = -float(logs.real.max()) / T if logs.size else 0.0
     return Rates(
         rate,
@@ -100,17 +103,18 @@ def rates(
     )
 
 
-def _without_bound(unknowns: int, schedule: Schedule) -> Rates:
-    """Return the rates of an error that grows beyond all numbers in one pass."""
+def _infinite_growth_rates(unknowns: int, schedule: Schedule) -> Rates:
+    """Return the rates of an error that grows beyond all numbers in a pass."""
     none = np.zeros((unknowns, 0))
-    T, periodic = schedule.duration, schedule.periodic
+    T, periodic = schedule.total_duration, schedule.periodic
     return Rates(-np.inf, np.inf, np.array([np.inf]), none, (), T, periodic, np.inf)
 
 
-def _modes(
+def _multipliers_and_modes(
     M: Floats, size: Floats, hidden: Unobservable, part: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Return the multipliers of the monodromy matrix M e^size.
+    """Return the multipliers of the monodromy matrix M e^size, eigenvectors, unidentifiable
+    names.
 
     hidden: what no reading shows; part: which unknowns M is of.
 
@@ -126,7 +130,7 @@ def _modes(
     never: tuple[str, ...] = ()
     if stays.any():
         staying = np.hstack([kept[:, stays].real, kept[:, stays].imag])
-        never = hidden._replace(basis=hidden.basis @ staying).names
+        never = hidden._replace(basis=hidden.basis @ staying).names_of_undetermined
     dying, vectors = np.linalg.eig(V.T @ M @ V)
     mu = np.append(multipliers[~stays], dying)
     logs = np.log(np.maximum(np.abs(mu), TINY)) + size + 1j * np.angle(mu)
@@ -136,7 +140,8 @@ def _modes(
 def error_matrices(
     A: Floats, C: Floats, L: Floats, gamma: Floats, sides: Floats
 ) -> tuple[Floats, Floats]:
-    """Return (F, G) of (x~, d~)' = F (x~, d~) + G v on each of K sides, v noise on z.
+    """Return (F, G) of (x~, d~)' = F (x~, d~) + G v on each of K branch patterns, v noise on
+    z.
 
     x~' = A x~ - L e, d~' = Gamma S'e with e = C x~ - S d~ + v on the active outputs, 0 on the
     silent ones.
@@ -152,7 +157,7 @@ def error_matrices(
         F (..., K, n + 2p, n + 2p), G (..., K, n + 2p, p).
     """
     n = A.shape[0]
-    S = np.stack([pattern(tuple(row)) for row in sides.astype(int)])
+    S = np.stack([branch_pattern(tuple(row)) for row in sides.astype(int)])
     active = np.abs(sides)
     rows = np.concatenate([C * active[:, :, None], -S], axis=2)
     to_states = -L[..., None, :, :] * active[:, None, :]
@@ -163,17 +168,15 @@ def error_matrices(
     return F, G
 
 
-def transitions(F: Floats, schedule: Schedule) -> Floats:
-    """Return the transition matrix over each span: e^{F t}, or (I + Ts F)^k; F (..., K, N, N)
-    [1/s].
-    """
+def span_transitions(F: Floats, schedule: Schedule) -> Floats:
+    """Return the transition matrix over each span: e^(F t), or (I + Ts F)^k (..., K, N, N)."""
     if schedule.Ts is None:
-        return exponential(F * schedule.spans[:, None, None])
-    return power(np.eye(F.shape[-1]) + schedule.Ts * F, schedule.spans.astype(int))
+        return matrix_exponentials(F * schedule.spans[:, None, None])
+    return matrix_powers(np.eye(F.shape[-1]) + schedule.Ts * F, schedule.spans.astype(int))
 
 
-def product(factors: Floats) -> tuple[Floats, Floats]:
-    """Return (M, s): the product ... F_2 F_1 F_0 of factors is M e^s; no underflow, however long.
+def matrix_product(factors: Floats) -> tuple[Floats, Floats]:
+    """Return (M, s): the product ... F_2 F_1 F_0 of the factors is M e^s; no underflow.
 
     Args:
         factors: F_0, F_1, ... (..., K, N, N).
@@ -191,8 +194,8 @@ def product(factors: Floats) -> tuple[Floats, Floats]:
     return factors[..., 0, :, :], size
 
 
-def exponential(X: Floats) -> Floats:
-    """Return e^X of many small matrices (..., K, N, N) at once, by scaling, Taylor's series,
+def matrix_exponentials(X: Floats) -> Floats:
+    """Return e^X of many small matrices (..., K, N, N), by scaling, Taylor's series and
     squaring.
     """
     norm = np.abs(X).sum(axis=-1).max(axis=-1).reshape(-1, X.shape[-3]).max(axis=0)
@@ -202,11 +205,11 @@ def exponential(X: Floats) -> Floats:
     E = identity + X / EXPONENTIAL_TERMS
     for k in range(EXPONENTIAL_TERMS - 1, 0, -1):
         E = identity + X @ E / k
-    return power(E, 2**halvings)
+    return matrix_powers(E, 2**halvings)
 
 
-def power(X: Floats, times: Floats) -> Floats:
-    """Return X[..., k, :, :] to the power times[k] >= 0, by squaring."""
+def matrix_powers(X: Floats, times: Floats) -> Floats:
+    """Return X[..., k, :, :] to the power times[k] >= 0 (..., K, N, N), by squaring."""
     raised = np.broadcast_to(np.eye(X.shape[-1]), X.shape)
     while True:
         odd = times % 2 == 1
@@ -218,8 +221,8 @@ def power(X: Floats, times: Floats) -> Floats:
         X = X @ X
 
 
-class Span(NamedTuple):
-    """K spans of constant side, weighted by S matrices H.
+class WeightedSpans(NamedTuple):
+    """K spans of constant branches with S weighted sums along each.
 
     Attributes:
         Phi: the transition matrix (..., K, N, N).
@@ -234,8 +237,10 @@ class Span(NamedTuple):
     length: Floats
 
 
-def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int = 0) -> Span:
-    """Return every span of a schedule for x' = F x (or x+ = (I + Ts F) x).
+def integrate_spans(
+    F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int = 0
+) -> WeightedSpans:
+    """Return transition and weighted sums of each span for x' = F x (or x+ = (I + Ts F) x).
 
     Args:
         F: the dynamics in each span (..., K, N, N) [1/s].
@@ -247,7 +252,9 @@ def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int =
     if schedule.Ts is not None:
         step = np.broadcast_to(np.eye(F.shape[-1]), F.shape) + schedule.Ts * F
         length = np.ones((F.shape[-3], 1, 1))
-        return _power(Span(step, H, 0 * H[:twice], length), schedule.spans.astype(int))
+        return _repeat_spans(
+            WeightedSpans(step, H, 0 * H[:twice], length), schedule.spans.astype(int)
+        )
     norm = np.abs(F).sum(axis=-1).max(axis=-1).reshape(-1, F.shape[-3]).max(axis=0)
     halvings = np.ceil(np.log2(np.maximum(8 * norm * schedule.spans, 1.0))).astype(int)
     h = (schedule.spans / 2.0**halvings)[:, None, None]
@@ -260,18 +267,19 @@ def spans(F: Floats, weights: Sequence[Floats], schedule: Schedule, twice: int =
         Phi = Phi + power
         G = G + coefficient * term
         GG = GG + coefficient * (h / (k + 1)) * term[:twice]
-        term = coefficient * (_t(F) @ term + term @ F)
-    whole = Span(Phi, G, GG, h)
+        term = coefficient * (_transpose_last(F) @ term + term @ F)
+    whole = WeightedSpans(Phi, G, GG, h)
     for k in range(halvings.max(initial=0)):
-        whole = _select_spans(halvings > k, _then(whole, whole), whole)
+        whole = _select_spans(halvings > k, _join_spans(whole, whole), whole)
     return whole
 
 
 def mean_squares(
     F: Floats, Z: Floats, sources: Sequence[Floats], schedule: Schedule
 ) -> list[Floats]:
-    """Return mean over a pass of |Z x|^2 in the steady state of x' = F x + v, v white, for each
-    source.
+    """Return the mean of |Z x|^2 over a pass for each source.
+
+    The pass is in the steady state of x' = F x + v with white noise v.
 
     Sampled, x+ = (I + Ts F) x + v, and the mean is over the samples. Large if x does not settle.
 
@@ -281,15 +289,17 @@ def mean_squares(
         sources: covariances of v (..., K, N, N), per second, or per step if sampled.
         schedule: of the sides.
     """
-    over = spans(F, [Z.T @ Z], schedule, 1)
+    over = integrate_spans(F, [Z.T @ Z], schedule, 1)
     means = []
-    spreads = spans(_t(F), sources, schedule).G  # what one span adds to the covariance
+    spreads = integrate_spans(
+        _transpose_last(F), sources, schedule
+    ).G  # what one span adds to the covariance
     for source, spread in zip(sources, spreads, strict=True):
         covariance = _stationary_covariance(over.Phi, spread)
         total = (over.GG[0] * source).sum(axis=(-3, -2, -1))
         for k in range(F.shape[-3]):
             total = total + (over.G[0, ..., k, :, :] * covariance).sum(axis=(-2, -1))
-            covariance = _along(over.Phi, covariance, k) + spread[..., k, :, :]
+            covariance = _covariance_after_span(over.Phi, covariance, k) + spread[..., k, :, :]
         means.append(np.asarray(total / schedule.spans.sum()))
     return means
 
@@ -298,10 +308,10 @@ def _stationary_covariance(Phi: Floats, spread: Floats) -> Floats:
     """Return the covariance (..., N, N) at the start of a pass after many passes, by doubling."""
     covariance: Floats = np.zeros(Phi.shape[:-3] + Phi.shape[-2:])
     for k in range(Phi.shape[-3]):
-        covariance = _along(Phi, covariance, k) + spread[..., k, :, :]
-    M = _whole(Phi)
+        covariance = _covariance_after_span(Phi, covariance, k) + spread[..., k, :, :]
+    M = _total_transition(Phi)
     for _ in range(PASSES):
-        covariance, M = covariance + M @ covariance @ _t(M), M @ M
+        covariance, M = covariance + M @ covariance @ _transpose_last(M), M @ M
         if not np.abs(M).max(initial=0.0) > 1e-9:
             break
     return covariance
@@ -310,8 +320,9 @@ def _stationary_covariance(Phi: Floats, spread: Floats) -> Floats:
 def mean_square_of_forced_error(
     F: Floats, Z: Floats, push: Floats, S: Floats, starts: Floats, schedule: Schedule
 ) -> Floats:
-    """Return mean over a pass of sum_j |Z x_j|^2 in the steady state of x_j' = F x_j + push_j w, w'
-    = S w.
+    """Return the mean over a pass of sum_j |Z x_j|^2 for x_j' = F x_j + push_j w, w' = S w.
+
+    The value is that of the steady state.
 
     The pass is taken as repeated. F, push and S are in delta form if sampled.
 
@@ -328,22 +339,22 @@ def mean_square_of_forced_error(
     weight[:N, :N] = Z.T @ Z
     total = np.zeros(F.shape[:-3])
     for E in push:
-        over = spans(_with_exosystem(F, E, S), [weight], schedule)
+        over = integrate_spans(_augment_exosystem(F, E, S), [weight], schedule)
         x: Floats = np.zeros((*F.shape[:-3], N))
         for span, w in enumerate(starts):
-            x = _onward(x, w, over.Phi[..., span, :, :])
+            x = _state_after_span(x, w, over.Phi[..., span, :, :])
         # x is now what one pass adds; in the steady state x = (what is left of x) + that.
-        once = np.eye(N) - _whole(over.Phi[..., :N, :N])
+        once = np.eye(N) - _total_transition(over.Phi[..., :N, :N])
         x = (np.linalg.pinv(once, rcond=1e-12) @ x[..., None])[..., 0]
         for span, w in enumerate(starts):
             both = np.concatenate([x, np.broadcast_to(w, (*x.shape[:-1], k))], axis=-1)
             G = over.G[0, ..., span, :, :]
             total = total + (both[..., None, :] @ G @ both[..., None])[..., 0, 0]
-            x = _onward(x, w, over.Phi[..., span, :, :])
+            x = _state_after_span(x, w, over.Phi[..., span, :, :])
     return np.asarray(total / schedule.spans.sum())
 
 
-def _with_exosystem(F: Floats, E: Floats, S: Floats) -> Floats:
+def _augment_exosystem(F: Floats, E: Floats, S: Floats) -> Floats:
     """Return the dynamics (..., K, N + k, N + k) of (x, w): x' = F x + E w, w' = S w."""
     N, k = E.shape
     joined = np.zeros((*F.shape[:-2], N + k, N + k))
@@ -353,40 +364,41 @@ def _with_exosystem(F: Floats, E: Floats, S: Floats) -> Floats:
     return joined
 
 
-def _onward(x: Floats, w: Floats, Phi: Floats) -> Floats:
-    """Return x (..., N) at the end of a span that starts with x and w (k); Phi: transition of (x,
-    w).
+def _state_after_span(x: Floats, w: Floats, Phi: Floats) -> Floats:
+    """Return x (..., N) at the end of a span that starts with x and w (k).
+
+    Phi is the transition of (x, w).
     """
     N = x.shape[-1]
     return np.asarray((Phi[..., :N, :N] @ x[..., None] + Phi[..., :N, N:] @ w[:, None])[..., 0])
 
 
-def _power(one: Span, times: Floats) -> Span:
-    """Return each span as often as `times` says (K), by doubling."""
+def _repeat_spans(one: WeightedSpans, times: Floats) -> WeightedSpans:
+    """Return each span repeated `times` (K), by doubling."""
     identity = np.broadcast_to(np.eye(one.Phi.shape[-1]), one.Phi.shape)
-    whole = Span(identity, 0 * one.G, 0 * one.GG, 0 * one.length)
+    whole = WeightedSpans(identity, 0 * one.G, 0 * one.GG, 0 * one.length)
     while True:
         odd = times % 2 == 1
         if odd.any():
-            whole = _select_spans(odd, _then(whole, one), whole)
+            whole = _select_spans(odd, _join_spans(whole, one), whole)
         times = times // 2
         if not times.any():
             return whole
-        one = _then(one, one)
+        one = _join_spans(one, one)
 
 
-def _select_spans(which: np.ndarray, new: Span, old: Span) -> Span:
-    """Return the new spans where `which` (K) says so, and the old ones elsewhere."""
+def _select_spans(which: np.ndarray, new: WeightedSpans, old: WeightedSpans) -> WeightedSpans:
+    """Return the new spans selected by `which` (K), and the old spans elsewhere."""
     if which.all():
         return new
     pairs = zip(new, old, strict=True)
-    return Span(*[np.where(which[:, None, None], *pair) for pair in pairs])
+    return WeightedSpans(*[np.where(which[:, None, None], *pair) for pair in pairs])
 
 
-def _then(a: Span, b: Span) -> Span:
-    """Return span b after span a."""
-    Pt = _t(a.Phi)
-    return Span(
+def _join_spans(a: WeightedSpans, b: WeightedSpans) -> WeightedSpans:
+    """Return span a followed by span b."""
+    Pt = _transpose_last(a.Phi)
+    return WeightedSpans(
         b.Phi @ a.Phi,
         a.G + Pt @ b.G @ a.Phi,
         a.GG + b.length * a.G[: len(a.GG)] + Pt @ b.GG @ a.Phi,
@@ -394,17 +406,17 @@ def _then(a: Span, b: Span) -> Span:
     )
 
 
-def _along(Phi: Floats, covariance: Floats, k: int) -> Floats:
+def _covariance_after_span(Phi: Floats, covariance: Floats, k: int) -> Floats:
     """Return a covariance (..., N, N) at the end of span k."""
-    return np.asarray(Phi[..., k, :, :] @ covariance @ _t(Phi[..., k, :, :]))
+    return np.asarray(Phi[..., k, :, :] @ covariance @ _transpose_last(Phi[..., k, :, :]))
 
 
-def _whole(Phi: Floats) -> Floats:
-    """Return the transition (..., N, N) over all spans."""
-    M, size = product(Phi)
+def _total_transition(Phi: Floats) -> Floats:
+    """Return the transition over all spans (..., N, N)."""
+    M, size = matrix_product(Phi)
     return np.asarray(M * np.exp(size)[..., None, None])
 
 
-def _t(M: Floats) -> Floats:
-    """Return transposed matrices."""
+def _transpose_last(M: Floats) -> Floats:
+    """Return the matrices transposed."""
     return np.swapaxes(M, -1, -2)

@@ -1,4 +1,4 @@
-"""V along chosen trajectories of the error: random switching, adversaries, a schedule of sides.
+"""V along chosen trajectories of the error: random switching, adversaries, a schedule.
 
 How long V takes to fall stands here too.
 """
@@ -11,9 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
-from undeadzone.analysis.convergence.falsify import Cycle, Mode, passages
-from undeadzone.analysis.convergence.floquet import error_matrices, power, product, transitions
-from undeadzone.analysis.error_dynamics import Dynamics, Storage, pattern
+from undeadzone.analysis.convergence.falsify import Cycle, SwitchMode, mode_transitions
+from undeadzone.analysis.convergence.floquet import (
+    error_matrices,
+    matrix_powers,
+    matrix_product,
+    span_transitions,
+)
+from undeadzone.analysis.error_dynamics import Dynamics, Storage, branch_pattern
 from undeadzone.util.arrays import Floats, Integers
 
 SWITCHES = 120  # of a trajectory
@@ -24,7 +29,7 @@ DOUBLINGS = 20  # of the number of passes, after which an error is taken to stay
 
 
 class Trajectory(NamedTuple):
-    """V along one trajectory.
+    """V along a single trajectory.
 
     Attributes:
         kind: what switches it.
@@ -38,7 +43,7 @@ class Trajectory(NamedTuple):
 
 
 class _Moves(NamedTuple):
-    """What an adversary can choose from at a switch: one mode per side pattern.
+    """Choices of an adversary at a switch: a mode per branch pattern.
 
     Attributes:
         maps: of the error until the next switch (modes x N x N).
@@ -51,10 +56,10 @@ class _Moves(NamedTuple):
     window: int
 
 
-def trajectories(
+def simulate_trajectories(
     errors: Dynamics, V: Storage, schedule: Schedule, seconds: float, seed: int = 0
 ) -> list[Trajectory]:
-    """Return V from one random error: along random trajectories, an adversary's, a fair one's, a
+    """Return V from a random error along random, adversarial and fair switching, and a
     schedule.
 
     An adversary switches to what leaves V largest. The fair one must also read every output on both
@@ -74,32 +79,33 @@ def trajectories(
         step = errors.Ts * max(1, round(step / errors.Ts))
     count = max(1, round(seconds / SWITCHES / step))  # pieces between two switches
     sides = np.array(list(itertools.product((1, -1, 0), repeat=errors.C.shape[0])))
-    modes = [_mode(errors, row, step) for row in sides]
-    pieces = passages(errors, modes)
+    modes = [_mean_vertex_mode(errors, row, step) for row in sides]
+    pieces = mode_transitions(errors, modes)
     full = np.flatnonzero(sides.all(axis=1))
-    held = power(pieces, np.full(len(modes), count))
+    held = matrix_powers(pieces, np.full(len(modes), count))
     moves = _Moves(held, full, max(WINDOW, 2 * len(full)))
-    start = _start(V, rng)
-    chosen = [("random", _random(rng, moves)) for _ in range(RANDOM)]
-    chosen.append(("adversary", _adversary(V, start, moves, fair=False)))
-    chosen.append(("fair adversary", _adversary(V, start, moves, fair=True)))
+    start = _random_unit_error(V, rng)
+    chosen = [("random", _random_modes(rng, moves)) for _ in range(RANDOM)]
+    chosen.append(("adversary", _adversary_modes(V, start, moves, fair=False)))
+    chosen.append(("fair adversary", _adversary_modes(V, start, moves, fair=True)))
     times = np.full(SWITCHES * count, step)
     taken = [(kind, pieces[np.repeat(order, count)]) for kind, order in chosen]
-    drawn = [_trajectory(kind, V, start, maps, times) for kind, maps in taken]
-    along = _passes(errors, schedule, seconds)
-    return [*drawn, trajectory("reference", errors, V, start, along, step)]
+    drawn = [_trajectory_along_maps(kind, V, start, maps, times) for kind, maps in taken]
+    along = _modes_of_schedule(errors, schedule, seconds)
+    return [*drawn, trajectory_along_modes("reference", errors, V, start, along, step)]
 
 
-def _random(rng: np.random.Generator, moves: _Moves) -> Integers:
-    """Return modes at every switch, each held for up to a window."""
+def _random_modes(rng: np.random.Generator, moves: _Moves) -> Integers:
+    """Return random modes at every switch, each lasting up to a window."""
     modes = rng.integers(len(moves.maps), size=SWITCHES)
     held = rng.integers(1, moves.window + 1, SWITCHES)
     return np.repeat(modes, held)[:SWITCHES]
 
 
-def _adversary(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers:
-    """Return modes at every switch that leave V largest; a fair adversary owes the full ones,
-    too.
+def _adversary_modes(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers:
+    """Return the modes at every switch that leave V largest.
+
+    A fair adversary also takes every full mode once per window.
     """
     error = start
     chosen: list[int] = []
@@ -116,10 +122,10 @@ def _adversary(V: Storage, start: Floats, moves: _Moves, fair: bool) -> Integers
     return np.array(chosen)
 
 
-def trajectory(
-    kind: str, errors: Dynamics, V: Storage, start: Floats, modes: list[Mode], step: float
+def trajectory_along_modes(
+    kind: str, errors: Dynamics, V: Storage, start: Floats, modes: list[SwitchMode], step: float
 ) -> Trajectory:
-    """Return V from one error along modes.
+    """Return V from an error along modes.
 
     Args:
         kind: what the trajectory is called.
@@ -134,22 +140,24 @@ def trajectory(
     pieces = []
     for mode, count in zip(modes, counts, strict=True):
         pieces.append(mode._replace(seconds=mode.seconds / count))
-    maps = np.repeat(passages(errors, pieces), counts, axis=0)
+    maps = np.repeat(mode_transitions(errors, pieces), counts, axis=0)
     times = np.repeat([piece.seconds for piece in pieces], counts)
-    return _trajectory(kind, V, start, maps, times)
+    return _trajectory_along_maps(kind, V, start, maps, times)
 
 
-def growing(errors: Dynamics, cycle: Cycle) -> Floats:
+def most_growing_error(errors: Dynamics, cycle: Cycle) -> Floats:
     """Return the error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
     identity = np.eye(errors.L.shape[0] + errors.gamma.shape[0])
-    period = np.linalg.multi_dot([identity, *passages(errors, [*cycle.modes])[::-1]])
+    period = np.linalg.multi_dot([identity, *mode_transitions(errors, [*cycle.modes])[::-1]])
     values, vectors = np.linalg.eig(period)
     return np.asarray(vectors[:, np.argmax(np.abs(values))].real)
 
 
-def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.01) -> float | None:
-    """Return the time [s] after which sqrt(V) is at most a share of what it was, whatever the
-    error.
+def worst_settling_time(
+    errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.01
+) -> float | None:
+    """Return the time until sqrt(V) is at most `share` of its start for every error [s], or
+    None.
 
     For V that never rises.
 
@@ -167,7 +175,7 @@ def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.
     F, _ = error_matrices(
         errors.A[0], errors.C, errors.L, errors.gamma, merge_equal_neighbours(schedule).sides
     )
-    once, size = product(transitions(F, merge_equal_neighbours(schedule)))
+    once, size = matrix_product(span_transitions(F, merge_equal_neighbours(schedule)))
     passes = [np.asarray(once * np.exp(size))[np.ix_(seen, seen)]]  # 1, 2, 4, ... of them
     while _largest_error_share(passes[-1], M) > share:
         if len(passes) > DOUBLINGS:
@@ -178,7 +186,7 @@ def settling(errors: Dynamics, V: Storage, schedule: Schedule, share: float = 0.
     for k in range(len(passes) - 2, -1, -1):
         if _largest_error_share(passes[k] @ done, M) > share:
             count, done = count + 2**k, passes[k] @ done
-    return (count + 1) * schedule.duration
+    return (count + 1) * schedule.total_duration
 
 
 def _largest_error_share(E: Floats, M: Floats) -> float:
@@ -188,21 +196,19 @@ def _largest_error_share(E: Floats, M: Floats) -> float:
     return float(np.sqrt(max(eigh(E.T @ M @ E, M, eigvals_only=True)[-1], 0.0)))
 
 
-def _mode(errors: Dynamics, sides: Floats, seconds: float) -> Mode:
+def _mean_vertex_mode(errors: Dynamics, sides: Floats, seconds: float) -> SwitchMode:
     """Return a mode at the mean of the vertices with the whole innovation."""
     vertices, p = len(errors.A), errors.C.shape[0]
-    S = pattern(tuple(sides.astype(int)))
-    return Mode(np.full(vertices, 1 / vertices), S, np.ones(p), seconds)
+    S = branch_pattern(tuple(sides.astype(int)))
+    return SwitchMode(np.full(vertices, 1 / vertices), S, np.ones(p), seconds)
 
 
-def _passes(errors: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
-    """Return the modes of a schedule, passed again and again, for that time or up to a sample
-    more.
-    """
+def _modes_of_schedule(errors: Dynamics, schedule: Schedule, seconds: float) -> list[SwitchMode]:
+    """Return the modes of a schedule, repeated for a time [s], up to a sample more."""
     once = []
     for sides, span in zip(*merge_equal_neighbours(schedule)[:2], strict=True):
-        once.append(_mode(errors, sides, span * (errors.Ts or 1.0)))
-    modes: list[Mode] = []
+        once.append(_mean_vertex_mode(errors, sides, span * (errors.Ts or 1.0)))
+    modes: list[SwitchMode] = []
     left = seconds
     while left > 0:
         mode = once[len(modes) % len(once)]
@@ -212,8 +218,8 @@ def _passes(errors: Dynamics, schedule: Schedule, seconds: float) -> list[Mode]:
     return modes
 
 
-def _start(V: Storage, rng: np.random.Generator) -> Floats:
-    """Return a random error of V = 1, every direction alike where V is the squared length.
+def _random_unit_error(V: Storage, rng: np.random.Generator) -> Floats:
+    """Return a random error of V = 1, isotropic if V is the squared length.
 
     What V does not see is 0.
     """
@@ -226,11 +232,13 @@ def _start(V: Storage, rng: np.random.Generator) -> Floats:
 
 def _value(V: Storage, errors: Floats) -> Floats:
     """Return V (N) of errors [x~; d~] (N rows)."""
-    return V.value(*np.split(errors, [len(V.P)], axis=1))
+    return V.evaluate_storage(*np.split(errors, [len(V.P)], axis=1))
 
 
-def _trajectory(kind: str, V: Storage, start: Floats, maps: Floats, times: Floats) -> Trajectory:
-    """Return V along maps of the error (K x N x N), of these times (K) [s]."""
+def _trajectory_along_maps(
+    kind: str, V: Storage, start: Floats, maps: Floats, times: Floats
+) -> Trajectory:
+    """Return V along maps of the error (K x N x N) with times (K) [s]."""
     errors = [start]
     for M in maps:
         errors.append(M @ errors[-1])

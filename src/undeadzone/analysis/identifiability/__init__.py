@@ -1,1 +1,1 @@
-"""Which widths the readings can tell."""
+"""Identifiability of the widths from readings."""

@@ -1,4 +1,4 @@
-"""What a declared disturbance is to who is not told of it: an unknown one of its kind.
+"""Unknown disturbance of a declared kind, as constants and inputs with states of their own.
 
 Its constant part, if it has one, may be anything. Of what swings, the sizes are taken for known,
 the paths are not: a constant of its rms, beside a tone of each of its frequencies, or a random
@@ -21,7 +21,7 @@ from undeadzone.signals.exosystem import (
     Step,
     Tone,
     Trapezoid,
-    exosystem,
+    build_exosystem,
 )
 from undeadzone.util.arrays import Array, Floats
 
@@ -31,7 +31,7 @@ LASTS: Final = 100.0  # runs that the correlation of a constant lasts
 ROUNDING: Final = 1e-12  # share of a signal, up to which a channel does not swing
 
 
-class Colour(NamedTuple):
+class InputModel(NamedTuple):
     """Unknown inputs with states of their own: w' = A w + white noise, x' = ... + B w.
 
     Attributes:
@@ -47,7 +47,7 @@ class Colour(NamedTuple):
     rms: Floats
 
 
-def first_order(B: Floats, rms: Floats, correlation_time: float) -> Colour:
+def first_order_inputs(B: Floats, rms: Floats, correlation_time: float) -> InputModel:
     """Return first-order random inputs: w' = -w / correlation_time + white.
 
     Args:
@@ -56,11 +56,11 @@ def first_order(B: Floats, rms: Floats, correlation_time: float) -> Colour:
         correlation_time: of all of them [s].
     """
     rate = 1 / correlation_time
-    return Colour(-rate * np.eye(rms.size), 2 * rate * np.diag(rms**2), B, rms)
+    return InputModel(-rate * np.eye(rms.size), 2 * rate * np.diag(rms**2), B, rms)
 
 
-def tone(B: Floats, amplitude: Floats, frequency: float) -> Colour:
-    """Return sines of one frequency, whose amplitudes and phases are not known.
+def tone_inputs(B: Floats, amplitude: Floats, frequency: float) -> InputModel:
+    """Return sines of a common frequency, with unknown amplitudes and phases.
 
     Args:
         B: how they enter x' (n x b), or x+ of a sampled model.
@@ -70,23 +70,23 @@ def tone(B: Floats, amplitude: Floats, frequency: float) -> Colour:
     turn = 2 * np.pi * frequency * np.array([[0.0, 1.0], [-1.0, 0.0]])
     A = np.kron(np.eye(amplitude.size), turn)
     enters = np.kron(B, np.array([[1.0, 0.0]]))
-    return Colour(A, np.zeros_like(A), enters, np.repeat(amplitude / np.sqrt(2), 2))
+    return InputModel(A, np.zeros_like(A), enters, np.repeat(amplitude / np.sqrt(2), 2))
 
 
-def together(colours: Sequence[Colour]) -> Colour | None:
-    """Return unknown inputs side by side; None if there are none."""
+def join_inputs(colours: Sequence[InputModel]) -> InputModel | None:
+    """Return unknown inputs side by side; None if the sequence is empty."""
     from scipy.linalg import block_diag
 
     if not colours:
         return None
     A, Q, B, rms = zip(*colours, strict=True)
-    return Colour(block_diag(*A), block_diag(*Q), np.hstack(B), np.concatenate(rms))
+    return InputModel(block_diag(*A), block_diag(*Q), np.hstack(B), np.concatenate(rms))
 
 
 def unknown_bias(
     disturbance: Disturbance | None, B: Floats, duration: float = np.inf
 ) -> Floats | None:
-    """Return the columns of B on which a disturbance has a constant part, which may be of any size.
+    """Return the columns of B with a constant disturbance of any size (n x b), or None.
 
     The signal itself is judged, not its kind: what does not swing within the run is a constant.
 
@@ -105,7 +105,8 @@ def unknown_bias(
 def unknown_constants(
     disturbance: Disturbance | None, m: int, duration: float
 ) -> tuple[Floats, Floats]:
-    """Return a disturbance as constants alone, for plants along whose runs no other is carried.
+    """Return a disturbance as constants alone, for plants whose runs carry no other
+    disturbance.
 
     Args:
         disturbance: any.
@@ -116,7 +117,7 @@ def unknown_constants(
         The inputs that one acts on (m x b), and its rms, infinite where it may be of any size (b).
     """
     constant = _has_constant(disturbance, m, duration)
-    rms = np.sqrt((_swing(disturbance, constant, duration) ** 2).mean(axis=0))
+    rms = np.sqrt((_varying_part(disturbance, constant, duration) ** 2).mean(axis=0))
     if isinstance(disturbance, Random):  # of which the mean over the run is what is like a constant
         share = min(1.0, 2 * disturbance.correlation_time / duration)
         rms = np.sqrt(share) * np.broadcast_to(disturbance.rms, m)
@@ -124,8 +125,10 @@ def unknown_constants(
     return np.eye(m)[:, rms > 0], rms[rms > 0]
 
 
-def unknown_inputs(disturbance: Disturbance | None, B: Floats, duration: float) -> Colour | None:
-    """What of a disturbance swings, as unknown inputs of its kind; None if nothing does.
+def unknown_inputs(
+    disturbance: Disturbance | None, B: Floats, duration: float
+) -> InputModel | None:
+    """Return the varying part of a disturbance as unknown inputs of its kind, or None.
 
     Args:
         disturbance: any.
@@ -136,26 +139,29 @@ def unknown_inputs(disturbance: Disturbance | None, B: Floats, duration: float) 
     if isinstance(disturbance, Random):
         size = np.broadcast_to(np.asarray(disturbance.rms, float), m)
         memory = disturbance.correlation_time
-        return together([first_order(B[:, [j]], size[[j]], memory) for j in np.flatnonzero(size)])
+        return join_inputs(
+            [first_order_inputs(B[:, [j]], size[[j]], memory) for j in np.flatnonzero(size)]
+        )
     constant = _has_constant(disturbance, m, duration)
-    swing = _swing(disturbance, constant, duration)
+    swing = _varying_part(disturbance, constant, duration)
     colours = []
     for j in np.flatnonzero(swing.any(axis=0)):
         column, rms = B[:, [j]], np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
         if not constant[j]:
-            colours.append(first_order(column, rms, LASTS * duration))
-        tones = _tones(disturbance)
+            colours.append(first_order_inputs(column, rms, LASTS * duration))
+        tones = _sine_components(disturbance)
         for one in tones:
             amplitude = np.broadcast_to(np.ravel(one.amplitude), m)[[j]]
-            colours.append(tone(column, amplitude, one.frequency))
+            colours.append(tone_inputs(column, amplitude, one.frequency))
         if not tones:
             memory = correlation_time(swing[:, j], duration / (POINTS - 1))
-            colours.append(first_order(column, rms, memory))
-    return together(colours)
+            colours.append(first_order_inputs(column, rms, memory))
+    return join_inputs(colours)
 
 
 def correlation_time(signal: Floats, step: float) -> float:
-    """Return after how long a signal's autocorrelation has fallen to 1/e [s], at least a step.
+    """Return the time after which a signal's autocorrelation is below 1/e [s], at least a
+    step.
 
     Args:
         signal: without its mean (N).
@@ -167,8 +173,9 @@ def correlation_time(signal: Floats, step: float) -> float:
     return step * float(fallen[0] if fallen.size else signal.size)
 
 
-def _swing(disturbance: Disturbance | None, constant: np.ndarray, duration: float) -> Floats:
-    """Return a disturbance at POINTS times of a run, without constants of any size (POINTS x m).
+def _varying_part(disturbance: Disturbance | None, constant: np.ndarray, duration: float) -> Floats:
+    """Return a disturbance at POINTS times of a run, without constants of any size (POINTS x
+    m).
 
     Args:
         disturbance: any.
@@ -178,18 +185,18 @@ def _swing(disturbance: Disturbance | None, constant: np.ndarray, duration: floa
     m, t = constant.size, np.linspace(0.0, duration, POINTS)
     if disturbance is None or isinstance(disturbance, Random):
         return np.zeros((POINTS, m))
-    values = exosystem("disturbance", disturbance, m).value(t)
+    values = build_exosystem("disturbance", disturbance, m).output_at(t)
     swing = values - np.where(constant, values.mean(axis=0), 0.0)
     return np.where(np.abs(swing).max(axis=0) > ROUNDING * np.abs(values).max(), swing, 0.0)
 
 
 def _has_constant(disturbance: Disturbance | None, m: int, duration: float) -> np.ndarray:
-    """Return whether a disturbance has a constant part of any size, of each input (m, bool)."""
+    """Return whether a disturbance has a constant part of any size, for each input (m, bool)."""
     return np.broadcast_to(np.ravel(_constant_part(disturbance, m, duration)) != 0, m)
 
 
 def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> Any:
-    """Return a number per input, or one for all, that is not 0 where a disturbance has a constant
+    """Return a number per input, or a common number, not 0 if a disturbance has a constant
     part.
 
     A tone or a trapezoid counts if its period is longer than the run, samples in a file if their
@@ -197,29 +204,33 @@ def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> 
     """
     match disturbance:
         case Step():
-            return _sizes(disturbance.amplitude, disturbance.before)
+            return _sum_of_magnitudes(disturbance.amplitude, disturbance.before)
         case Sine() | Sines():
-            slow = [one.amplitude for one in _tones(disturbance) if one.frequency * duration < 1]
-            return _sizes(disturbance.offset, *slow)
+            slow = [
+                one.amplitude
+                for one in _sine_components(disturbance)
+                if one.frequency * duration < 1
+            ]
+            return _sum_of_magnitudes(disturbance.offset, *slow)
         case Trapezoid():
             period = 4 * disturbance.rise + 2 * disturbance.hold
-            return _sizes(disturbance.amplitude if period > duration else 0.0)
+            return _sum_of_magnitudes(disturbance.amplitude if period > duration else 0.0)
         case Samples():
-            signal = exosystem("disturbance", disturbance, m)
+            signal = build_exosystem("disturbance", disturbance, m)
             end = duration if np.isfinite(duration) else max(float(signal.corners[-1]), 1.0)
-            values = signal.value(np.linspace(0.0, end, POINTS))
+            values = signal.output_at(np.linspace(0.0, end, POINTS))
             mean, size = np.abs(values.mean(axis=0)), np.abs(values).max(axis=0)
             return np.where(mean > CONSTANT * size, mean, 0.0)
     return 0.0
 
 
-def _tones(disturbance: Disturbance | None) -> list[Tone]:
-    """Return the sines that a disturbance consists of, its offset aside."""
+def _sine_components(disturbance: Disturbance | None) -> list[Tone]:
+    """Return the sines of a disturbance, without its offset."""
     if isinstance(disturbance, Sines):
         return disturbance.components
     return [disturbance] if isinstance(disturbance, Sine) else []
 
 
-def _sizes(*values: Array) -> Any:
-    """Return the sum of the magnitudes of numbers, one per input or one for all."""
+def _sum_of_magnitudes(*values: Array) -> Any:
+    """Return the sum of the magnitudes of numbers, per input or common to all."""
     return sum(np.abs(np.asarray(value, float)).ravel() for value in values)

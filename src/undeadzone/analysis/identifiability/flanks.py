@@ -1,4 +1,4 @@
-"""Which flanks of its gears a joint visits along a path, and what would make it visit both.
+"""Contact sides of a joint's gears along a path, and the motion that would visit both.
 
 A gap shows where the load crosses it: where the torque tau = M(q) a + h(q, v) that a link needs
 changes sign. A joint that gravity holds on one flank is offset by half a gap that no reading tells
@@ -12,18 +12,20 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.analysis.identifiability.linear import Verdict
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.plants.robots.arm import Arm, torque
 from undeadzone.util.arrays import Flags, Floats, runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
-HEARD = 0.2  # of a motor's friction: what its encoder tells of a smaller load is lost in that
+FRICTION_SHARE = (
+    0.2  # of a motor's friction: what its encoder tells of a smaller load is lost in that
+)
 LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
 
 
-class Visited(NamedTuple):
-    """What a joint does to its gears along a path.
+class FlankVisits(NamedTuple):
+    """Contact sides of a joint's gears along a path.
 
     Attributes:
         right, left: whether its load presses on that flank.
@@ -35,8 +37,8 @@ class Visited(NamedTuple):
     changes: int
 
 
-def visited_flanks(tau: Floats, step: float, unheard: Floats) -> list[Visited]:
-    """What each joint does to its gears.
+def flank_visits(tau: Floats, step: float, unheard: Floats) -> list[FlankVisits]:
+    """Return the contact sides that each joint visits.
 
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
@@ -46,22 +48,24 @@ def visited_flanks(tau: Floats, step: float, unheard: Floats) -> list[Visited]:
     least = np.maximum(SHARE * np.abs(tau).max(axis=0, initial=0.0), unheard)
     told = []
     for load, small in zip(tau.T, least, strict=True):
-        pressed = 1 * _lasting(load > small, step) - 1 * _lasting(load < -small, step)
+        pressed = 1 * _keep_lasting_runs(load > small, step) - 1 * _keep_lasting_runs(
+            load < -small, step
+        )
         flanks = pressed[pressed != 0]
         changes = int(np.count_nonzero(np.diff(flanks)))
-        told.append(Visited(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
+        told.append(FlankVisits(bool((flanks > 0).any()), bool((flanks < 0).any()), changes))
     return told
 
 
-def _lasting(flags: Flags, step: float) -> Flags:
-    """Those flags that are part of a run that lasts."""
+def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
+    """Return the flags that belong to a run of at least LASTING seconds (N, bool)."""
     kept = np.zeros_like(flags)
     for first, last in zip(*runs(flags), strict=True):
         kept[first : last + 1] = (last + 1 - first) * step >= LASTING
     return kept
 
 
-def torques(body: Arm, params: Floats, path: Floats) -> Floats:
+def torques_along_path(body: Arm, params: Floats, path: Floats) -> Floats:
     """Return the torque that links need along a path (N x joints) [N m].
 
     Args:
@@ -74,9 +78,9 @@ def torques(body: Arm, params: Floats, path: Floats) -> Floats:
     return np.asarray(needed.map(len(path))(*(path[:, k].T for k in range(3)))).T
 
 
-def balanced_position(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
-    """Return the position of joint i nearest to a posture at which gravity asks it for no torque
-    [rad].
+def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float | None:
+    """Return the position of joint i, nearest to q_i, without torque from gravity [rad], or
+    None.
 
     Args:
         body: the arm.
@@ -102,10 +106,10 @@ def balanced_position(body: Arm, params: Floats, q: Floats, i: int) -> float | N
     return float(zeros[np.abs(zeros - q[i]).argmin()])
 
 
-def flank_verdicts(
+def gap_identifiability(
     body: Arm, params: Floats, path: Floats, step: float, friction: Floats
-) -> list[Verdict]:
-    """What readings along a path tell of each joint's gap.
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each joint's gap from readings along a path.
 
     Args:
         body: the arm.
@@ -114,21 +118,29 @@ def flank_verdicts(
         step: between two rows [s].
         friction: of the motors; 0 where encoders read the links (joints) [N m].
     """
-    mean, tau, unheard = path[:, 0].mean(axis=0), torques(body, params, path), HEARD * friction
+    mean, tau, unheard = (
+        path[:, 0].mean(axis=0),
+        torques_along_path(body, params, path),
+        FRICTION_SHARE * friction,
+    )
     most, slides, verdicts = np.abs(tau).max(axis=0, initial=0.0), body.chain.slides, []
-    for i, joint in enumerate(visited_flanks(tau, step, unheard)):
+    for i, joint in enumerate(flank_visits(tau, step, unheard)):
         known = joint.right and joint.left
         why = (
             "" if known or most[i] >= unheard[i] else _friction_reason(most[i], friction[i], slides)
         )
         if not (known or why):
-            why = _gap_reasons(balanced_position(body, params, mean, i), "" if slides else " rad")
-        verdicts.append(Verdict(known, known, known, known, reasons=(why,) if why else ()))
+            why = _gap_reasons(
+                torque_free_position(body, params, mean, i), "" if slides else " rad"
+            )
+        verdicts.append(
+            WidthIdentifiability(known, known, known, known, reasons=(why,) if why else ())
+        )
     return verdicts
 
 
 def _friction_reason(most: float, friction: float, slides: bool) -> str:
-    """That a motor's friction hides what its link asks for at most."""
+    """Describe that a motor's friction hides the largest torque of its link."""
     unit = "" if slides else " N m"
     asks = f"its link asks for {most:.2g}{unit} at most"
     hides = f"friction of its motor, {friction:.2g}{unit}, hides"
@@ -136,7 +148,7 @@ def _friction_reason(most: float, friction: float, slides: bool) -> str:
 
 
 def _gap_reasons(place: float | None, unit: str) -> str:
-    """What keeps a gap from being known, and what would help.
+    """Describe why a gap is not identifiable, and the remedy.
 
     place, unit: where gravity asks the joint for no torque.
     """

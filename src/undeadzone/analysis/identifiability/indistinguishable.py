@@ -1,4 +1,4 @@
-"""Another truth with the same readings: what stays unknown, shown by an example.
+"""Indistinguishable parameters: an example of widths that give the same readings.
 
 Of all changes of the unknowns that the readings cannot tell, or not better than noise and prior
 allow, it is the likeliest one that moves a width, or d_r - d_l, to the end of its 95 % interval.
@@ -20,8 +20,9 @@ NEAR: Final = 0.05  # of the larger width: truths less far apart are not told
 PART: Final = 0.25  # of the larger width, by which one moves that nothing tells
 
 
-def farthest(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -> Floats:
-    """Return the change of the unknowns that readings tell least of output i's widths.
+def least_known_change(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -> Floats:
+    """Return the change of the unknowns that readings determine least in output i's widths
+    (N).
 
     Args:
         hidden: what no reading shows.
@@ -32,9 +33,11 @@ def farthest(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -
     first = hidden.n + 2 * i
     pair = slice(first, first + 2)
     size = float(widths.max()) or 1.0
-    lost = [name for name in DIRECTIONS if not hidden.width(i, name)]
-    std = hidden.deviations(i, covariance)
-    name = lost[0] if lost else max(DIRECTIONS, key=lambda name: std[name] * _weight(name))
+    lost = [name for name in DIRECTIONS if not hidden.is_width_known(i, name)]
+    std = hidden.std_of_widths(i, covariance)
+    name = (
+        lost[0] if lost else max(DIRECTIONS, key=lambda name: std[name] * _direction_weight(name))
+    )
     along = np.zeros(hidden.scale.size)
     along[pair] = DIRECTIONS[name]
     if lost:
@@ -47,7 +50,7 @@ def farthest(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -
     return np.asarray(min(room, 1.0) * change)
 
 
-def second_truth(
+def indistinguishable_widths(
     hidden: Unobservable,
     covariance: Floats,
     i: int,
@@ -55,7 +58,9 @@ def second_truth(
     start: Floats,
     constants: Floats,
 ) -> dict[str, Any] | None:
-    """Return a truth beside the one that is declared; None where its widths are nearly the same.
+    """Return parameters that give the same readings as the declared truth, or None.
+
+    None means that their widths are nearly the same.
 
     Args:
         hidden, covariance, i, widths: as of `farthest`.
@@ -65,7 +70,7 @@ def second_truth(
     Returns:
         Its `right` and `left` [z], and how much `start` (n) and `input` (m) are larger there.
     """
-    change, first = farthest(hidden, covariance, i, widths), hidden.n + 2 * i
+    change, first = least_known_change(hidden, covariance, i, widths), hidden.n + 2 * i
     moved = change[first : first + 2]
     if np.abs(moved).max() < NEAR * widths.max():
         return None
@@ -74,27 +79,27 @@ def second_truth(
     return {"right": right, "left": left, **rest}
 
 
-def in_words(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
-    """Return second truths of outputs in words."""
+def describe_indistinguishable(truths: Sequence[Mapping[str, Any] | None]) -> list[str]:
+    """Describe the indistinguishable parameters of each output."""
     told = []
     for i, one in enumerate(truths):
         if one is None:
             continue
-        moved = [f"a constant {_numbers(one['input'])} more at the input"] * any(one["input"])
-        moved += [f"x(0) larger by {_numbers(one['start'])}"] * any(one["start"])
+        moved = [f"a constant {_format_values(one['input'])} more at the input"] * any(one["input"])
+        moved += [f"x(0) larger by {_format_values(one['start'])}"] * any(one["start"])
         where = f"output {i}: " if len(truths) > 1 else ""
         told.append(f"{where}d_r {one['right']:.4g}, d_l {one['left']:.4g}, {' and '.join(moved)}")
     return told
 
 
-def _numbers(values: Sequence[float]) -> str:
-    """Return one number, or several in brackets; what is nearly 0 beside the largest is 0."""
+def _format_values(values: Sequence[float]) -> str:
+    """Format a number, or several in brackets; numbers near 0 beside the largest become 0."""
     given = np.array(values)
     given[np.abs(given) < NEAR * np.abs(given).max()] = 0.0
     texts = [f"{value:.3g}" for value in given]
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
-def _weight(name: str) -> float:
-    """Of a direction among those whose deviations are compared: one over its length."""
+def _direction_weight(name: str) -> float:
+    """Return the weight of a direction whose deviation is compared: 1 over its length."""
     return float(1 / np.linalg.norm(DIRECTIONS[name]))

@@ -1,4 +1,4 @@
-"""How well noisy readings determine x(0), d and a bias along a schedule, backward in time.
+"""Information of noisy readings on x(0), d and a bias along a schedule, backward in time.
 
 docs/identifiability.md derives it. The unknowns are [x(0); d; beta], d = [right, left] per output.
 """
@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule, merge_equal_neighbours
-from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.analysis.identifiability.disturbance import Colour
-from undeadzone.analysis.identifiability.linear import Unobservable, invisible
-from undeadzone.linalg.hold import discrete_noise_covariance
+from undeadzone.analysis.error_dynamics import branch_pattern
+from undeadzone.analysis.identifiability.disturbance import InputModel
+from undeadzone.analysis.identifiability.linear import Unobservable, unobservable_changes
+from undeadzone.linalg.hold import discretise_noise
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 
@@ -23,7 +23,7 @@ BLURRED = 1e-4  # the same beside process noise, whose vague directions rounding
 
 
 class Stretch(NamedTuple):
-    """What a stretch of time does to information: before = H + Phi' (after^-1 + Q)^-1 Phi.
+    """Effect of a stretch of time on information: before = H + Phi' (after^-1 + Q)^-1 Phi.
 
     Attributes:
         Phi: the transition (N x N).
@@ -37,7 +37,7 @@ class Stretch(NamedTuple):
 
 
 class Deviations(NamedTuple):
-    """Standard deviations that an optimal estimator reaches: inf where it cannot know.
+    """Standard deviations that an optimal estimator reaches; inf if not identifiable.
 
     Attributes:
         widths: of `right`, `left`, `width`, `centre` of each output [unit of z].
@@ -52,8 +52,8 @@ class Deviations(NamedTuple):
     hidden: Unobservable
 
 
-class Readings(NamedTuple):
-    """What tells of the widths.
+class ReadingConditions(NamedTuple):
+    """Readings and prior information about the widths.
 
     Attributes:
         noise: rms of the noise of z (p).
@@ -74,14 +74,18 @@ class Readings(NamedTuple):
     duration: float
     arrive: Floats | None = None
     bias: Floats | None = None
-    colour: Colour | None = None
+    colour: InputModel | None = None
     told: Floats | None = None
     gaps_known: bool = False
     process: Floats | None = None
 
 
-def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Deviations:
-    """What noisy readings tell, whole passes of the schedule at a time; no other prior than `told`.
+def optimal_deviations(
+    linear: Matrices, schedule: Schedule, readings: ReadingConditions
+) -> Deviations:
+    """Return the standard deviations from noisy readings along whole passes of the schedule.
+
+    The only further prior is `told`.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -89,40 +93,40 @@ def deviations(linear: Matrices, schedule: Schedule, readings: Readings) -> Devi
         readings: what tells.
     """
     states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
-    visited = schedule.visited_sides(states_of_plant)
+    visited = schedule.branch_visits(states_of_plant)
     prior: Floats = np.zeros(states_of_plant)
     if colour is not None:
         linear, readings = _augment_disturbance(linear, schedule.Ts, colour, readings)
         prior = np.r_[prior, 1 / colour.rms**2]
     n, p = linear.A.shape[0], linear.C.shape[0]
-    fisher = information(linear, schedule, readings)
+    fisher = information_matrix(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior
-    hidden = invisible(linear, visited, schedule.Ts, readings.bias)
+    hidden = unobservable_changes(linear, visited, schedule.Ts, readings.bias)
     if told is not None:
         rows = np.zeros((len(told), n + 2 * p))
         rows[:, :states_of_plant] = told[:, :states_of_plant]
         rows[:, n:] = told[:, states_of_plant:]
         fisher[: n + 2 * p, : n + 2 * p] += rows.T @ rows
-        hidden = hidden.given_information(rows)
+        hidden = hidden.exclude_known(rows)
     units = np.outer(hidden.scale, hidden.scale)
     seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
-    covariance = units * (seen @ _inverse(seen.T @ (fisher * units) @ seen) @ seen.T)
-    widths = [hidden.deviations(i, covariance) for i in range(p)]
+    covariance = units * (seen @ _invert_semidefinite(seen.T @ (fisher * units) @ seen) @ seen.T)
+    widths = [hidden.std_of_widths(i, covariance) for i in range(p)]
     states = np.full(n, np.inf)
     for i in range(n):
-        if hidden.state(i):
+        if hidden.is_state_known(i):
             states[i] = np.sqrt(covariance[i, i])
     return Deviations(widths, states, covariance, hidden)
 
 
 def _augment_disturbance(
-    linear: Matrices, Ts: float | None, colour: Colour, readings: Readings
-) -> tuple[Matrices, Readings]:
-    """Return the model of [x; w], and what tells of it, with its process noise and its bias."""
+    linear: Matrices, Ts: float | None, colour: InputModel, readings: ReadingConditions
+) -> tuple[Matrices, ReadingConditions]:
+    """Return the model of [x; w] and its readings, with process noise and bias."""
     n, b = colour.B.shape
     own, white = colour.A, colour.Q
     if Ts is not None:
-        own, white = discrete_noise_covariance(colour.A, colour.Q, Ts)
+        own, white = discretise_noise(colour.A, colour.Q, Ts)
     A = np.block([[linear.A, colour.B], [np.zeros((b, n)), own]])
     C = np.hstack([linear.C, np.zeros((linear.C.shape[0], b))])
     process = np.zeros((n + b, n + b))
@@ -133,18 +137,20 @@ def _augment_disturbance(
 
 
 def pad_states(B: Floats, more: int) -> Floats:
-    """Return inputs of n states as those of n + more states, the last of which they do not move."""
+    """Return inputs of n states as inputs of n + more states, the last of which they do not
+    move.
+    """
     return np.vstack([B, np.zeros((more, B.shape[1]))])
 
 
-def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Floats:
+def information_matrix(linear: Matrices, schedule: Schedule, readings: ReadingConditions) -> Floats:
     """Return the information matrix (n + 2p + b square) of [x(0); d; beta].
 
     Without process noise it is exact: the observability Gramian of the switched system divided by
     the noise. Arguments as of `deviations`.
     """
     bias, process, step = readings.bias, readings.process, readings.step
-    least = (EXACT if process is None else BLURRED) * scale_of(schedule.levels)
+    least = (EXACT if process is None else BLURRED) * edge_scale(schedule.levels)
     variance = np.maximum(readings.noise, least) ** 2
     if readings.arrive is not None:
         variance = variance / readings.arrive
@@ -157,30 +163,28 @@ def information(linear: Matrices, schedule: Schedule, readings: Readings) -> Flo
     if process is not None:
         Q[:n, :n] = process
     one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model
-    once = nothing(size)
+    once = identity_stretch(size)
     for sides, span in zip(*merge_equal_neighbours(schedule)[:2], strict=True):
         of_states = linear.C * np.abs(sides)[:, None]
-        S = pattern(tuple(sides.astype(int)))
+        S = branch_pattern(tuple(sides.astype(int)))
         rows = np.hstack([of_states, -S, np.zeros((p, B.shape[1]))])
         if schedule.Ts is None:
-            stretch = _flow(F, Q, rows.T / (variance * step) @ rows, span, step)
+            stretch = _continuous_stretch(F, Q, rows.T / (variance * step) @ rows, span, step)
         else:
-            stretch = repeat(Stretch(one_step, Q, rows.T / variance @ rows), round(span))
-        once = then(once, stretch)
-    passes = readings.duration / schedule.duration * (1 + 1e-12)
-    return repeat(once, max(1, int(passes))).H
+            stretch = repeat_stretch(Stretch(one_step, Q, rows.T / variance @ rows), round(span))
+        once = chain_stretches(once, stretch)
+    passes = readings.duration / schedule.total_duration * (1 + 1e-12)
+    return repeat_stretch(once, max(1, int(passes))).H
 
 
-def scale_of(levels: Floats) -> Floats:
-    """Return the larger edge of each output (p), by which readings are exact; 1 where none has a
-    width.
-    """
+def edge_scale(levels: Floats) -> Floats:
+    """Return the larger edge of each output (p) [z]; 1 if an output has no width."""
     level = levels.max(axis=1)
     return np.where(level > NO_WIDTH, level, 1.0)
 
 
-def then(first: Stretch, second: Stretch) -> Stretch:
-    """Return one stretch after another."""
+def chain_stretches(first: Stretch, second: Stretch) -> Stretch:
+    """Return the first stretch followed by the second."""
     mixed = np.eye(first.Q.shape[0]) + first.Q @ second.H
     Phi, Q = np.hsplit(np.linalg.solve(mixed, np.hstack([first.Phi, first.Q])), 2)
     H = first.H + first.Phi.T @ second.H @ Phi
@@ -188,25 +192,25 @@ def then(first: Stretch, second: Stretch) -> Stretch:
     return Stretch(second.Phi @ Phi, (Q + Q.T) / 2, (H + H.T) / 2)
 
 
-def repeat(once: Stretch, times: int) -> Stretch:
-    """Return a stretch `times` >= 1 times in a row, by doubling."""
-    whole = nothing(len(once.Q))
+def repeat_stretch(once: Stretch, times: int) -> Stretch:
+    """Return a stretch repeated `times` >= 1 times, by doubling."""
+    whole = identity_stretch(len(once.Q))
     while True:
         if times & 1:
-            whole = then(whole, once)
+            whole = chain_stretches(whole, once)
         times >>= 1
         if not times:
             return whole
-        once = then(once, once)
+        once = chain_stretches(once, once)
 
 
-def nothing(size: int) -> Stretch:
-    """Return a stretch of no time, of so many unknowns."""
+def identity_stretch(size: int) -> Stretch:
+    """Return a stretch of no time for `size` unknowns."""
     none = np.zeros((size, size))
     return Stretch(np.eye(size), none, none)
 
 
-def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
+def _continuous_stretch(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
     """Return the stretch of x' = F x + w for `span` [s]: short parts, then doubling.
 
     Within a part readings come before process noise: with Q, a part holds one reading (every `step`
@@ -216,13 +220,13 @@ def _flow(F: Floats, Q: Floats, H: Floats, span: float, step: float) -> Stretch:
     parts = max(1.0, float(np.linalg.norm(F, 1)) * span, readings)
     halvings = int(np.ceil(np.log2(parts)))
     part = span / 2**halvings
-    Phi, gained = discrete_noise_covariance(F, Q, part)
-    _, told = discrete_noise_covariance(F.T, H, part)
-    return repeat(Stretch(Phi, gained, told), 2**halvings)
+    Phi, gained = discretise_noise(F, Q, part)
+    _, told = discretise_noise(F.T, H, part)
+    return repeat_stretch(Stretch(Phi, gained, told), 2**halvings)
 
 
-def _inverse(information: Floats) -> Floats:
-    """Return the inverse of a positive semidefinite matrix, infinite where rounding leaves
+def _invert_semidefinite(information: Floats) -> Floats:
+    """Return the inverse of a positive semidefinite matrix, infinite if rounding leaves
     nothing.
     """
     tiny = np.finfo(float).tiny

@@ -1,4 +1,4 @@
-"""What readings tell of x, d_r, d_l along a schedule of sides, and what would tell more.
+"""Identifiability of x, d_r, d_l along a schedule of branches, and remedies.
 
 Proofs are in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per
 output, beta a constant input bias. What stays unknown is a subspace, kept as an orthonormal basis.
@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule
-from undeadzone.analysis.error_dynamics import pattern
-from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.analysis.error_dynamics import branch_pattern
+from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 
@@ -23,8 +23,8 @@ RARE = 0.1  # share of exact readings beyond the edges, below which a verdict sa
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
 
 
-class Cure(NamedTuple):
-    """The smallest change of the reference that makes an output reach its edges.
+class Remedy(NamedTuple):
+    """Smallest change of the reference that makes an output reach its edges.
 
     Attributes:
         output: which output.
@@ -39,8 +39,8 @@ class Cure(NamedTuple):
     text: str
 
 
-def unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
-    """Why edges of output i are not visited, in words; nothing for an edge that is.
+def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
+    """Describe why edges of output i are not visited; empty if all are.
 
     Args:
         schedule: of the sides.
@@ -52,15 +52,15 @@ def unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str
     reasons = []
     if not visited[i, 0]:
         stays = f"stays below d_r, {high:.4g} against {right:.4g}" if right - high >= 0 else ""
-        reasons.append(_unreached_reason("right", "d_r", stays))
+        reasons.append(_reason_not_reached("right", "d_r", stays))
     if not visited[i, 1]:
         stays = f"stays above -d_l, {low:.4g} against {-left:.4g}" if left + low >= 0 else ""
-        reasons.append(_unreached_reason("left", "-d_l", stays))
+        reasons.append(_reason_not_reached("left", "-d_l", stays))
     return reasons
 
 
-def rarely_exact(schedule: Schedule, i: int) -> list[str]:
-    """That most readings of output i beyond its edges are at a limit of the range, in words."""
+def describe_rare_exactness(schedule: Schedule, i: int) -> list[str]:
+    """Describe that most readings of output i beyond its edges are at a limit of the range."""
     share = 1.0 if schedule.exact is None else float(schedule.exact[i])
     if share >= RARE:
         return []
@@ -72,8 +72,11 @@ def rarely_exact(schedule: Schedule, i: int) -> list[str]:
     ]
 
 
-def _unreached_reason(name: str, edge: str, stays: str) -> str:
-    """Why an edge is not visited; stays: where the output stays instead, empty if it passes it."""
+def _reason_not_reached(name: str, edge: str, stays: str) -> str:
+    """Describe why an edge is not visited.
+
+    `stays` describes the output's range, empty if the output passes the edge.
+    """
     if stays:
         return f"the {name} edge is never reached: the output {stays}"
     return (
@@ -85,8 +88,7 @@ def _unreached_reason(name: str, edge: str, stays: str) -> str:
 def largest_deviations(
     right: float, left: float, swing: float, least: float = 0.0
 ) -> dict[str, float]:
-    """Return the largest deviation with which each of `DIRECTIONS` counts as known: that of its
-    own size.
+    """Return the largest deviation at which each of `DIRECTIONS` is known [z]: its own size.
 
     Of the centre it is half of the width.
 
@@ -103,8 +105,10 @@ def largest_deviations(
     }
 
 
-def vague(std: dict[str, float], most: dict[str, float], right: float, left: float) -> list[str]:
-    """Why widths are not known although readings tell them: deviations that exceed `most`.
+def describe_vague_widths(
+    std: dict[str, float], most: dict[str, float], right: float, left: float
+) -> list[str]:
+    """Describe why identifiable widths are not known: their deviations exceed `most`.
 
     Args:
         std: expected deviations by name [z].
@@ -123,7 +127,7 @@ def vague(std: dict[str, float], most: dict[str, float], right: float, left: flo
     ]
 
 
-def reaching(schedule: Schedule, i: int) -> Cure:
+def remedy_to_reach_edges(schedule: Schedule, i: int) -> Remedy:
     """Return the smallest change of output i that reaches both of its edges, with a margin."""
     right, left = schedule.levels[i] * (1 + MARGIN)
     low, mean, high = schedule.low[i], schedule.mean[i], schedule.high[i]
@@ -131,17 +135,19 @@ def reaching(schedule: Schedule, i: int) -> Cure:
     if high - low <= 1e-9 * max(abs(high), abs(low), right, left):
         swing = max(right - mean, mean + left)
         text = f"let output {i} move: a swing of {swing:.4g} about {mean:.4g} reaches both edges"
-        return Cure(i, None, None, text)
+        return Remedy(i, None, None, text)
     factor = max((right - mean) / (high - mean), (mean + left) / (mean - low), 1.0)
     shift = max(right - high, 0.0) - max(low + left, 0.0)
     by_factor = (factor - 1) * max(high - mean, mean - low)  # how far the factor moves the output
     if high - low >= right + left and abs(shift) < by_factor * (1 - 1e-9):
-        return Cure(i, None, shift, f"shift output {i} by {shift:.4g}: it then reaches both edges")
+        return Remedy(
+            i, None, shift, f"shift output {i} by {shift:.4g}: it then reaches both edges"
+        )
     text = (
         f"make the swing of output {i} about its mean, {mean:.4g}, {factor:.4g} times as large: "
         "it then reaches both edges"
     )
-    return Cure(i, factor, None, text)
+    return Remedy(i, factor, None, text)
 
 
 # --- What readings tell
@@ -152,7 +158,7 @@ PRESENT = 1e-7  # see `Invisible`
 
 
 class Unobservable(NamedTuple):
-    """Changes of the unknowns that no reading shows.
+    """Changes of the unknowns that do not change any reading.
 
     Attributes:
         basis: orthonormal columns (n + 2p + b, k); the changes are these times `scale` by rows.
@@ -166,11 +172,11 @@ class Unobservable(NamedTuple):
     n: int
     present: float = PRESENT
 
-    def state(self, i: int) -> bool:
+    def is_state_known(self, i: int) -> bool:
         """Return whether state i is determined nevertheless."""
         return not bool((np.abs(self.basis[i]) > self.present).any())
 
-    def width(self, i: int, name: str) -> bool:
+    def is_width_known(self, i: int, name: str) -> bool:
         """Return whether a width of output i is determined nevertheless.
 
         Args:
@@ -181,18 +187,22 @@ class Unobservable(NamedTuple):
         change = weights / heaviest(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
-    def widths(self, i: int) -> dict[str, Any]:
-        """Which of right, left, width, centre of output i are determined nevertheless."""
-        return {name: self.width(i, name) for name in DIRECTIONS}
+    def width_flags(self, i: int) -> dict[str, Any]:
+        """Return whether right, left, width, centre of output i are determined
+        nevertheless.
+        """
+        return {name: self.is_width_known(i, name) for name in DIRECTIONS}
 
-    def sees(self, direction: Floats) -> bool:
-        """Return whether a combination of the unknowns (n + 2p + b) is determined nevertheless."""
+    def is_combination_known(self, direction: Floats) -> bool:
+        """Return whether a combination of the unknowns (n + 2p + b) is determined
+        nevertheless.
+        """
         change = (direction * self.scale / np.abs(direction * self.scale).max()) @ self.basis
         return not bool((np.abs(change) > self.present).any())
 
-    def deviations(self, i: int, covariance: Floats) -> dict[str, float]:
-        """Return standard deviations of right, left, width, centre of output i; inf if not
-        determined.
+    def std_of_widths(self, i: int, covariance: Floats) -> dict[str, float]:
+        """Return the deviations of right, left, width, centre of output i; inf if
+        undetermined.
 
         Args:
             i: the output.
@@ -202,26 +212,28 @@ class Unobservable(NamedTuple):
         pair = covariance[own, own]
         for name, direction in DIRECTIONS.items():
             g = np.array(direction)
-            std[name] = float(np.sqrt(g @ pair @ g)) if self.width(i, name) else np.inf
+            std[name] = float(np.sqrt(g @ pair @ g)) if self.is_width_known(i, name) else np.inf
         return std
 
-    def within(self, part: np.ndarray) -> Unobservable:
-        """Those that leave every unknown outside `part` (bool) as it is."""
-        return self._replace(basis=self.basis @ kernel(self.basis[~part], self.present))
+    def restrict_to_part(self, part: np.ndarray) -> Unobservable:
+        """Return the changes that leave every unknown outside `part` (bool) as is."""
+        return self._replace(basis=self.basis @ null_space_basis(self.basis[~part], self.present))
 
-    def given_information(self, rows: Floats) -> Unobservable:
-        """Those that stay once more is known of [x(0); d] than readings tell (k x n + 2p)."""
+    def exclude_known(self, rows: Floats) -> Unobservable:
+        """Return the changes that remain once rows on [x(0); d] are known beforehand (k x
+        n + 2p).
+        """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
-        return self._replace(basis=self.basis @ kernel(rows @ part / size, self.present))
+        return self._replace(basis=self.basis @ null_space_basis(rows @ part / size, self.present))
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """What is not determined, in words."""
+    def names_of_undetermined(self) -> tuple[str, ...]:
+        """Return the names of the undetermined states and widths."""
         outputs = range((self.scale.size - self.n) // 2)
-        names = [f"x[{i}]" for i in range(self.n) if not self.state(i)]
+        names = [f"x[{i}]" for i in range(self.n) if not self.is_state_known(i)]
         for i in outputs:
-            lost = [name for name in DIRECTIONS if not self.width(i, name)]
+            lost = [name for name in DIRECTIONS if not self.is_width_known(i, name)]
             if lost and "width" not in lost:
                 lost = ["centre"]
             else:
@@ -230,8 +242,8 @@ class Unobservable(NamedTuple):
         return tuple(names)
 
 
-class Verdict(NamedTuple):
-    """Whether readings determine the widths of one output.
+class WidthIdentifiability(NamedTuple):
+    """Identifiability of the widths of an output.
 
     Attributes:
         right, left: d_r, d_l.
@@ -251,13 +263,13 @@ class Verdict(NamedTuple):
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
 
-    def because(self, *reasons: str, **changed: bool) -> Verdict:
-        """Return the verdict with more reasons, and with what they change."""
+    def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
+        """Return the result with more reasons and with changed fields."""
         changes: dict[str, Any] = {**changed, "reasons": (*self.reasons, *reasons)}
         return self._replace(**changes)
 
 
-def invisible(
+def unobservable_changes(
     linear: Matrices,
     visited: np.ndarray,
     Ts: float | None = None,
@@ -265,7 +277,7 @@ def invisible(
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
 ) -> Unobservable:
-    """Return the changes of [x(0); d; beta] that no reading shows.
+    """Return the changes of [x(0); d; beta] that do not change any reading.
 
     They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is
     the subspace that the visited outputs do not observe: when and for how long a side is visited
@@ -279,12 +291,12 @@ def invisible(
         jump: whether the sensor jumps; its readings do not hold d at all.
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
     """
-    A, _, C = delta(linear, Ts)
+    A, _, C = delta_form(linear, Ts)
     n, p = A.shape[0], C.shape[0]
     constant = np.zeros((n, 0)) if bias is None else bias
     B = np.stack([constant] if drives is None else drives) / (Ts or 1.0)
     # Units in which states, then rates, outputs and inputs, are of order 1.
-    state = 1 / sizes(A.T, C.T)
+    state = 1 / state_response_sizes(A.T, C.T)
     A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
     rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
     rate = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300)
@@ -292,24 +304,24 @@ def invisible(
     drive = np.maximum(np.linalg.norm(B, axis=1).max(axis=0), 1e-300)
     A, C, B = A / rate, C / output[:, None], B / drive
     tolerance = TOLERANCE + rounding / rate
-    U = unobservable(A, C[visited.any(axis=1)], tolerance)
+    U = unobservable_subspace(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
     rows = [np.hstack([beyond @ A, np.zeros((n, 2 * p)), beyond @ mode]) for mode in B]
     for sides in (visited[:, 0] * 1, visited[:, 1] * -1):
-        S = 0 * pattern(tuple(sides)) if jump else pattern(tuple(sides))
+        S = 0 * branch_pattern(tuple(sides)) if jump else branch_pattern(tuple(sides))
         rows.append(np.hstack([C * np.abs(sides)[:, None], -S, np.zeros((p, B.shape[2]))]))
-    basis = kernel(np.vstack(rows), tolerance)
+    basis = null_space_basis(np.vstack(rows), tolerance)
     return Unobservable(basis, np.concatenate([state, np.repeat(output, 2), rate / drive]), n)
 
 
-def verdicts(
+def width_identifiability(
     linear: Matrices,
     schedule: Schedule,
     bias: Floats | None = None,
     jump: bool = False,
     told: Floats | None = None,
-) -> list[Verdict]:
-    """What the readings along a schedule tell of each output's widths.
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each output's widths from readings along a schedule.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -318,32 +330,42 @@ def verdicts(
         jump: whether the sensor jumps.
         told: what is known beforehand (`beforehand`).
     """
-    visited = schedule.visited_sides(linear.A.shape[0])
+    visited = schedule.branch_visits(linear.A.shape[0])
     if jump:
-        return [_jump_verdict(schedule, visited, i) for i in range(visited.shape[0])]
-    hidden = invisible(linear, visited, schedule.Ts, bias)
+        return [_jump_identifiability(schedule, visited, i) for i in range(visited.shape[0])]
+    hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
     if told is not None:
-        hidden = hidden.given_information(told)
+        hidden = hidden.exclude_known(told)
     judged = []
     for i in range(visited.shape[0]):
         confounded = {} if told is not None else _confounding_reasons(linear, schedule, bias, i)
-        reasons = (*unreached_edges(schedule, visited, i), *confounded, *rarely_exact(schedule, i))
-        judged.append(Verdict(**hidden.widths(i), reasons=reasons))
+        reasons = (
+            *describe_unreached_edges(schedule, visited, i),
+            *confounded,
+            *describe_rare_exactness(schedule, i),
+        )
+        judged.append(WidthIdentifiability(**hidden.width_flags(i), reasons=reasons))
     return judged
 
 
-def _jump_verdict(schedule: Schedule, visited: np.ndarray, i: int) -> Verdict:
-    """What a jump sensor's readings tell of output i: a width is known where its edge is passed."""
+def _jump_identifiability(schedule: Schedule, visited: np.ndarray, i: int) -> WidthIdentifiability:
+    """Return the identifiability from a jump sensor's readings of output i.
+
+    A width is known if its edge is passed.
+    """
     right, left = bool(visited[i, 0]), bool(visited[i, 1])
     both = right and left
-    reasons = (*unreached_edges(schedule, visited, i), *rarely_exact(schedule, i))
-    return Verdict(right, left, both, both, reasons)
+    reasons = (
+        *describe_unreached_edges(schedule, visited, i),
+        *describe_rare_exactness(schedule, i),
+    )
+    return WidthIdentifiability(right, left, both, both, reasons)
 
 
-def cures(
+def find_remedies(
     linear: Matrices, schedule: Schedule, bias: Floats | None = None, jump: bool = False
-) -> list[Cure]:
-    """What would turn the 'no' of `verdicts` into a 'yes'; nothing where there is none.
+) -> list[Remedy]:
+    """Return the remedies that make the unidentifiable widths identifiable.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -351,11 +373,11 @@ def cures(
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
     """
-    visited = schedule.visited_sides(linear.A.shape[0])
+    visited = schedule.branch_visits(linear.A.shape[0])
     changes = []
     for i in range(visited.shape[0]):
         if not visited[i].all():
-            changes.append(reaching(schedule, i))
+            changes.append(remedy_to_reach_edges(schedule, i))
         if jump:
             continue
         for remedy in _confounding_reasons(linear, schedule, bias, i).values():
@@ -364,20 +386,23 @@ def cures(
                 "or claim the centre (d_r - d_l)/2 of a filter: observer.centre = [lo, hi], 0 if "
                 "the zone is symmetric"
             )
-            changes.append(Cure(i, None, None, text))
+            changes.append(Remedy(i, None, None, text))
     return changes
 
 
 def _confounding_reasons(
     linear: Matrices, schedule: Schedule, bias: Floats | None, i: int
 ) -> dict[str, str]:
-    """Why widths of output i stay unknown although their sides are visited: {reason: remedy}."""
-    visited = schedule.visited_sides(linear.A.shape[0])
+    """Return {reason: remedy} for widths of output i unknown although their branches are
+    visited.
+    """
+    visited = schedule.branch_visits(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
 
     def known(bias: Floats | None) -> bool:
-        hidden = invisible(linear, visited, schedule.Ts, bias)
-        return all(hidden.width(i, name) for name in edges)
+        """Return whether the visited edges are known, given the directions of bias."""
+        hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
+        return all(hidden.is_width_known(i, name) for name in edges)
 
     if known(bias):
         return {}
@@ -393,8 +418,8 @@ def _confounding_reasons(
     return {reason: "let the plant pass a place where z is known"}
 
 
-def kernel(M: Floats, tolerance: float) -> Floats:
-    """Return orthonormal basis (n x k) of the kernel of a matrix whose entries are of order 1.
+def null_space_basis(M: Floats, tolerance: float) -> Floats:
+    """Return an orthonormal basis (n x k) of the kernel of a matrix with entries of order 1.
 
     Args:
         M: the matrix (rows x n); all is kernel if it is empty.
@@ -406,24 +431,25 @@ def kernel(M: Floats, tolerance: float) -> Floats:
     return np.asarray(rotation[int((singular > tolerance).sum()) :].T)
 
 
-def unobservable(A: Floats, C: Floats, tolerance: float) -> Floats:
-    """Return orthonormal basis (n x k) of the largest A-invariant subspace in the kernel of C.
+def unobservable_subspace(A: Floats, C: Floats, tolerance: float) -> Floats:
+    """Return an orthonormal basis (n x k) of the largest A-invariant subspace in the kernel of
+    C.
 
     Args:
         A: the system's matrix (n x n), of order 1.
         C: its outputs (p x n), of order 1.
         tolerance: singular values up to this count as 0.
     """
-    U = kernel(C, tolerance)
+    U = null_space_basis(C, tolerance)
     while U.shape[1]:
-        stays = kernel(A @ U - U @ (U.T @ A @ U), tolerance)
+        stays = null_space_basis(A @ U - U @ (U.T @ A @ U), tolerance)
         if stays.shape[1] == U.shape[1]:
             break
         U = U @ stays
     return U
 
 
-def yes_no(verdict: Mapping[str, bool]) -> str:
-    """What can be known of one output: right yes, left NO, ..."""
+def format_yes_no(verdict: Mapping[str, bool]) -> str:
+    """Format the identifiability of an output: right yes, left NO, ..."""
     words = {True: "yes", False: "NO"}
     return ", ".join(f"{name} {words[bool(verdict[name])]}" for name in DIRECTIONS)

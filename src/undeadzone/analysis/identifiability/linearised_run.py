@@ -1,4 +1,5 @@
-"""A plant is linearised along one run: transitions and outputs of [x; beta; theta] at its samples.
+"""Linearisation of a plant along a run: transitions and outputs of [x; beta; theta] at its
+samples.
 
 beta is a constant input bias, theta uncertain parameters.
 """
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.analysis.convergence.floquet import exponential
+from undeadzone.analysis.convergence.floquet import matrix_exponentials
 from undeadzone.compile import interpret
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
@@ -21,7 +22,7 @@ WORK = 5e7  # products and sums spent on exact derivatives; more, and samples ar
 
 
 class LinearisedRun(NamedTuple):
-    """A run linearised at K of its samples; s = n + b + t.
+    """Run linearised at K of its samples; s = n + b + t.
 
     Attributes:
         steps: transition from each kept sample to the next (K x s x s).
@@ -40,7 +41,7 @@ class LinearisedRun(NamedTuple):
 def linearise_run(
     model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
 ) -> LinearisedRun:
-    """Return the plant's linearisation along a run.
+    """Linearise the plant along a run.
 
     A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and
     for large sampled plants, steps span 2 samples, or as many as the work allows, by a fourth-order
@@ -56,12 +57,12 @@ def linearise_run(
         uncertain: names of unknown parameters (t).
     """
     motion = model.move if model.rate is None else model.rate
-    rates = _derivatives(model, motion, bias, uncertain)
+    rates = _build_derivatives(model, motion, bias, uncertain)
     work = rates.n_instructions() * len(x)
     if model.Ts is not None and (model.rate is None or 8 * work <= WORK):
-        exact = _derivatives(model, model.move, bias, uncertain)
-        steps, outputs = _along(exact, model, x, u, uncertain)
-        return _simulate_derivatives(steps, outputs, np.arange(len(x)), TOLERANCE[0])
+        exact = _build_derivatives(model, model.move, bias, uncertain)
+        steps, outputs = _derivatives_along(exact, model, x, u, uncertain)
+        return _assemble_run(steps, outputs, np.arange(len(x)), TOLERANCE[0])
     stride = 2 * max(1, int(np.ceil(1.5 * work / WORK)))
     first = np.arange(0, len(x), stride)
     last = np.minimum(first + stride, len(x) - 1)
@@ -72,25 +73,28 @@ def linearise_run(
         inputs = [np.add.reduceat(u, first) / np.diff(first, append=len(x))[:, None]] * 3
     of_rates, of_outputs = [], []
     for at, w in zip(places, inputs, strict=True):
-        A, C = _along(rates, model, x[at], w, uncertain)
+        A, C = _derivatives_along(rates, model, x[at], w, uncertain)
         of_rates.append(np.pad(A, [(0, 0), (0, A.shape[2] - A.shape[1]), (0, 0)]))
         of_outputs.append(C)
     h = step * (last - first)[:, None, None]
     A0, A1, A2 = of_rates
-    steps = exponential(_magnus(A0, A1, A2, h))
-    return _simulate_derivatives(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
+    steps = matrix_exponentials(_magnus_exponent(A0, A1, A2, h))
+    return _assemble_run(steps[:, : model.n], of_outputs[0], first, TOLERANCE[1])
 
 
-def _magnus(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
+def _magnus_exponent(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
     """Return the exponent of a step of length h [s] with rates A0, A1, A2 at start, middle and
     end.
     """
     return h / 6 * (A0 + 4 * A1 + A2) - h**2 / 12 * (A0 @ A2 - A2 @ A0)
 
 
-def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str]) -> ca.Function:
-    """Return derivatives of move and of the output by [x; beta; theta], by columns, of [x; u] and
-    theta.
+def _build_derivatives(
+    model: System, move: Any, bias: Floats, uncertain: Sequence[str]
+) -> ca.Function:
+    """Build the derivatives of move and output by [x; beta; theta] as a function.
+
+    Its arguments are [x; u] and theta.
 
     They are a step without a state.
     """
@@ -112,22 +116,22 @@ def _derivatives(model: System, move: Any, bias: Floats, uncertain: Sequence[str
     return interpret.build_stateless_step([ca.vertcat(x, u), theta], ca.cse(both))
 
 
-def _along(
+def _derivatives_along(
     function: ca.Function, model: System, x: Floats, u: Floats, uncertain: Sequence[str]
 ) -> tuple[Floats, Floats]:
-    """Return the derivatives of move and of the output at each x and u (rows), from
-    `_derivatives`.
-    """
+    """Return the derivatives of move and of the output at each x and u (rows)."""
     theta = np.array([model.params[model.names.index(name)] for name in uncertain])
     values = interpret.map_rows(function, np.hstack([x, u]), theta)
     both = values.reshape(len(x), -1, model.n + model.p).transpose(0, 2, 1)
     return both[:, : model.n], both[:, model.n :]
 
 
-def _simulate_derivatives(
+def _assemble_run(
     steps: Floats, outputs: Floats, kept: Integers, tolerance: float
 ) -> LinearisedRun:
-    """Return the run, up to where a derivative is not finite; the constants stay as they are."""
+    """Return the run up to the first derivative that is not finite; the constants stay
+    constant.
+    """
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))
     end = good.size if good.all() else int(good.argmin())
     n, s = steps.shape[1:]
@@ -137,7 +141,7 @@ def _simulate_derivatives(
 
 
 def symmetric(model: System, change: Floats) -> bool:
-    """Return whether the motion is the same from everywhere along a constant change of the state.
+    """Return whether the motion is invariant under a constant change of the state.
 
     Args:
         model: the plant.
@@ -146,8 +150,8 @@ def symmetric(model: System, change: Floats) -> bool:
     sampled_only = model.Ts is not None and model.rate is None
     still = np.eye(model.n) if sampled_only else 0.0
     motion = model.move if model.rate is None else model.rate
-    function = _derivatives(model, motion, np.zeros((model.m, 0)), ())
+    function = _build_derivatives(model, motion, np.zeros((model.m, 0)), ())
     points = np.random.default_rng(0).normal(size=(8, model.n + model.m))
     x, u = np.split(points, [model.n], axis=1)
-    A = _along(function, model, x, u, ())[0] - still
+    A = _derivatives_along(function, model, x, u, ())[0] - still
     return bool((np.abs(A @ change) <= 1e-9 * np.abs(A).max() * np.abs(change).max()).all())

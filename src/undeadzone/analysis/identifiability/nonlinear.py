@@ -1,4 +1,4 @@
-"""Honest verdicts for nonlinear plants: which widths the readings along one run tell, and why not.
+"""Identifiability for nonlinear plants: widths that readings along a run determine, with reasons.
 
 The plant is linearised along the run. The information that the readings hold of the unknowns
 [x(0); d; beta; theta] is kept as a square root: no product of readings is formed. d = [right, left]
@@ -15,15 +15,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.analysis.branch_schedule import reading, reading_levels, schedule_of_record
+from undeadzone.analysis.branch_schedule import (
+    noiseless_reading,
+    reading_levels,
+    schedule_of_record,
+)
 from undeadzone.analysis.identifiability import linear
-from undeadzone.analysis.identifiability.indistinguishable import second_truth
-from undeadzone.analysis.identifiability.information import EXACT, scale_of
+from undeadzone.analysis.identifiability.indistinguishable import indistinguishable_widths
+from undeadzone.analysis.identifiability.information import EXACT, edge_scale
 from undeadzone.analysis.identifiability.linear import (
+    describe_rare_exactness,
+    describe_unreached_edges,
+    describe_vague_widths,
     largest_deviations,
-    rarely_exact,
-    unreached_edges,
-    vague,
 )
 from undeadzone.analysis.identifiability.linearised_run import (
     LinearisedRun,
@@ -35,10 +39,10 @@ from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats, Integers
 
 
-def beforehand(
+def prior_rows(
     n: int, p: int, start_std: Floats | None, centre_std: Floats | None, least: float
 ) -> Floats:
-    """Return rows (k x n + 2p) on [x(0); d] whose squares are the information known beforehand.
+    """Return rows (k x n + 2p) on [x(0); d] whose squares are the prior information.
 
     Args:
         n: number of states.
@@ -69,7 +73,7 @@ GROWTH = 5.0  # they may grow more than e^5-fold
 CAP = 1e6  # times what readings weigh in blocks: nothing need be known better, nor may it overflow
 
 
-def verdicts_along(
+def width_identifiability_along(
     model: System,
     x: Floats,
     u: Floats,
@@ -82,8 +86,8 @@ def verdicts_along(
     prior: Floats | None = None,
     arrived: np.ndarray | None = None,
     centre: Floats | None = None,
-) -> list[linear.Verdict]:
-    """What the readings along a run tell of each output's widths.
+) -> list[linear.WidthIdentifiability]:
+    """Return the identifiability of each output's widths from readings along a run.
 
     A width is not known either where the expected deviation exceeds it. Only the part of a run
     before it diverges counts.
@@ -110,41 +114,50 @@ def verdicts_along(
     x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
     schedule = schedule_of_record(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
-        return linear.verdicts(model.linear, schedule, jump=True)
-    side = np.where(arrived, reading(z, sensor).side, 0.0)
-    told = beforehand(model.n, model.p, prior, centre, float(np.sqrt(variance(sensor).min())))
+        return linear.width_identifiability(model.linear, schedule, jump=True)
+    side = np.where(arrived, noiseless_reading(z, sensor).side, 0.0)
+    told = prior_rows(
+        model.n, model.p, prior, centre, float(np.sqrt(reading_variance(sensor).min()))
+    )
     if bias_std is not None:
         from scipy.linalg import block_diag
 
         told = block_diag(told, np.diag(1 / bias_std)[np.isfinite(bias_std)])
-    known = observability(model, x, u, side, step, variance(sensor), bias, uncertain, told)
+    known = observability_along(
+        model, x, u, side, step, reading_variance(sensor), bias, uncertain, told
+    )
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = bias.shape[1]
     constants = np.zeros((model.m, known.hidden.scale.size))
     constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, most = known.std(i), largest_deviations(right, left, float(np.ptp(z[:, i])))
+        std, most = (
+            known.output_deviations(i),
+            largest_deviations(right, left, float(np.ptp(z[:, i]))),
+        )
         reasons = (
-            *unreached_edges(schedule, visited, i),
-            *_confounding_unknowns(model, known, visited[i], i, biases, uncertain),
-            *vague(std, most, right, left),
-            *rarely_exact(schedule, i),
+            *describe_unreached_edges(schedule, visited, i),
+            *_confounding_reasons_along(model, known, visited[i], i, biases, uncertain),
+            *describe_vague_widths(std, most, right, left),
+            *describe_rare_exactness(schedule, i),
         )
         enough = {name: std[name] <= most[name] for name in DIRECTIONS}
         widths = np.array([right, left])
         found = known.hidden, known.covariance, i, widths
-        second = second_truth(*found, known.follow, constants)
-        judged.append(linear.Verdict(**enough, reasons=reasons, std=std, second=second))
+        second = indistinguishable_widths(*found, known.follow, constants)
+        judged.append(
+            linear.WidthIdentifiability(**enough, reasons=reasons, std=std, second=second)
+        )
     return judged
 
 
-def variance(sensor: Zone) -> Floats:
-    """Of a reading's noise (p), as noise of z; never 0."""
-    return np.maximum(sensor.rms, EXACT * scale_of(reading_levels(sensor))) ** 2
+def reading_variance(sensor: Zone) -> Floats:
+    """Return the variance of a reading's noise (p) as noise of z; never 0."""
+    return np.maximum(sensor.rms, EXACT * edge_scale(reading_levels(sensor))) ** 2
 
 
-def _confounding_unknowns(
+def _confounding_reasons_along(
     model: System,
     known: Observability,
     visited: np.ndarray,
@@ -152,13 +165,13 @@ def _confounding_unknowns(
     biases: int,
     uncertain: Sequence[str],
 ) -> list[str]:
-    """Why widths of output i stay unknown although their sides are visited."""
+    """Describe why widths of output i stay unknown although their branches are visited."""
     hidden = known.hidden
     edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
-    lost = [name for name in edges if not hidden.width(i, name)]
+    lost = [name for name in edges if not hidden.is_width_known(i, name)]
     if not lost:
         return []
-    width = len(edges) == 2 and hidden.width(i, "width")
+    width = len(edges) == 2 and hidden.is_width_known(i, "width")
     what = "centre" if width else " and ".join(f"{name} edge" for name in lost)
     whole = "centre" if width or len(edges) == 1 else "width"
     start = f"the {whole} is not identifiable: "
@@ -172,33 +185,35 @@ def _confounding_unknowns(
     rest = f"the {what} cannot be told from a shift of the state"
     if width:
         rest = "only the width d_r + d_l can be known"
-    return [start + _state_shift(model, known, i, lost[0], what, rest)]
+    return [start + _describe_state_shift(model, known, i, lost[0], what, rest)]
 
 
 def _is_caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
-    """Return whether edges of output i would be known if these unknowns were (part: bool, one
-    each).
+    """Return whether edges of output i would be known if the unknowns in `part` (bool) were
+    known.
     """
-    return bool(part.any()) and all(hidden.within(~part).width(i, name) for name in edges)
+    return bool(part.any()) and all(
+        hidden.restrict_to_part(~part).is_width_known(i, name) for name in edges
+    )
 
 
-def _state_shift(
+def _describe_state_shift(
     model: System, known: Observability, i: int, lost: str, what: str, rest: str
 ) -> str:
-    """Which shift of the state hides an edge (`lost`) of output i, in words.
+    """Describe the shift of the state that hides an edge (`lost`) of output i.
 
     what: what is lost; rest: what can be known nevertheless.
     """
     hidden = known.hidden
-    own = hidden.within(np.arange(hidden.scale.size) // 2 == i)
-    alone = not own.width(i, lost)  # whether it can shift while other outputs' widths stay
+    own = hidden.restrict_to_part(np.arange(hidden.scale.size) // 2 == i)
+    alone = not own.is_width_known(i, lost)  # whether it can shift while other outputs' widths stay
     basis = own.basis if alone else hidden.basis
     row = 2 * i + (lost == "left")
     change = known.follow @ (hidden.scale * (basis @ basis[row]))
     change = np.where(np.abs(change) > SHARE * np.abs(change).max(), change, 0.0)
     if not change.any():
         return f"the {what}, bias and parameters cannot be told apart"
-    names = " and ".join(_states(model)[j] for j in np.flatnonzero(change))
+    names = " and ".join(_state_names(model)[j] for j in np.flatnonzero(change))
     if not alone:
         return (
             f"along this run {names} can shift together with edges of several outputs "
@@ -215,8 +230,8 @@ def _state_shift(
     )
 
 
-def _states(model: System) -> list[str]:
-    """What the states are, in words."""
+def _state_names(model: System) -> list[str]:
+    """Return the names of the states in words."""
     joints = () if model.arm is None else model.arm.chain.joints
     if 2 * len(joints) != model.n:
         return [f"x[{j}]" for j in range(model.n)]
@@ -225,7 +240,7 @@ def _states(model: System) -> list[str]:
 
 
 class Observability(NamedTuple):
-    """What a run tells of the constants c = [d; beta; theta] (2p + b + t), x(0) unknown.
+    """Information of a run on the constants c = [d; beta; theta] (2p + b + t), x(0) unknown.
 
     Attributes:
         root: root' root is the information matrix of [x(0); c] (N x N).
@@ -246,8 +261,9 @@ class Observability(NamedTuple):
     covariance: Floats
 
     @property
-    def gap(self) -> tuple[float, float]:
-        """Return the largest share that counts as none, and the smallest that does not.
+    def share_gap(self) -> tuple[float, float]:
+        """Return the largest share that counts as none, and the smallest that counts as
+        some.
 
         The further apart, the surer.
         """
@@ -255,14 +271,14 @@ class Observability(NamedTuple):
         none = float(self.singular[null].max(initial=0.0))
         return none, float(self.singular[~null].min(initial=np.inf))
 
-    def std(self, i: int) -> dict[str, float]:
-        """Return deviations of right, left, width, centre of output i; infinite where no reading
-        tells.
+    def output_deviations(self, i: int) -> dict[str, float]:
+        """Return the deviations of right, left, width, centre of output i; inf if not
+        identifiable.
         """
-        return self.hidden.deviations(i, self.covariance)
+        return self.hidden.std_of_widths(i, self.covariance)
 
 
-def observability(
+def observability_along(
     model: System,
     x: Floats,
     u: Floats,
@@ -273,7 +289,8 @@ def observability(
     uncertain: Sequence[str] = (),
     told: Floats | None = None,
 ) -> Observability:
-    """Return the observability Gramian over the noise along a run, as a root, and what it tells.
+    """Return the observability Gramian over the noise along a run, as a root, with its null
+    space.
 
     Args:
         model: the plant (n states, m inputs, p outputs).
@@ -290,10 +307,10 @@ def observability(
     n, p = model.n, model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
     run = linearise_run(model, x, u, step, bias, uncertain)
-    R = root(run, side, variance, n)
+    R = information_root(run, side, variance, n)
     if told is not None and told.size:
         R = _add_prior(R, told)
-    scale = _units(R, n, p)
+    scale = _column_units(R, n, p)
     states, constants = np.split(R * scale, [n], axis=1)
     U, s, V = np.linalg.svd(states, full_matrices=False)
     felt = s > ROUNDING
@@ -308,14 +325,15 @@ def observability(
 
 
 def _add_prior(R: Floats, told: Floats) -> Floats:
-    """Return the root with what is known beforehand."""
+    """Return the root with the prior information included."""
     rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
     return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))
 
 
-def _units(R: Floats, n: int, p: int) -> Floats:
-    """Return units in which the columns of R have length 1; the widths of an output share
-    theirs.
+def _column_units(R: Floats, n: int, p: int) -> Floats:
+    """Return the units in which the columns of R have length 1.
+
+    The widths of an output share theirs.
     """
     size = np.linalg.norm(R, axis=0)
     widths = slice(n, n + 2 * p)
@@ -323,9 +341,9 @@ def _units(R: Floats, n: int, p: int) -> Floats:
     return 1 / np.where(size > 0, size, 1.0)
 
 
-def root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
-    """Return R (N x N), R'R the information on [x(0); d; beta; theta]: backward from block to
-    block.
+def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
+    """Return R (N x N), with R'R the information on [x(0); d; beta; theta], backward by
+    blocks.
 
     Where the plant's growth tells a direction CAP times better than all readings do within their
     blocks, it is left at that, which hides nothing and changes what the others tell by 1 / CAP^2.
@@ -342,15 +360,15 @@ def root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
         return np.zeros((N, N))
     growth = float(np.log(np.linalg.norm(run.steps, axis=(1, 2)).max() / np.sqrt(s)))
     length = int(np.clip(GROWTH / max(growth, 1e-9), 1, BLOCK))
-    weight = _in_blocks(reading_weights(run.kept, side, variance), length)
+    weight = _divide_into_blocks(reading_weights(run.kept, side, variance), length)
     rows, transitions = _block_rows(run, n, length)
     weighted = rows * weight[..., None]
     own = np.asarray(np.linalg.qr(weighted.reshape(len(rows), -1, N), mode="r"))
-    return _backward(own, transitions, _moving(n, p, s))
+    return _accumulate_backward(own, transitions, _moving_indices(n, p, s))
 
 
 def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
-    """Return weights (K x p x 2) of the readings on the [right, left] side nearest to each kept
+    """Return the weights (K x p x 2) of the [right, left] readings nearest to each kept
     sample.
 
     A weight is the root of (how many there are / variance).
@@ -372,29 +390,29 @@ def reading_weights(kept: Integers, side: Floats, variance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.stack(counts, axis=2) / variance[:, None]))
 
 
-def _in_blocks(values: Floats, length: int) -> Floats:
-    """Return values (K x ...) in blocks of that length, the last one filled up with 0."""
+def _divide_into_blocks(values: Floats, length: int) -> Floats:
+    """Divide values (K x ...) into blocks of the given length, the last padded with 0."""
     blocks = -(-len(values) // length)
     missing = [(0, blocks * length - len(values)), (0, 0), (0, 0)]
     return np.pad(values, missing).reshape(blocks, length, *values.shape[1:])
 
 
 def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats]:
-    """Return (rows of the readings by the unknowns at their block's start, transition over each
+    """Return (rows of the readings by the unknowns at block start, transition over each
     block).
 
     The rows (blocks x length x p x 2 x N) come for the right and the left side.
     """
     K, p, s = run.outputs.shape
     N = s + 2 * p
-    C = _in_blocks(run.outputs, length)
+    C = _divide_into_blocks(run.outputs, length)
     blocks = len(C)
     still = np.broadcast_to(np.eye(s), (blocks * length - K, s, s))
     F = np.concatenate([run.steps, still]).reshape(blocks, length, s, s)
     rows = np.zeros((blocks, length, p, 2, N))
     S = np.broadcast_to(np.eye(s), (blocks, s, s))  # transition from the block's start
     for k in range(length):
-        rows[:, k, :, :, _moving(n, p, s)] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
+        rows[:, k, :, :, _moving_indices(n, p, s)] = np.moveaxis((C[:, k] @ S)[:, :, None], 3, 0)
         S = F[:, k] @ S
     for i in range(p):
         rows[:, :, i, 0, n + 2 * i] = -1.0
@@ -402,12 +420,12 @@ def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats
     return rows, S
 
 
-def _moving(n: int, p: int, s: int) -> Integers:
-    """Where [x; beta; theta] (s) stands among the unknowns: all but the widths."""
+def _moving_indices(n: int, p: int, s: int) -> Integers:
+    """Return the indices of [x; beta; theta] (s) among the unknowns: all but the widths."""
     return np.r_[:n, n + 2 * p : s + 2 * p]
 
 
-def _backward(own: Floats, transitions: Floats, moving: Integers) -> Floats:
+def _accumulate_backward(own: Floats, transitions: Floats, moving: Integers) -> Floats:
     """Return the root (N x N) of all blocks' information, from the last block to the first.
 
     Args:

@@ -1,4 +1,4 @@
-"""What readings tell of a play ahead of a dead zone: gaps and widths together (docs/play.md).
+"""Identifiability of a play ahead of a dead zone: gaps and widths together (docs/play.md).
 
 A reading on side s of the zone, in contact m of the play, is C_i x - chi_s d - chi_m c. The gaps
 are states that never change, and each output stands twice, once for each contact, with the same d.
@@ -11,15 +11,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule
-from undeadzone.analysis.identifiability.information import EXACT, Readings, deviations, pad_states
-from undeadzone.analysis.identifiability.linear import Verdict, invisible, unreached_edges
+from undeadzone.analysis.identifiability.information import (
+    EXACT,
+    ReadingConditions,
+    optimal_deviations,
+    pad_states,
+)
+from undeadzone.analysis.identifiability.linear import (
+    WidthIdentifiability,
+    describe_unreached_edges,
+    unobservable_changes,
+)
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
 
 
 class WidthInformation(NamedTuple):
-    """What readings tell of one output.
+    """Information of readings on a single output.
 
     Attributes:
         zone: of its dead zone.
@@ -28,14 +37,14 @@ class WidthInformation(NamedTuple):
         gap_std: deviation of c_r + c_l that an optimal estimator reaches [z].
     """
 
-    zone: Verdict
-    gap: Verdict
+    zone: WidthIdentifiability
+    gap: WidthIdentifiability
     both: bool
     gap_std: float
 
 
-def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
-    """Return the plant with [c_r, c_l] of each output as states, and each output once for each
+def add_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
+    """Return the plant with [c_r, c_l] of each output as states and each output twice, per
     contact.
 
     Args:
@@ -50,8 +59,10 @@ def with_gaps(linear: Matrices, Ts: float | None) -> Matrices:
     return Matrices(A, pad_states(linear.B, 2 * p), C)
 
 
-def by_contact(schedule: Schedule) -> Schedule:
-    """Return the schedule of the outputs of `with_gaps`: a side counts in its own contact alone."""
+def separate_contacts(schedule: Schedule) -> Schedule:
+    """Return the schedule of the outputs of `add_gap_states`: a branch counts in its contact
+    alone.
+    """
     assert schedule.contacts is not None
     sides = np.stack([schedule.sides * (schedule.contacts == m) for m in (1.0, -1.0)], axis=2)
     low, mean, high = (np.repeat(part, 2) for part in schedule[5:8])
@@ -66,8 +77,9 @@ def by_contact(schedule: Schedule) -> Schedule:
     )
 
 
-def beforehand_of_gaps(linear: Matrices, readings: Readings, least: float) -> Floats:
-    """What is known beforehand of [x(0); c; d] of `with_gaps`, d once for each contact.
+def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) -> Floats:
+    """Return the prior information on [x(0); c; d] of `add_gap_states`, d once for each
+    contact.
 
     Both contacts have the same d; gaps that are known have no error.
 
@@ -93,8 +105,8 @@ def beforehand_of_gaps(linear: Matrices, readings: Readings, least: float) -> Fl
     return np.vstack([np.array(rows) / least, claimed])
 
 
-def _twofold(linear: Matrices, readings: Readings) -> Readings:
-    """What tells of gaps and widths, every output twice, but for what is known beforehand."""
+def _double_outputs(linear: Matrices, readings: ReadingConditions) -> ReadingConditions:
+    """Return the readings with every output twice, without prior information."""
     p, bias, colour = linear.C.shape[0], readings.bias, readings.colour
     arrive = np.ones(p) if readings.arrive is None else readings.arrive
     return readings._replace(
@@ -106,9 +118,10 @@ def _twofold(linear: Matrices, readings: Readings) -> Readings:
 
 
 def gap_and_width_information(
-    linear: Matrices, schedule: Schedule, readings: Readings
+    linear: Matrices, schedule: Schedule, readings: ReadingConditions
 ) -> list[WidthInformation]:
-    """What the readings along a schedule tell of gaps and widths of each output.
+    """Return the information of the readings along a schedule on gaps and widths of each
+    output.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -116,43 +129,55 @@ def gap_and_width_information(
         readings: what tells.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    whole, twice = with_gaps(linear, schedule.Ts), by_contact(schedule)
+    whole, twice = add_gap_states(linear, schedule.Ts), separate_contacts(schedule)
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
-    twofold, told = _twofold(linear, readings), beforehand_of_gaps(linear, readings, least)
-    visited = twice.visited_sides(n + 2 * p)
-    hidden = invisible(whole, visited, schedule.Ts, twofold.bias).given_information(told)
-    expected = deviations(whole, twice, twofold._replace(told=told))
+    twofold, told = _double_outputs(linear, readings), gap_prior_rows(linear, readings, least)
+    visited = twice.branch_visits(n + 2 * p)
+    hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias).exclude_known(told)
+    expected = optimal_deviations(whole, twice, twofold._replace(told=told))
     each = []
     for i in range(p):
         gap: dict[str, Any] = {
-            name: hidden.sees(_direction(n, p, i, pair)) for name, pair in DIRECTIONS.items()
+            name: hidden.is_combination_known(_gap_and_width_direction(n, p, i, pair))
+            for name, pair in DIRECTIONS.items()
         }
-        zone = hidden.widths(2 * i)
-        both = hidden.sees(_direction(n, p, i, (1.0, -1.0), (1.0, -1.0)))
+        zone = hidden.width_flags(2 * i)
+        both = hidden.is_combination_known(
+            _gap_and_width_direction(n, p, i, (1.0, -1.0), (1.0, -1.0))
+        )
         own = slice(n + 2 * i, n + 2 * i + 2)
         gap_std = float(np.sqrt(expected.covariance[own, own].sum())) if gap["width"] else np.inf
         reasons = (
             *_unreached_behind_gap(schedule, n + 2 * p, i),
             *_single_contact_reason(schedule, visited, i),
-            *_asymmetry_information(zone, gap, both, readings.gaps_known),
+            *_describe_asymmetries(zone, gap, both, readings.gaps_known),
         )
-        told_of_zone = Verdict(**zone, reasons=reasons, std=expected.widths[2 * i])
-        each.append(WidthInformation(told_of_zone, Verdict(**gap, reasons=()), both, gap_std))
+        told_of_zone = WidthIdentifiability(**zone, reasons=reasons, std=expected.widths[2 * i])
+        each.append(
+            WidthInformation(told_of_zone, WidthIdentifiability(**gap, reasons=()), both, gap_std)
+        )
     return each
 
 
-def states_told(linear: Matrices, schedule: Schedule, readings: Readings) -> list[bool]:
-    """Which states the readings along a schedule determine (n). Arguments as of `told_of_both`."""
+def state_identifiability(
+    linear: Matrices, schedule: Schedule, readings: ReadingConditions
+) -> list[bool]:
+    """Return whether the readings along a schedule determine each state (n).
+
+    Arguments as of `gap_and_width_information`.
+    """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    twofold = _twofold(linear, readings)
-    visited = by_contact(schedule).visited_sides(n + 2 * p)
-    hidden = invisible(with_gaps(linear, schedule.Ts), visited, schedule.Ts, twofold.bias)
-    hidden = hidden.given_information(beforehand_of_gaps(linear, readings, 1.0))
-    return [hidden.state(i) for i in range(n)]
+    twofold = _double_outputs(linear, readings)
+    visited = separate_contacts(schedule).branch_visits(n + 2 * p)
+    hidden = unobservable_changes(
+        add_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias
+    )
+    hidden = hidden.exclude_known(gap_prior_rows(linear, readings, 1.0))
+    return [hidden.is_state_known(i) for i in range(n)]
 
 
-def _direction(
+def _gap_and_width_direction(
     n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
 ) -> Floats:
     """Return a combination of gaps and widths of output i among [x; c; d]."""
@@ -163,16 +188,16 @@ def _direction(
 
 
 def _unreached_behind_gap(schedule: Schedule, n: int, i: int) -> list[str]:
-    """Return `unreached` of an edge behind a gap."""
+    """Describe why edges behind a gap are not visited."""
     words = []
-    for reason in unreached_edges(schedule, schedule.visited_sides(n), i):
+    for reason in describe_unreached_edges(schedule, schedule.branch_visits(n), i):
         named = reason.replace("below d_r,", "below d_r + c_r,")
         words.append(named.replace("above -d_l,", "above -d_l - c_l,"))
     return words
 
 
 def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
-    """That output i is read in one contact alone, beyond one edge or both, in words."""
+    """Describe that output i is read in a single contact beyond its edges."""
     right, left = (bool(each.any()) for each in visited[2 * i : 2 * i + 2])
     if right == left:
         return []
@@ -183,10 +208,10 @@ def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> l
     ]
 
 
-def _asymmetry_information(
+def _describe_asymmetries(
     zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool
 ) -> list[str]:
-    """What of centres is told, in words; nothing where every width is."""
+    """Describe which asymmetries are identifiable; empty if every width is."""
     if (zone["right"] and zone["left"]) or gaps_known:
         return []
     if not (zone["width"] and gap["width"]):

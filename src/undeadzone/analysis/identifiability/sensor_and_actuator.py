@@ -1,4 +1,4 @@
-"""What readings tell of dead zones at both ends: the sensor's widths and the actuator's.
+"""Identifiability of dead zones of both sensor and actuator.
 
 With b = [b_r; b_l] of every input among the unknowns, a change (v, c, b) stays invisible where
 A v - B chi_j b lies in U for each mode j that the actuator visits, chi = (m_r, 0) on the right,
@@ -12,27 +12,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.analysis.branch_schedule import Schedule
-from undeadzone.analysis.identifiability.linear import Verdict, invisible
+from undeadzone.analysis.identifiability.linear import WidthIdentifiability, unobservable_changes
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.actuator import Drive, through_zone
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
 
 
-class BothEnds(NamedTuple):
-    """What readings tell of both ends.
+class SensorActuatorIdentifiability(NamedTuple):
+    """Identifiability of the widths of sensor and actuator.
 
     Attributes:
         outputs: of each output's sensor.
         inputs: of each input's actuator.
     """
 
-    outputs: list[Verdict]
-    inputs: list[Verdict]
+    outputs: list[WidthIdentifiability]
+    inputs: list[WidthIdentifiability]
 
 
-def modes_visited(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> Floats:
-    """Return the modes of the actuators that last, while an output is visible (K x m).
+def actuator_modes(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> Floats:
+    """Return the modes of the actuators that last while an output is visible (K x m).
 
     Args:
         u: commands (N x m) [u].
@@ -48,14 +48,14 @@ def modes_visited(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> F
     return np.asarray(modes[counts > least])
 
 
-def both_ends(
+def sensor_actuator_identifiability(
     linear: Matrices,
     schedule: Schedule,
     modes: Floats,
     drive: Drive,
     bias: Floats | None = None,
-) -> BothEnds:
-    """What the readings tell of the widths of sensor and actuator.
+) -> SensorActuatorIdentifiability:
+    """Return the identifiability of the widths of sensor and actuator.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
@@ -65,12 +65,14 @@ def both_ends(
         bias: directions (n x b) of unknown constant inputs.
     """
     n, m = linear.B.shape
-    visited = schedule.visited_sides(n)
+    visited = schedule.branch_visits(n)
     constant = np.zeros((n, 0)) if bias is None else bias
-    drives = [np.hstack([constant, _entering(linear.B, mode, drive)]) for mode in modes]
-    hidden = invisible(linear, visited, schedule.Ts, drives=drives or [constant])
+    drives = [np.hstack([constant, _width_inputs(linear.B, mode, drive)]) for mode in modes]
+    hidden = unobservable_changes(linear, visited, schedule.Ts, drives=drives or [constant])
     first = n + 2 * len(visited) + constant.shape[1]
-    outputs = [Verdict(**hidden.widths(i), reasons=()) for i in range(len(visited))]
+    outputs = [
+        WidthIdentifiability(**hidden.width_flags(i), reasons=()) for i in range(len(visited))
+    ]
     inputs = []
     for i in range(m):
         seen: dict[str, Any] = {}
@@ -78,23 +80,25 @@ def both_ends(
             direction = np.zeros(hidden.scale.size)
             if drives:
                 direction[[first + i, first + m + i]] = pair
-            seen[name] = bool(drives) and hidden.sees(direction)
-        inputs.append(Verdict(**seen, reasons=()))
-    reason = _reason(outputs, inputs, modes)
-    return BothEnds(*([one._replace(reasons=reason) for one in part] for part in (outputs, inputs)))
+            seen[name] = bool(drives) and hidden.is_combination_known(direction)
+        inputs.append(WidthIdentifiability(**seen, reasons=()))
+    reason = _sensor_actuator_reasons(outputs, inputs, modes)
+    return SensorActuatorIdentifiability(
+        *([one._replace(reasons=reason) for one in part] for part in (outputs, inputs))
+    )
 
 
-def _entering(B: Floats, mode: Floats, drive: Drive) -> Floats:
-    """Return -B chi of a mode (m): what the widths, right ones then left ones, take off x' (n x
-    2m).
-    """
+def _width_inputs(B: Floats, mode: Floats, drive: Drive) -> Floats:
+    """Return -B chi of a mode (m): the effect of the widths, right then left, on x' (n x 2m)."""
     right = -drive.slope_right * (mode > 0)
     left = drive.slope_left * (mode < 0)
     return np.hstack([B * right, B * left])
 
 
-def _reason(outputs: list[Verdict], inputs: list[Verdict], modes: Floats) -> tuple[str, ...]:
-    """Why a width stays unknown, and what tells it."""
+def _sensor_actuator_reasons(
+    outputs: list[WidthIdentifiability], inputs: list[WidthIdentifiability], modes: Floats
+) -> tuple[str, ...]:
+    """Describe why a width stays unknown, and the remedy."""
     centres = [one.centre for one in (*outputs, *inputs)]
     if all(centres):
         return ()

@@ -1,1 +1,1 @@
-"""What several compensators share."""
+"""Parts shared by several compensators."""

@@ -1,4 +1,4 @@
-"""Coasting: u = 0 for a moment, so that readings can tell the actuator's widths from the sensor's.
+"""Coasting: brief intervals of u = 0 that separate the actuator's widths from the sensor's.
 
 A perfect inverse never lets the actuator fall silent, and then one combination of the four widths
 cannot be seen (docs/actuator.md). So coast where the output is well visible and the widths are not
@@ -24,7 +24,7 @@ FORGET = 0.2  # share of the largest reading that is forgotten from one coast to
 
 
 class Coasts(Options, frozen=True, kw_only=True):
-    """When a compensator coasts; sampled time only.
+    """Options of coasting; sampled time only.
 
     Attributes:
         coast: length of a coast [s]; 0: it never coasts.
@@ -41,7 +41,7 @@ class Coasts(Options, frozen=True, kw_only=True):
 
 
 class Numbers(NamedTuple):
-    """Numbers of coasting; times in steps.
+    """Parameters of coasting; times in steps.
 
     Attributes:
         coast, every, until: as in `Coasts` (1).
@@ -57,7 +57,7 @@ class Numbers(NamedTuple):
 
 
 class State(NamedTuple):
-    """Steps that are left of a coast, until the next one, and so far; the largest reading (p)."""
+    """Steps left of a coast, steps until the next, steps so far, and the largest reading (p)."""
 
     left: Any
     idle: Any
@@ -65,8 +65,8 @@ class State(NamedTuple):
     peak: Any
 
 
-def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | None]:
-    """Return numbers and first state of coasting; None where a compensator never coasts.
+def start_coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | None]:
+    """Return parameters and first state of coasting, or None if coasting is off.
 
     Raises:
         InputError: for times that cannot be, or in continuous time.
@@ -98,10 +98,10 @@ def coasting(options: Coasts, model: System) -> tuple[Numbers | None, State | No
     return numbers, State(none, numbers.every / 2, none, np.zeros(model.p))
 
 
-def coast_input(
+def apply_coasting(
     q: Numbers | None, s: State | None, u: Any, estimate: Estimate, reading: Reading
 ) -> tuple[State | None, Any]:
-    """Return (the next state, the input: u, or 0 while it coasts).
+    """Return (the next state, the input: u, or 0 during a coast).
 
     Args:
         q: the numbers; None: it never coasts.
@@ -128,8 +128,8 @@ def coast_input(
     return State(left, idle, s.count + 1, peak), ca.if_else(left > 0, 0.0, u)
 
 
-def require_believed_drive(belief: Belief | None) -> Drive:
-    """Return the believed actuator. Raises InputError where there is none."""
+def require_drive(belief: Belief | None) -> Drive:
+    """Return the model's actuator. Raises InputError if the model has none."""
     if belief is None:
         raise InputError(
             "compensator: there is no actuator to compensate; add [actuator] or [model.actuator]"
@@ -137,15 +137,18 @@ def require_believed_drive(belief: Belief | None) -> Drive:
     return belief.drive
 
 
-def beyond(drive: Drive, estimate: Estimate) -> tuple[Any, Any]:
-    """Return (b_r^, b_l^) (m each): those of the observer, else those that are believed."""
+def actuator_widths(drive: Drive, estimate: Estimate) -> tuple[Any, Any]:
+    """Return the widths (b_r^, b_l^) (m each) [u].
+
+    They are the observer's estimates, or the model's widths without estimates.
+    """
     if estimate.actuator_right_std.shape[0]:
         return estimate.actuator_right, estimate.actuator_left
     return drive.right, drive.left
 
 
-class Inverse(NamedTuple):
-    """Numbers of an inverse.
+class ZoneInverseNumbers(NamedTuple):
+    """Parameters of an inverse.
 
     Attributes:
         drive: the believed actuator.
@@ -158,10 +161,10 @@ class Inverse(NamedTuple):
     coasts: Numbers | None
 
 
-def inverting(
+def build_zone_inverse(
     options: Coasts, model: System, drive: Drive, soft: Floats | None = None
 ) -> Compensator:
-    """Return the inverse of the believed actuator, which coasts at times.
+    """Return the inverse of the model's actuator, with coasting.
 
     Args:
         options: of coasting.
@@ -169,20 +172,20 @@ def inverting(
         drive: the believed actuator.
         soft: |v| from which the whole width is added (m) [u]; None: 0.
     """
-    numbers, first = coasting(options, model)
+    numbers, first = start_coasting(options, model)
 
-    def step(q: Inverse, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
-        right, left = beyond(q.drive, estimate)
+    def step(q: ZoneInverseNumbers, s: Any, v: Any, estimate: Estimate, reading: Reading) -> Any:
+        """Return the next state, and the command u (m)."""
+        right, left = actuator_widths(q.drive, estimate)
         part = 1.0 if q.soft is None else ca.fmin(ca.fabs(v) / q.soft, 1.0)
-        u = invert_zone(q.drive, v, part * right, part * left)
-        return coast_input(q.coasts, s, u, estimate, reading)
+        u = invert_actuator(q.drive, v, part * right, part * left)
+        return apply_coasting(q.coasts, s, u, estimate, reading)
 
-    return Compensator(Inverse(drive, soft, numbers), lambda q: first, step)
+    return Compensator(ZoneInverseNumbers(drive, soft, numbers), lambda q: first, step)
 
 
-def invert_zone(drive: Drive, v: Any, right: Any, left: Any) -> Any:
-    """Return the command u (m) for which v (m) enters the plant: v / m_r + b_r, v / m_l - b_l, or
-    0.
+def invert_actuator(drive: Drive, v: Any, right: Any, left: Any) -> Any:
+    """Return the command u (m) [u] with plant input v: v / m_r + b_r, v / m_l - b_l, or 0.
 
     Args:
         drive: the believed actuator, for its slopes.

@@ -1,1 +1,1 @@
-"""What several controllers are made of."""
+"""Parts shared by several controllers."""

@@ -1,4 +1,4 @@
-"""What is behind a play follows the reference: z is led across the gap where r turns.
+"""Reference tracking behind a backlash: z is led across the gap if r turns.
 
 Behind the play is y / m = z - c_r while z moves right in contact, z + c_l while it moves left. So z
 has to follow r + c_r^ while r rises and r - c_l^ while it falls. The step between both passes a
@@ -28,7 +28,7 @@ ROUNDING = 1e-9  # share of r by which it may change without a turn
 
 
 class State(NamedTuple):
-    """The controller's state, and what is known of the way across.
+    """State of the controller, and of the gap crossing.
 
     Attributes:
         controller: the controller's.
@@ -43,10 +43,12 @@ class State(NamedTuple):
     towards: Any
 
 
-def with_gap_compensation(
+def lead_across_gap(
     controller: Controller, model: System, sensor: Zone, tracked: list[int], rate: float | None
 ) -> Controller:
-    """Return the controller with a reference that is moved by the gap; itself without a rate.
+    """Return the controller with a reference shifted by the gap.
+
+    Without a rate return the controller itself.
 
     Args:
         controller: that makes z follow a reference.
@@ -77,19 +79,21 @@ def with_gap_compensation(
     zero, kind = np.zeros(1), type(controller.params)
 
     def init(q: Any) -> State:
+        """Return the state at t = 0."""
         inner = controller.init(tree.drop_last_field(q, kind))
         return State(inner, np.zeros(model.n), zero, zero)
 
     params = tree.append_field(controller.params, "crossing", numbers)
-    step = partial(step_across, controller, tracked[0])
+    step = partial(step_across_gap, controller, tracked[0])
     return controller._replace(params=params, init=init, step=step)
 
 
-def step_across(
+def step_across_gap(
     controller: Controller, output: int, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """Return one sample of the controller with its target moved; q: its numbers, then the
-    filter's.
+    """Return the next state, and u (m) for the shifted target.
+
+    Here q: the controller's parameters, then the filter's.
     """
     inner, numbers = tree.drop_last_field(q, type(controller.params)), q.crossing
     moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))

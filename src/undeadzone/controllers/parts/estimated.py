@@ -1,4 +1,4 @@
-"""What a controller knows of an arm's gears is what the observer makes of them.
+"""Controllers with the observer's estimates of an arm's gears in place of the model's parameters.
 
 Gaps, friction and payload stand among the parameters of the model; what the observer estimates of
 them takes the place of the model's, sample by sample (certainty equivalence): the gaps are its
@@ -16,9 +16,12 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
 
 
-def with_estimates(controller: Controller, model: System, uncertain: tuple[str, ...]) -> Controller:
-    """Return the controller of an arm with gears, told what is estimated; of another plant as it
-    is.
+def use_gear_estimates(
+    controller: Controller, model: System, uncertain: tuple[str, ...]
+) -> Controller:
+    """Return the controller with estimated gears.
+
+    For an arm without gears return the controller itself.
 
     Args:
         controller: whose params have the model's parameters as `model`, if it uses them.
@@ -34,6 +37,7 @@ def with_estimates(controller: Controller, model: System, uncertain: tuple[str, 
     gaps = [model.names.index(name) for name in (*halves, *centres)]
 
     def step(p: Any, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+        """Return the state and u (m) of the controller with the estimated parameters."""
         known = ca.SX(p.model)
         known[places] = estimate.theta
         right, left = estimate.right[:N], estimate.left[:N]

@@ -1,4 +1,4 @@
-"""A controller whose input acts late is told of the state in which it will act.
+"""State prediction over an input delay: the controller acts on the state at the end of the delay.
 
 What is commanded at sample k acts at k + N. Until then the commands that are under way act, which
 are known, so the model is moved on along them from what the observer knows at k (finite spectrum
@@ -28,8 +28,8 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import LARGEST, Floats
 
 
-class Ahead(NamedTuple):
-    """Numbers of the model that is moved on, the last field of those of the controller.
+class DelayPrediction(NamedTuple):
+    """Parameters of the predicted model, the last field of the controller's parameters.
 
     Attributes:
         model: of the sampled model.
@@ -44,14 +44,16 @@ class Ahead(NamedTuple):
 
 
 class State(NamedTuple):
-    """The controller's state, and what has not acted yet, the oldest first (delay m)."""
+    """State of the controller, and the pending inputs, the oldest first (delay m)."""
 
     controller: Any
     line: Any
 
 
-def predicting(controller: Controller, model: System, belief: Belief | None) -> Controller:
-    """Return the controller with the estimate of when its input acts; itself without a delay.
+def predict_over_delay(controller: Controller, model: System, belief: Belief | None) -> Controller:
+    """Return the controller with the estimate predicted to the time its input acts.
+
+    Without a delay return the controller itself.
 
     Args:
         controller: for the model whose input acts at once.
@@ -77,21 +79,23 @@ def predicting(controller: Controller, model: System, belief: Belief | None) -> 
     kind = type(controller.params)
 
     def init(q: Any) -> State:
+        """Return the state at t = 0."""
         return State(
             controller.init(tree.drop_last_field(q, kind)), np.zeros(model.delay * model.m)
         )
 
-    numbers = Ahead(model.params, held_inputs(model), low, high)
+    numbers = DelayPrediction(model.params, held_inputs(model), low, high)
     params = tree.append_field(controller.params, "ahead", numbers)
-    step = partial(step_ahead, controller, model)
+    step = partial(step_with_prediction, controller, model)
     return controller._replace(params=params, init=init, step=step)
 
 
-def step_ahead(
+def step_with_prediction(
     controller: Controller, model: System, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """Return one sample of the controller with the estimate moved on; q: its numbers, then
-    `Ahead`.
+    """Return the next state, and u (m) for the predicted estimate.
+
+    Here q: the controller's parameters, then `DelayPrediction`.
     """
     inner, ahead = tree.drop_last_field(q, type(controller.params)), q.ahead
     x = estimate.x

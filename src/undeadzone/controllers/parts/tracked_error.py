@@ -1,4 +1,4 @@
-"""The control error of output feedback: r - z^, one entry per input."""
+"""Control error of output feedback: r - z^, an entry per input."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from undeadzone.plants.system import System
 
 
 def require_square(method: str, model: System) -> None:
-    """Raise InputError where the model has not as many inputs as outputs."""
+    """Raise InputError if the model has unequal numbers of inputs and outputs."""
     if model.m != model.p:
         raise InputError(
             f"controller.method: '{method}' needs as many inputs as outputs, the plant has "
@@ -20,7 +20,7 @@ def require_square(method: str, model: System) -> None:
 
 
 def select_tracked_output(method: str, estimate: Estimate, target: Target) -> Any:
-    """Return z^ of the tracked outputs, which must be all of them in their order.
+    """Return z^ of the tracked outputs (p): all outputs in order. Raises InputError.
 
     Raises InputError.
     """

@@ -1,1 +1,1 @@
-"""Adaptive."""
+"""Adaptive observers: adaptation laws, gains and output-error injection."""

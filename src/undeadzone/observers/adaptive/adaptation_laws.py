@@ -1,4 +1,4 @@
-"""Adaptation laws say what the drive of an edge does to its width (docs/adaptation.md).
+"""Adaptation laws of the widths: their rate as a function of the drive (docs/adaptation.md).
 
 The drive is -e on the right and +e on the left. Each law says what becomes of the certificate:
 V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md). Initial widths and their
@@ -19,8 +19,10 @@ from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, vector
 
 
-def pairs(key: str, value: Array, p: int) -> Floats:
-    """Return (p x 2) of [right, left] from one number, one pair, or one pair per output.
+def to_width_pairs(key: str, value: Array, p: int) -> Floats:
+    """Return [right, left] per output (p x 2) from a number, a pair, or a pair per output.
+
+    Raises ShapeError with the key's name.
 
     Raises ShapeError that names the key.
     """
@@ -30,10 +32,8 @@ def pairs(key: str, value: Array, p: int) -> Floats:
     return matrix(key, numbers, p, 2, "one [right, left] per output")
 
 
-def initial_widths_and_bound(
-    widths0: Array, width_max: Array | None, p: int
-) -> tuple[Floats, Floats]:
-    """Return initial widths and their upper bound.
+def read_initial_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
+    """Return the initial widths (p x 2) and their upper bound (p) [z].
 
     Args:
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
@@ -52,7 +52,7 @@ def initial_widths_and_bound(
         limit = vector("observer.width_max", width_max, p, "one per output")
     if (limit <= 0).any():
         raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
-    widths = pairs("observer.widths0", widths0, p)
+    widths = to_width_pairs("observer.widths0", widths0, p)
     if (widths < 0).any() or (widths > limit[:, None]).any():
         raise InputError(
             f"observer.widths0: must lie in [0, width_max], found {widths.tolist()} "
@@ -61,8 +61,8 @@ def initial_widths_and_bound(
     return widths, limit
 
 
-class Edge(NamedTuple):
-    """One side of every output.
+class BranchWidths(NamedTuple):
+    """Widths of a branch of every output, with their drive and gains.
 
     Attributes:
         drive: what its width is driven by (p).
@@ -81,13 +81,13 @@ class Edge(NamedTuple):
     gamma: Any
 
 
-def gradient_move(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """Return gamma times the drive."""
+def gradient_move(numbers: Any, edge: BranchWidths) -> tuple[Any, Any]:
+    """Return the change of the widths by the gradient law (p): gamma times the drive. No gain."""
     return edge.gamma * edge.drive, NONE
 
 
-class Law(NamedTuple):
-    """A law as pure functions; gains and rates are per step in sampled time.
+class AdaptationLaw(NamedTuple):
+    """Adaptation law as pure functions; gains and rates are per step in sampled time.
 
     Attributes:
         numbers: run-time numbers; None for the one law whose gains are constant.
@@ -101,18 +101,18 @@ class Law(NamedTuple):
     numbers: Any = None
     soften: Callable[[Any, Any], Any] = lambda numbers, y: 1.0
     gains: bool = False
-    move: Callable[[Any, Edge], tuple[Any, Any]] = gradient_move
+    move: Callable[[Any, BranchWidths], tuple[Any, Any]] = gradient_move
     reset: Callable[[Any, Any, Any], Any] = lambda numbers, gain, gamma: gain
 
 
-GRADIENT = Law()
+GRADIENT = AdaptationLaw()
 
 
 class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
-    """d^' = gamma drive, (25) as repaired. Certified where M < 0."""
+    """Gradient law d^' = gamma drive, (25) as repaired. Certified if M < 0."""
 
-    def law(self, Ts: float | None) -> Law:
-        """Return the law.
+    def build_law(self, Ts: float | None) -> AdaptationLaw:
+        """Return the adaptation law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -121,7 +121,9 @@ class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
 
 
 class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
-    """The innovation is divided by 1 + weight y^2 in x^' and d^' alike: large signals count less.
+    """Gradient law with the innovation divided by 1 + weight y^2 in x^' and d^'.
+
+    Large signals count less.
 
     Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that
     M < 0 covers.
@@ -132,8 +134,8 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
 
     weight: float = 1.0
 
-    def law(self, Ts: float | None) -> Law:
-        """Return the law.
+    def build_law(self, Ts: float | None) -> AdaptationLaw:
+        """Return the adaptation law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -142,7 +144,7 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
             InputError: for a weight below 0.
         """
         weight = scalar("observer.adaptation.weight", self.weight, least=0.0)
-        return Law(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
+        return AdaptationLaw(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
 
 
 class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
@@ -160,8 +162,8 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
     forgetting: float = 0.0
     reset: float = 0.0
 
-    def law(self, Ts: float | None) -> Law:
-        """Return the law.
+    def build_law(self, Ts: float | None) -> AdaptationLaw:
+        """Return the adaptation law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -175,33 +177,37 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
             raise InputError(f"observer.adaptation.reset: must be below 1, found {share:g}")
         fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
         move = least_squares_flow if Ts is None else least_squares_step
-        return Law(np.array([fade, share]), gains=True, move=move, reset=reset_small_gain)
+        return AdaptationLaw(np.array([fade, share]), gains=True, move=move, reset=reset_small_gain)
 
 
-def least_squares_flow(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """Return (d^', g') in continuous time; numbers: the rate of forgetting and the share of
-    `reset`.
+def least_squares_flow(numbers: Any, edge: BranchWidths) -> tuple[Any, Any]:
+    """Return (d^', g') in continuous time.
+
+    Here numbers: the rate of forgetting and the share of `reset`.
     """
     growth = numbers[0] * edge.gain - edge.adapted * edge.gain**2
     below = edge.gain < edge.gamma
     return edge.gain * edge.drive, ca.if_else(below, growth, ca.fmin(growth, 0.0))
 
 
-def least_squares_step(numbers: Any, edge: Edge) -> tuple[Any, Any]:
-    """Return (what a step adds to d^, the next g); numbers: what a step keeps of readings,
-    share.
+def least_squares_step(numbers: Any, edge: BranchWidths) -> tuple[Any, Any]:
+    """Return (the change of d^ in a step, the next g).
+
+    Here numbers: the share of old readings that a step keeps, and the share of `reset`.
     """
     after = ca.fmin(edge.gain / (numbers[0] + edge.adapted * edge.gain), edge.gamma)
     return after * edge.drive, after
 
 
 def reset_small_gain(numbers: Any, gain: Any, gamma: Any) -> Any:
-    """Return gamma in place of a gain below its share of gamma."""
+    """Return gamma in place of a gain below its share of gamma (p) [1/s]."""
     return ca.if_else(gain < numbers[1] * gamma, gamma, gain)
 
 
 class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
-    """d^' = gamma (drive - leak (d^ - d^(0))), Ioannou and Kokotovic (1983).
+    """Sigma modification d^' = gamma (drive - leak (d^ - d^(0))).
+
+    Ioannou and Kokotovic (1983).
 
     The widths are bounded without projection, at a price: exactness is lost,
     V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time
@@ -213,8 +219,8 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
 
     leak: float
 
-    def law(self, Ts: float | None) -> Law:
-        """Return the law.
+    def build_law(self, Ts: float | None) -> AdaptationLaw:
+        """Return the adaptation law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -223,16 +229,18 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
             InputError: for a leak below 0.
         """
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=sigma_move)
+        return AdaptationLaw(np.float64(leak), move=sigma_move)
 
 
-def sigma_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
-    """Return gamma times the drive less a constant leak."""
+def sigma_move(leak: Any, edge: BranchWidths) -> tuple[Any, Any]:
+    """Return the change of the widths by gamma times the drive less a constant leak (p)."""
     return edge.gamma * (edge.drive - leak * (edge.width - edge.width0)), NONE
 
 
 class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
-    """d^' = gamma (drive - leak |drive| (d^ - d^(0))), Narendra and Annaswamy (1987).
+    """e-modification d^' = gamma (drive - leak |drive| (d^ - d^(0))).
+
+    Narendra and Annaswamy (1987).
 
     There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where
     M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
@@ -243,8 +251,8 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
 
     leak: float
 
-    def law(self, Ts: float | None) -> Law:
-        """Return the law.
+    def build_law(self, Ts: float | None) -> AdaptationLaw:
+        """Return the adaptation law.
 
         Args:
             Ts: sample time [s]; None in continuous time.
@@ -253,11 +261,14 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
             InputError: for a leak below 0.
         """
         leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
-        return Law(np.float64(leak), move=e_modification_move)
+        return AdaptationLaw(np.float64(leak), move=e_modification_move)
 
 
-def e_modification_move(leak: Any, edge: Edge) -> tuple[Any, Any]:
-    """Return gamma times the drive less a leak that grows with the error."""
+def e_modification_move(leak: Any, edge: BranchWidths) -> tuple[Any, Any]:
+    """Return the change of the widths by gamma times the drive less a leak (p).
+
+    The leak is proportional to the error.
+    """
     leakage = leak * ca.fabs(edge.drive) * (edge.width - edge.width0)
     return edge.gamma * (edge.drive - leakage), NONE
 

@@ -1,4 +1,4 @@
-"""The observer on the measured side: its innovation is formed on the side that the sensor shows.
+"""Observer with the innovation formed on the measured branch.
 
 `certified` adapts the widths; with gamma = 0 and the true widths it is `oracle`.
 """
@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.sensor import Zone, offset, present
-from undeadzone.observers.adaptive.adaptation_laws import GRADIENT, Edge, Law
-from undeadzone.observers.filtering.motion_detection import with_motion_detection
+from undeadzone.observers.adaptive.adaptation_laws import GRADIENT, AdaptationLaw, BranchWidths
+from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.observers.filtering.prior import silence_gate
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
 
 
 class Params(NamedTuple):
-    """Numbers of the observer; L and gamma are per step when the model is sampled.
+    """Parameters of the observer; L and gamma are per step if the model is sampled.
 
     Attributes:
         model: numbers of the model.
@@ -48,7 +48,7 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """x^, the widths d_r^, d_l^, and their gains where the adaptation law moves them."""
+    """State: x^, the widths d_r^, d_l^, and their gains if the adaptation law changes gains."""
 
     x: Any
     right: Any
@@ -58,7 +58,7 @@ class State(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What the parts of one observer share.
+    """Options shared by the functions of an observer.
 
     Attributes:
         model: the model.
@@ -72,18 +72,18 @@ class Setup(NamedTuple):
     kind: str
     ends: bool
     silence: bool
-    law: Law
+    law: AdaptationLaw
 
 
-class Driven(NamedTuple):
-    """What a reading says of the widths of one side: their drive, whether they are adapted (p)."""
+class WidthDrive(NamedTuple):
+    """Drive of the widths of a branch, and 1 if they are adapted (p)."""
 
     drive: Any
     adapted: Any
 
 
 class Correction(NamedTuple):
-    """What a reading says.
+    """Innovation of a reading, and the drives of the widths.
 
     Attributes:
         e: innovation (p).
@@ -91,8 +91,8 @@ class Correction(NamedTuple):
     """
 
     e: Any
-    right: Driven
-    left: Driven
+    right: WidthDrive
+    left: WidthDrive
 
 
 def build_branch_observer(
@@ -104,9 +104,11 @@ def build_branch_observer(
     widths: Floats,
     limit: Floats,
     silence: bool,
-    law: Law = GRADIENT,
+    law: AdaptationLaw = GRADIENT,
 ) -> Observer:
-    """Return the observer itself; with gamma = 0 and true widths it is the known-width oracle.
+    """Return the observer on the measured branch.
+
+    With gamma = 0 and the true widths it is the known-width oracle.
 
     Args:
         model: the model, continuous or sampled.
@@ -135,6 +137,7 @@ def build_branch_observer(
     )
 
     def init(p: Params) -> State:
+        """Return the state at t = 0."""
         gain = p.gamma if law.gains else np.zeros(0)
         return State(p.x0, p.right0, p.left0, gain, gain)
 
@@ -146,14 +149,12 @@ def build_branch_observer(
         adapts=bool(gamma.any()),
         told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
-    step, project = partial(branch_observer_step, setup), partial(into_bounds, law)
-    return with_motion_detection(Observer(params, init, step, project, traits), model, sensor)
+    step, project = partial(step_branch_observer, setup), partial(project_branch_state, law)
+    return add_motion_detection(Observer(params, init, step, project, traits), model, sensor)
 
 
-def into_bounds(law: Law, p: Params, s: State) -> State:
-    """Return the state with its widths within [0, d_M], and gains that became too small set
-    back.
-    """
+def project_branch_state(law: AdaptationLaw, p: Params, s: State) -> State:
+    """Return the state with widths clipped to [0, d_M], and gains reset if too small."""
     right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
     left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
     right_gain = law.reset(p.law, s.right_gain, p.gamma)
@@ -161,23 +162,24 @@ def into_bounds(law: Law, p: Params, s: State) -> State:
     return State(s.x, right, left, right_gain, left_gain)
 
 
-def branch_observer_step(
+def step_branch_observer(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """Return the state's derivative, or its next value when sampled, and the estimate."""
+    """Return the state's derivative, or its next value if sampled, and the estimate."""
     model, law = setup.model, setup.law
     z = model.output(p.model, s.x)
     y = reading.y / p.slope
     active = reading.side != 0
-    over, under = silent_violation(setup, p, s, z, reading)
+    over, under = zone_violation(setup, p, s, z, reading)
     correct = correct_jump if setup.kind == "jump" else correct_deadzone
     correction = correct(s, z, y, reading.side, over, under)
     if setup.ends:
-        correction = bound_reading(correction, reading.side, setup.kind == "jump")
+        correction = drop_limit_corrections(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
 
-    def moved(told: Driven, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
-        edge = Edge(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
+    def moved(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+        """Return the change of a branch's widths, and of their gain (p each)."""
+        edge = BranchWidths(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
         change, gain = law.move(p.law, edge)
         return model.keep * width + change, gain
 
@@ -186,14 +188,16 @@ def branch_observer_step(
     x = model.move_with_correction(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:
-        after = into_bounds(law, p, after)
-    return after, estimate(s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e)
+        after = project_branch_state(law, p, after)
+    return after, build_estimate(
+        s.x, z, s.right, s.left, reading, p.slope, setup.kind, correction.e
+    )
 
 
-def silent_violation(
-    setup: Setup, p: Params, s: State, z: Any, reading: Reading
-) -> tuple[Any, Any]:
-    """How far z^ is over the right edge (>= 0) and under the left one (<= 0) of a silent sensor.
+def zone_violation(setup: Setup, p: Params, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+    """Return the excess of z^ over the right and left breakpoint if silent (p each) [z].
+
+    The first is >= 0, the second <= 0.
 
     A silent sensor says -d_l <= z <= d_r (wider by the threshold), a play that holds says it of
     z - y / m; beyond an edge, that edge or z^ is wrong.
@@ -208,24 +212,24 @@ def silent_violation(
 
 
 def correct_jump(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
-    """What a jump sensor's reading y / m = z says: outside, it is beyond the edge it is on."""
+    """Return the correction by a jump sensor's reading y / m = z, a bound on its breakpoint."""
     e = ca.if_else(side != 0, y - z, 0.0)
     right = ca.if_else(side > 0, ca.fmin(y - s.right, 0.0), over)
     left = ca.if_else(side < 0, ca.fmin(-y - s.left, 0.0), -under)
-    return Correction(e, Driven(right, right != 0), Driven(left, left != 0))
+    return Correction(e, WidthDrive(right, right != 0), WidthDrive(left, left != 0))
 
 
 def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
-    """What a dead zone's reading says: on the measured side y / m = z - chi_bar d."""
+    """Return the correction by a dead zone's reading y / m = z - chi_bar d on a branch."""
     e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
     adapt_right = ca.logic_or(side > 0, over > 0)
     adapt_left = ca.logic_or(side < 0, under < 0)
     right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
-    return Correction(e, Driven(right, adapt_right), Driven(left, adapt_left))
+    return Correction(e, WidthDrive(right, adapt_right), WidthDrive(left, adapt_left))
 
 
-def bound_reading(correction: Correction, side: Any, jump: bool) -> Correction:
-    """What a reading says if those at a limit of the range only bound z.
+def drop_limit_corrections(correction: Correction, side: Any, jump: bool) -> Correction:
+    """Return the correction without readings at a limit that bound z only.
 
     At the upper limit z is at least what the reading says, so that an innovation below 0 says
     nothing; at the lower limit it is the other way round. There a jump sensor does not show that z
@@ -236,7 +240,7 @@ def bound_reading(correction: Correction, side: Any, jump: bool) -> Correction:
     heard = ca.logic_not(ca.logic_or(above, below))
     adapts = ca.logic_and(heard, ca.fabs(side) < 2) if jump else heard
     right, left = (
-        Driven(ca.if_else(adapts, told.drive, 0.0), ca.logic_and(adapts, told.adapted))
+        WidthDrive(ca.if_else(adapts, told.drive, 0.0), ca.logic_and(adapts, told.adapted))
         for told in (correction.right, correction.left)
     )
     return Correction(ca.if_else(heard, correction.e, 0.0), right, left)

@@ -1,4 +1,4 @@
-"""The gain L of an observer: as it is given, by poles, or by a speed; else the default gains.
+"""Observer gain L: given, or the default gains.
 
 Those are certified for every stable model, and loud enough to be heard; docs/observer.md says where
 the two numbers come from.
@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import ShapeError
-from undeadzone.linalg.matrices import Matrices, delta, sizes
+from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.plants.system import System, mean_pole
 from undeadzone.util.arrays import Array, Floats, array, matrix
 
@@ -23,8 +23,8 @@ WEAKER: Final = 0.5  # factor on L until it is certified in sampled time
 TRIES: Final = 20  # such factors
 
 
-def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
-    """Return L as n x p.
+def innovation_gain(L: Array | None, model: System, key: str = "observer.L") -> Floats:
+    """Return the gain L of the innovation (n x p) [1/s], given or the default.
 
     Args:
         L: gains, a plain list for one output; None: `default_gain` of the model.
@@ -49,8 +49,9 @@ def gains(L: Array | None, model: System, key: str = "observer.L") -> Floats:
 
 
 def default_gain(model: System) -> Floats:
-    """Return L (n x p) [1/s] along P^-1 C', so strong that a lasting error moves z^ `STRENGTH`
-    times.
+    """Return L (n x p) [1/s] along P^-1 C'.
+
+    A lasting error moves z^ by `STRENGTH` times itself.
 
     In continuous time every multiple is certified; sampled, the gain is weakened until it is.
 
@@ -61,8 +62,8 @@ def default_gain(model: System) -> Floats:
         StructureError: if the model is not stable.
     """
     linear, Ts = model.linear, model.Ts
-    A = delta(linear, Ts).A
-    unit = 1 / sizes(A.T, linear.C.T)
+    A = delta_form(linear, Ts).A
+    unit = 1 / state_response_sizes(A.T, linear.C.T)
     balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)
     L = unit[:, None] * passive_gain(balanced, Ts)
     at_rest = np.diag(linear.C @ np.linalg.solve(-A, L))
@@ -76,6 +77,6 @@ def default_gain(model: System) -> Floats:
 
 
 def default_adaptation(model: System) -> float:
-    """Return gamma [1/s] for the plant's own speed."""
+    """Return the adaptation gain gamma for the plant's mean pole [1/s]."""
     wanted = ADAPTATION * mean_pole(model)
     return wanted if model.Ts is None else min(wanted, LARGEST / model.Ts)

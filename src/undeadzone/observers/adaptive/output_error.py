@@ -18,17 +18,17 @@ from undeadzone.interfaces import (
     Observer,
     Reading,
     Traits,
-    estimate,
-    no_further,
+    build_estimate,
+    clip_expected_reading,
 )
 from undeadzone.nonlinearities.sensor import Zone, deadzone, jump, present
-from undeadzone.observers.adaptive.adaptation_laws import initial_widths_and_bound
+from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Array, Floats, nonnegative
 
 
 class Widths(NamedTuple):
-    """How widths adapt.
+    """Initial widths, their bound, and their adaptation gain.
 
     Attributes:
         gamma: adaptation gain (p) [1/s].
@@ -42,7 +42,9 @@ class Widths(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Numbers of the observer; L, gamma and the injection's are per step when sampled.
+    """Parameters of the observer.
+
+    L, gamma and the injection's numbers are per step if sampled.
 
     Attributes:
         model: numbers of the model.
@@ -65,47 +67,48 @@ class Params(NamedTuple):
 
 
 class State(NamedTuple):
-    """x^ and the widths d_r^, d_l^."""
+    """State: x^ and the widths d_r^, d_l^."""
 
     x: Any
     right: Any
     left: Any
 
 
-def require_widths_and_gain(
+def read_adapted_widths(
     gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
 ) -> Widths:
-    """Return checked widths and their gain. Raises InputError, ShapeError."""
+    """Return checked initial widths, bound and adaptation gain. Raises InputError, ShapeError."""
     gain = nonnegative("observer.gamma", gamma, model.p, "one per output")
     if sensor.kind == "jump" and gain.any():
         raise InputError(
             "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "
             "adapt them; leave gamma out"
         )
-    return Widths(gain, *initial_widths_and_bound(widths0, width_max, model.p))
+    return Widths(gain, *read_initial_widths(widths0, width_max, model.p))
 
 
-def measured_contacts(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-    """Return whether the reading is on the right, on the left (p each)."""
+def active_branches(law: Any, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
+    """Return 1 if a reading is on the right branch, and 1 if on the left branch (p each)."""
     return reading.side > 0, reading.side < 0
 
 
-def nothing(law: Any, e: Any) -> Any:
-    """No injection beside L e."""
+def no_injection(law: Any, e: Any) -> Any:
+    """Return 0: no injection beside L e."""
     return 0.0
 
 
-def output_error(
+def build_output_error_observer(
     model: System,
     sensor: Zone,
     L: Floats,
     widths: Widths,
     law: Any = (),
-    inject: Callable[[Any, Any], Any] = nothing,
-    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = measured_contacts,
+    inject: Callable[[Any, Any], Any] = no_injection,
+    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = active_branches,
 ) -> Observer:
-    """Return x^' = A x^ + B u + L e + inject(law, e), d_r^' = -gamma e on the right, d_l^' = gamma
-    e left.
+    """Return the observer x^' = A x^ + B u + L e + inject(law, e), with widths that e adapts.
+
+    The widths obey d_r^' = -gamma e on the right and d_l^' = gamma e on the left.
 
     The widths stay within [0, d_M]. e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing;
     with d^ = 0 it is y / m - C x^.
@@ -131,11 +134,13 @@ def output_error(
     )
 
     def init(p: Params) -> State:
+        """Return the state at t = 0: x^ = 0 and the initial widths."""
         return State(np.zeros(model.n), p.right0, p.left0)
 
     def step(p: Params, s: State, u: Any, reading: Reading) -> tuple[State, Estimate]:
+        """Return the state's derivative, or its next value if sampled, and the estimate."""
         z = model.output(p.model, s.x)
-        e = error(sensor, p, s, z, reading)
+        e = zone_output_error(sensor, p, s, z, reading)
         right, left = where(p.law, s, z, reading)
         after = State(
             model.move_with_correction(p.model, s.x, u, p.L @ e + inject(p.law, e)),
@@ -143,28 +148,29 @@ def output_error(
             model.keep * s.left + p.gamma * e * left,
         )
         if model.Ts is not None:
-            after = project(p, after)
-        return after, estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
+            after = project_widths(p, after)
+        return after, build_estimate(s.x, z, s.right, s.left, reading, p.slope, sensor.kind, e)
 
     adapts = bool(widths.gamma.any())
     traits = Traits(L=L, gamma=params.gamma, width_max=widths.limit, adapts=adapts)
-    return Observer(params, init, step, project, traits)
+    return Observer(params, init, step, project_widths, traits)
 
 
-def error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
-    """Return e = y / m - Dz(z; d^) (p), 0 where the reading is missing, or a limit that Dz is
-    beyond.
+def zone_output_error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
+    """Return the output error e = y / m - Dz(z; d^) (p) [z].
+
+    The value is 0 for a missing reading, or for a limit that Dz exceeds.
     """
     zone = jump if sensor.kind == "jump" else deadzone
     expected = zone(z, s.right, s.left)
     y = reading.y / p.slope
     if sensor.limits is not None:
-        expected = no_further(expected, y, reading.side)
+        expected = clip_expected_reading(expected, y, reading.side)
     return ca.if_else(present(reading.y), y - expected, 0.0)
 
 
-def project(p: Params, s: State) -> State:
-    """Return the state with its widths within [0, d_M]."""
+def project_widths(p: Params, s: State) -> State:
+    """Return the state with its widths clipped to [0, d_M]."""
     right = ca.fmax(ca.fmin(s.right, p.limit), 0.0)
     left = ca.fmax(ca.fmin(s.left, p.limit), 0.0)
     return State(s.x, right, left)

@@ -1,1 +1,1 @@
-"""Contact filter."""
+"""Contact filter: an extended Kalman filter for each combination of gear contacts."""

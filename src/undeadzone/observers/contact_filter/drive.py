@@ -1,4 +1,4 @@
-"""What the filter of contacts asks of an arm: of all its joints at once, or joint by joint.
+"""Plant model of the contact filter for an arm: all joints at once, or joint by joint.
 
 At once N joints have 3^N modes; joint by joint they have 3 N. Each joint then has the filter of an
 arm of one link, to which the rest of the arm is numbers of the sample: its link moves by
@@ -30,7 +30,7 @@ from undeadzone.observers.contact_filter.modes import (
     Layout,
     Numbers,
     Posterior,
-    innovation,
+    mixture_innovation,
     normalise_weights,
 )
 from undeadzone.observers.filtering.multiple_models import mean_of_models
@@ -47,8 +47,8 @@ REST = ("mass", "load", "slope", "place", "weight", "carried")  # what a joint k
 SPEED = QUANTITIES.index("link_speed")
 
 
-def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
-    """What the filter asks of an arm with gears.
+def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
+    """Return the functions of an arm with gears that the filter needs.
 
     Args:
         gears: the arm.
@@ -59,16 +59,18 @@ def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Dr
     N, layout = gears.size, Layout(gears.size)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
-        push = x[layout.of("push")]
+        """Return x' (entries), and the torques through the gears (N) [N m]."""
+        push = x[layout.slice_of("push")]
         dx, tau = gears.motion(
-            believe_gears(gears, params, x), x[: 4 * N], u + push, ca.DM(contact)
+            substitute_estimates(gears, params, x), x[: 4 * N], u + push, ca.DM(contact)
         )
         constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def mobility(params: Any, x: Any) -> Any:
-        column = believe_gears(gears, params, x)
-        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.of("link")]))
+        """Return the change of [theta'; q'] (2N x N) by a unit impulse in each joint."""
+        column = substitute_estimates(gears, params, x)
+        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.slice_of("link")]))
         return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
 
     motors, links = tuple(range(N)), tuple(range(N, 2 * N))
@@ -76,8 +78,8 @@ def drive_of(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Dr
     return Drive(layout, rate, mobility, readings, Ts, substeps, apart)
 
 
-def believe_gears(gears: Geared, params: Any, x: Any) -> Any:
-    """Return the parameters of an arm with gears, with what a filter makes of them.
+def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
+    """Return the parameters of an arm with gears, with a filter's estimates substituted.
 
     Args:
         gears: the arm.
@@ -88,19 +90,21 @@ def believe_gears(gears: Geared, params: Any, x: Any) -> Any:
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
-        column[first : first + N] = x[layout.of(name)]
+        column[first : first + N] = x[layout.slice_of(name)]
     first = gears.names.index("contact1")
-    column[first : first + N] *= ca.exp(x[layout.of("firmness")])
-    column[gears.names.index("payload")] = x[layout.of("payload")]
+    column[first : first + N] *= ca.exp(x[layout.slice_of("firmness")])
+    column[gears.names.index("payload")] = x[layout.slice_of("payload")]
     return column
 
 
-def alone(gears: Geared, joint: int) -> Geared:
-    """Return one joint of an arm with gears, as an arm of one link that knows the rest by
-    numbers.
+def isolate_joint(gears: Geared, joint: int) -> Geared:
+    """Return a joint of an arm with gears as an arm of a single link.
+
+    Parameters stand for the rest of the arm.
     """
 
     def bias(p: Any, q: Any, _: Any) -> Any:
+        """Return the bias torque of the link, the rest of the arm included [N m]."""
         carried = p["weight"] * (p["payload"] - p["carried"])
         return p["load"] + p["slope"] * (q - p["place"]) + carried
 
@@ -122,16 +126,19 @@ def alone(gears: Geared, joint: int) -> Geared:
     return one._replace(stiffness=gears.stiffness[here], damping=gears.damping[here])
 
 
-def places(layout: Layout, joint: int) -> list[int]:
-    """Where the quantities of one joint stand among those of all, in the order of `Layout(1)`."""
-    return [*(layout.of(name).start + joint for name in QUANTITIES), layout.entries - 1]
+def joint_entries(layout: Layout, joint: int) -> list[int]:
+    """Return the places of a joint's quantities among all joints'.
+
+    The order is that of `Layout(1)`.
+    """
+    return [*(layout.slice_of(name).start + joint for name in QUANTITIES), layout.entry_count - 1]
 
 
-def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
-    """Return the numbers of one of so many filters: all, or those of a joint."""
+def joint_numbers(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
+    """Return the parameters of a filter: of a joint, or all for a single filter."""
     if count == 1:
         return q
-    here = places(layout, joint)
+    here = joint_entries(layout, joint)
     return q._replace(
         Q=q.Q[here],
         R=q.R[joint::count],
@@ -143,25 +150,27 @@ def part_of(q: Numbers, layout: Layout, joint: int, count: int) -> Numbers:
     )
 
 
-def touching(drive: Drive, told: Posterior) -> Any:
-    """Return the chance of the right flank less that of the left one, of each joint of a filter."""
-    filters = len(told.chances) // len(drive.layout.modes)
-    sides = filters * [list(mode) for mode in drive.layout.modes]
+def contact_balance(drive: Drive, told: Posterior) -> Any:
+    """Return the probability of the right less the left flank of each joint [1]."""
+    filters = len(told.chances) // len(drive.layout.contact_combinations)
+    sides = filters * [list(mode) for mode in drive.layout.contact_combinations]
     return ca.DM(sides).T @ ca.vertcat(*told.chances)
 
 
-def together(layout: Layout, told: Sequence[Posterior]) -> Posterior:
-    """What is known of all joints, as if what each does not know had no relation.
+def join_posteriors(layout: Layout, told: Sequence[Posterior]) -> Posterior:
+    """Return the posterior of all joints, taken as independent.
+
+    Their payload errors count as a single error.
 
     Each joint has a payload of its own. One is shown: each counts by its variance, and their errors
     are taken to be one and the same.
     """
     if len(told) == 1:
         return told[0]
-    mean, cov = ca.SX(layout.entries, 1), ca.SX(layout.entries, layout.entries)
-    news = ca.SX(layout.entries, 1)
+    mean, cov = ca.SX(layout.entry_count, 1), ca.SX(layout.entry_count, layout.entry_count)
+    news = ca.SX(layout.entry_count, 1)
     for joint, one in enumerate(told):
-        here = places(layout, joint)
+        here = joint_entries(layout, joint)
         mean[here], cov[here, here], news[here] = one.whole.mean, one.whole.cov, one.news
     payloads = [one.whole.mean[-1] for one in told]
     variances = [ca.fmax(one.whole.cov[-1, -1], KNOWN) for one in told]
@@ -174,8 +183,8 @@ def together(layout: Layout, told: Sequence[Posterior]) -> Posterior:
     return Posterior((), (), Gaussian(mean, cov), news, e, std)
 
 
-def either(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
-    """What filters of one joint say together, of which each is as likely as its share.
+def mix_posteriors(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
+    """Return the mixture of the posteriors of a joint's filters, weighted by their shares.
 
     Args:
         told: of each filter (K).
@@ -192,11 +201,11 @@ def either(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
         beliefs += one.beliefs
     whole = mix_gaussians(heard, [one.whole for one in told])
     news = mean_of_models(heard, [one.news for one in told])
-    return Posterior(tuple(chances), tuple(beliefs), whole, news, *innovation(before, told))
+    return Posterior(tuple(chances), tuple(beliefs), whole, news, *mixture_innovation(before, told))
 
 
 class Posture(NamedTuple):
-    """An arm where all its joints are in the mean.
+    """Arm with all its joints at the mean.
 
     Attributes:
         gears: the arm.
@@ -221,8 +230,8 @@ class Posture(NamedTuple):
     inverse: Any
 
 
-def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
-    """Where an arm is in the mean.
+def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
+    """Return the posture of an arm at the mean.
 
     Args:
         gears: the arm.
@@ -230,9 +239,9 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         mean: of all unknowns.
         u: torque of the motors (N).
     """
-    layout, params, body = Layout(gears.size), believe_gears(gears, model, mean), gears.arm
+    layout, params, body = Layout(gears.size), substitute_estimates(gears, model, mean), gears.arm
     links = gears.links(params)
-    q, turning, v = (mean[layout.of(name)] for name in ("link", "motor_speed", "link_speed"))
+    q, turning, v = (mean[layout.slice_of(name)] for name in ("link", "motor_speed", "link_speed"))
     rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
     return Posture(
         gears,
@@ -240,17 +249,16 @@ def posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         q,
         v,
         turning - v,
-        u + mean[layout.of("push")] - gears.friction(params, turning),
+        u + mean[layout.slice_of("push")] - gears.friction(params, turning),
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
-        _solve_inertia(mass, ca.DM.eye(gears.size)),
+        _solve_mass(mass, ca.DM.eye(gears.size)),
     )
 
 
-def combine_joints(told: Sequence[Posterior], news: Any, arm: Posture) -> list[Posterior]:
-    """Return the joints, after their readings, once each has heard what those of others tell of
-    torques.
+def apply_gear_impulses(told: Sequence[Posterior], news: Any, arm: Posture) -> list[Posterior]:
+    """Return the joints' posteriors after gear impulses inferred from all readings.
 
     Where readings correct the speed of a motor, its gears have given its link another impulse than
     was taken for the mean, opposite to that of the motor. Links elsewhere that are free went with
@@ -262,9 +270,9 @@ def combine_joints(told: Sequence[Posterior], news: Any, arm: Posture) -> list[P
         arm: all joints in the mean.
     """
     layout, inertia = Layout(arm.gears.size), arm.gears.number(arm.params, "inertia")
-    impulses = -PASSED * inertia * news[layout.of("motor_speed")]
+    impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
     gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
-    free = Layout(1).modes.index((0,))
+    free = Layout(1).contact_combinations.index((0,))
     each = []
     for joint, one in enumerate(told):
         beliefs = list(one.beliefs)
@@ -275,8 +283,8 @@ def combine_joints(told: Sequence[Posterior], news: Any, arm: Posture) -> list[P
     return each
 
 
-class Pressed(NamedTuple):
-    """What is known of the torques through the gears.
+class GearTorques(NamedTuple):
+    """Moments of the torques through the gears.
 
     Attributes:
         chance: that a joint is in contact (N).
@@ -289,11 +297,12 @@ class Pressed(NamedTuple):
     variance: Any
 
 
-def contact_forces(
+def gear_torques(
     drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Posterior]
-) -> Pressed:
-    """Return the torques at the beginning of a sample; what stops a strike is as uncertain as that
-    one.
+) -> GearTorques:
+    """Return the torques through the gears at the start of a sample.
+
+    The torque that stops a strike is as uncertain as the strike.
 
     Nothing is said of how uncertain a torque is within a contact: what is stiff corrects it at
     once, while the variances of two joints that take it for lasting would drive each other up.
@@ -306,27 +315,34 @@ def contact_forces(
     each = []
     for drive, q, one in zip(drives, parts, told, strict=True):
         chance, mean, square = ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
-        modes = zip(itertools.cycle(drive.layout.modes), one.chances, one.beliefs, strict=False)
+        modes = zip(
+            itertools.cycle(drive.layout.contact_combinations),
+            one.chances,
+            one.beliefs,
+            strict=False,
+        )
         for contact, share, belief in modes:
             together = ca.SX(belief.mean)
-            together[drive.layout.of("motor_speed")] = together[drive.layout.of("link_speed")]
+            together[drive.layout.slice_of("motor_speed")] = together[
+                drive.layout.slice_of("link_speed")
+            ]
             tau = drive.rate(q.model, belief.mean, 0.0, contact)[1]
             sudden = tau - drive.rate(q.model, together, 0.0, contact)[1]
             chance += share * abs(contact[0])
             mean += share * tau
             square += share * (tau**2 + (q.impact * sudden) ** 2)
         each.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
-    return Pressed(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
+    return GearTorques(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
 
 
-def surroundings(
+def update_joint_numbers(
     ones: Sequence[Geared],
     drives: Sequence[Drive],
     parts: Sequence[Numbers],
     told: Sequence[Posterior],
     arm: Posture,
 ) -> list[Numbers]:
-    """Return the numbers of each joint's filter, with what it knows of the rest of its arm.
+    """Return the parameters of each joint's filter, with data about the rest of its arm.
 
     Args:
         ones: each joint `alone`.
@@ -340,12 +356,13 @@ def surroundings(
     carried = links[names.index("payload")]
     known = []
     for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
-        known.append(part._replace(model=_column(gears, one, part.model, joint)))
-    now = contact_forces(drives, known, told)
-    moved, tau = _link_accelerations(arm, now.chance), _lasting(arm, now, drives[0])
+        known.append(part._replace(model=_joint_parameters(gears, one, part.model, joint)))
+    now = gear_torques(drives, known, told)
+    moved, tau = _link_mobility(arm, now.chance), _mean_gear_torques(arm, now, drives[0])
     a = arm.inverse @ (tau - arm.needed)
 
     def needed(at: Any) -> Any:
+        """Return the torques of the links at angles and payload (N) [N m]."""
         column = ca.SX(links)
         column[names.index("payload")] = at[N]
         return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], arm.v)
@@ -353,7 +370,9 @@ def surroundings(
     own = ca.diag(moved)
     each = ca.repmat(own, 1, N + 1)
     slopes = moved @ linearise(needed, ca.vertcat(arm.q, carried))[1] / each
-    shaken = _shaken(arm.inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts)
+    shaken = _coupling_variance(
+        arm.inverse, moved, slopes[:, :N], now.variance, known, told, drives[0].Ts
+    )
     after = []
     for joint, (one, part) in enumerate(zip(ones, known, strict=True)):
         load = tau[joint] - arm.rubbed[joint] - a[joint] / own[joint]
@@ -367,8 +386,8 @@ def surroundings(
     return after
 
 
-def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
-    """Return the parameters of one joint alone, without what it knows of the rest."""
+def _joint_parameters(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
+    """Return the parameters of an isolated joint, without data about the rest of the arm."""
     column = ca.SX(one.values)
     for place, name in enumerate(one.names):
         if name.endswith("1"):
@@ -376,14 +395,15 @@ def _column(gears: Geared, one: Geared, params: Any, joint: int) -> Any:
     return column
 
 
-def _solve_inertia(M: Any, right: Any) -> Any:
+def _solve_mass(M: Any, right: Any) -> Any:
     """Return M^-1 times a matrix."""
     return ca.ldl_solve(right, *ca.ldl(M))
 
 
-def _link_accelerations(arm: Posture, touching: Any) -> Any:
-    """Return the acceleration of each link by torques (N x N); others turn their motors where they
-    touch.
+def _link_mobility(arm: Posture, touching: Any) -> Any:
+    """Return the acceleration of each link by torques (N x N).
+
+    Motors of joints in contact turn with their links.
 
     So a link answers to its own contact, which lasts longer than a stiff contact takes.
     """
@@ -391,12 +411,14 @@ def _link_accelerations(arm: Posture, touching: Any) -> Any:
     for joint in range(N):
         turned = touching * inertia
         turned[joint] = 0.0
-        rows.append(_solve_inertia(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
+        rows.append(_solve_mass(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
     return ca.vertcat(*rows)
 
 
-def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
-    """Return the mean torques through the gears over a sample (N), of joints that stay as they are.
+def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
+    """Return the mean torques through the gears over a sample (N) [N m].
+
+    Contacts stay unchanged.
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
@@ -408,6 +430,7 @@ def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
     first = now.mean / ca.fmax(now.chance, NONE)
 
     def rate(x: Any, _: float) -> Any:
+        """Return the rate of gear twist, speed difference and impulse (3N)."""
         wound, faster = x[:N], x[N : 2 * N]
         tau = first + K * wound + damping * faster
         link = own * tau + others @ (now.chance * tau) - arm.inverse @ arm.needed
@@ -419,7 +442,7 @@ def _lasting(arm: Posture, now: Pressed, drive: Drive) -> Any:
     return now.chance * total[2 * N :] / drive.Ts
 
 
-def _shaken(
+def _coupling_variance(
     inverse: Any,
     moved: Any,
     slopes: Any,
@@ -428,8 +451,9 @@ def _shaken(
     told: Sequence[Posterior],
     Ts: float,
 ) -> Any:
-    """Return the variance that the speed of each link gains in a sample by what is unknown of
-    others (N).
+    """Return the variance of each link speed by the uncertain coupling of links (N) [(rad/s)^2].
+
+    The variance is that gained in a sample.
 
     What their torques are off by counts for the sample alone, as it is `made_up`.
 
@@ -447,14 +471,14 @@ def _shaken(
     pushed = (apart * inverse**2) @ variance
     loads = ca.vertcat(*(part.Q[SPEED] for part in parts))
     loaded = (apart * (moved / ca.repmat(own.T, N, 1)) ** 2) @ loads
-    spans = ca.vertcat(*(_span(one.whole) for one in told))
+    spans = ca.vertcat(*(_link_variance(one.whole) for one in told))
     tilted = own**2 * ((apart * slopes**2) @ spans)
     return loaded + Ts * (Ts * pushed + SLOW * tilted)
 
 
-def _span(belief: Gaussian) -> Any:
-    """Return the variance of a link, which is not beyond its flanks for long (1)."""
+def _link_variance(belief: Gaussian) -> Any:
+    """Return the variance of a link (1) [rad^2], bounded by its flanks."""
     layout = Layout(1)
-    motor, link, half = (layout.of(name).start for name in ("motor", "link", "half"))
+    motor, link, half = (layout.slice_of(name).start for name in ("motor", "link", "half"))
     bound = belief.mean[half] ** 2 + belief.cov[half, half] + belief.cov[motor, motor]
     return ca.fmin(belief.cov[link, link], bound)

@@ -1,4 +1,4 @@
-"""A filter of contacts: motors and links with gaps between them, each joint in one of three modes.
+"""Contact modes of motors and links with gaps in between, each joint in a mode of three.
 
 A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
 combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
@@ -57,7 +57,7 @@ RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flan
 
 
 class Layout(NamedTuple):
-    """Where each quantity stands in x, of N joints.
+    """Places of the quantities in x, for N joints.
 
     Attributes:
         size: number of joints N.
@@ -65,37 +65,37 @@ class Layout(NamedTuple):
 
     size: int
 
-    def of(self, name: str) -> slice:
-        """Return the entries of one quantity."""
+    def slice_of(self, name: str) -> slice:
+        """Return the entries of a quantity in x."""
         if name == "payload":
-            return slice(self.entries - 1, self.entries)
+            return slice(self.entry_count - 1, self.entry_count)
         first = QUANTITIES.index(name) * self.size
         return slice(first, first + self.size)
 
     @property
-    def entries(self) -> int:
-        """How many numbers x has."""
+    def entry_count(self) -> int:
+        """Return the number of entries of x."""
         return len(QUANTITIES) * self.size + 1
 
     @property
-    def modes(self) -> list[Contacts]:
+    def contact_combinations(self) -> list[Contacts]:
         """Return every combination of contacts."""
         return list(itertools.product((1, 0, -1), repeat=self.size))
 
-    def edge(self, joint: int, side: int) -> ca.DM:
+    def flank_row(self, joint: int, side: int) -> ca.DM:
         """Return the row of side (theta - q + c) - a of a joint (1 x entries)."""
-        row = np.zeros((1, self.entries))
+        row = np.zeros((1, self.entry_count))
         for name, sign in (("motor", side), ("link", -side), ("centre", side), ("half", -1)):
-            row[0, self.of(name).start + joint] = sign
+            row[0, self.slice_of(name).start + joint] = sign
         return ca.sparsify(ca.DM(row))
 
-    def edges(self, joint: int) -> list[ca.DM]:
-        """Return the rows of its right and its left flank."""
-        return [self.edge(joint, side) for side in (1, -1)]
+    def flank_rows(self, joint: int) -> list[ca.DM]:
+        """Return the rows of a joint's right and left flank."""
+        return [self.flank_row(joint, side) for side in (1, -1)]
 
 
 class Drive(NamedTuple):
-    """What the filter asks of the plant; its first argument is `Numbers.model`.
+    """Functions of the plant for the filter; the first argument is `Numbers.model`.
 
     Attributes:
         layout: where the quantities stand.
@@ -119,7 +119,7 @@ class Drive(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """The numbers of the filter.
+    """Parameters of the filter.
 
     Attributes:
         model: those of the plant.
@@ -148,7 +148,7 @@ class Numbers(NamedTuple):
 
 
 class Modes(NamedTuple):
-    """The state: a chance and a belief for each mode.
+    """State of the filter: a probability and a Gaussian for each mode.
 
     Attributes:
         chances: of the modes (K); their sum is 1.
@@ -164,7 +164,7 @@ class Modes(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """What the readings of a sample make of the modes.
+    """Posterior of the modes after the readings of a sample.
 
     Attributes:
         chances: of the modes (K).
@@ -184,30 +184,31 @@ class Posterior(NamedTuple):
     log: Any = 0.0
 
 
-def start(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
-    """Return the modes before the first reading, as NumPy arrays: each link on the flank of its
-    mode.
+def start_modes(layout: Layout, mean: Floats, std: Floats, slack: float) -> Modes:
+    """Return the modes before the first reading, each link on the flank of its mode.
+
+    All are NumPy arrays.
 
     Args:
         layout: where the quantities stand.
         mean, std: of x about the first reading, contacts unknown (entries).
         slack: variance of where a flank is [rad^2].
     """
-    entries = ca.Sparsity.upper(layout.entries)
+    entries = ca.Sparsity.upper(layout.entry_count)
     means, covs = [], []
-    for mode in layout.modes:
+    for mode in layout.contact_combinations:
         belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
         for joint, side in enumerate(mode):
             if side:
-                h = layout.edge(joint, side)
+                h = layout.flank_row(joint, side)
                 belief = condition_on_edge(belief, h, h @ belief.mean, slack)
         means.append(np.asarray(ca.evalf(belief.mean)).ravel())
         covs.append(np.asarray(ca.evalf(to_upper_entries(belief.cov, entries))).ravel())
     return Modes(np.full(len(means), 1 / len(means)), tuple(means), tuple(covs), np.zeros(1))
 
 
-def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
-    """Return the belief in each mode: the first whole sample sets the angles.
+def _mode_gaussians(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
+    """Return the Gaussian of each mode. The first whole sample sets the angles.
 
     Args:
         drive: the plant.
@@ -215,9 +216,9 @@ def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
         y: readings (p).
     """
     layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
-    entries = ca.Sparsity.upper(layout.entries)
+    entries = ca.Sparsity.upper(layout.entry_count)
     angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
-    shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entries - 2 * N))
+    shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entry_count - 2 * N))
     beliefs = []
     for mean, cov in zip(s.means, s.covs, strict=True):
         beliefs.append(Gaussian(mean + shift, from_upper_entries(cov, entries)))
@@ -225,9 +226,9 @@ def _beliefs(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
 
 
 def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
-    """Return the modes after the readings of a sample; one that is no number is missing."""
-    beliefs, each = _beliefs(drive, s, y), []
-    for contact, belief in zip(drive.layout.modes, beliefs, strict=True):
+    """Return the modes after the readings of a sample. A reading that is no number is missing."""
+    beliefs, each = _mode_gaussians(drive, s, y), []
+    for contact, belief in zip(drive.layout.contact_combinations, beliefs, strict=True):
         each.append(_correct_mode(drive, q, contact, belief, y))
     before = ca.vertsplit(s.chances)
     alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
@@ -240,20 +241,24 @@ def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
     whole = mix_gaussians(shares, [one.belief for one in each])
     kept = []
     for share, one in zip(shares, each, strict=True):
-        kept.append(one_or_other(share > 0, one.belief, whole))
+        kept.append(select_gaussian(share > 0, one.belief, whole))
     news = whole.mean - mean_of_models(before, [belief.mean for belief in beliefs])
-    return Posterior(tuple(shares), tuple(kept), whole, news, *innovation(before, each), log)
+    return Posterior(
+        tuple(shares), tuple(kept), whole, news, *mixture_innovation(before, each), log
+    )
 
 
-def innovation(shares: Sequence[Any], each: Sequence[Posterior | Read]) -> tuple[Any, Any]:
-    """Return the innovation of a mixture and its deviation, where each part has a share (K)."""
+def mixture_innovation(
+    shares: Sequence[Any], each: Sequence[Posterior | CorrectedMode]
+) -> tuple[Any, Any]:
+    """Return the innovation of a mixture and its standard deviation (p each), by weights (K)."""
     e = mean_of_models(shares, [one.e for one in each])
     variances = [one.std**2 + (one.e - e) ** 2 for one in each]
     return e, ca.sqrt(mean_of_models(shares, variances))
 
 
-class Read(NamedTuple):
-    """One mode after the readings of a sample.
+class CorrectedMode(NamedTuple):
+    """Mode after the readings of a sample.
 
     Attributes:
         belief: about x.
@@ -267,12 +272,14 @@ class Read(NamedTuple):
     std: Any
 
 
-def _correct_mode(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any) -> Read:
-    """Return one mode after the readings, with its numbers within their bounds."""
+def _correct_mode(
+    drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any
+) -> CorrectedMode:
+    """Return a mode after the readings, with its entries within their bounds."""
     belief, log, readings = foretold, ca.SX(0.0), []
     for row, entry in enumerate(drive.readings):
         seen = present(y[row])
-        h = ca.DM(1, drive.layout.entries)
+        h = ca.DM(1, drive.layout.entry_count)
         h[0, entry] = 1
         e = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
         told = update_with_outliers(belief, h, e, q.R[row], seen, None, 0.0)
@@ -280,66 +287,67 @@ def _correct_mode(drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussia
         log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
         readings.append(told)
     for one, sign in ((belief, 1), (foretold, -1)):
-        log += sign * _within(drive.layout, contact, one, q.slack)
+        log += sign * _log_gap_probability(drive.layout, contact, one, q.slack)
     bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
     columns = stack_updates(readings)
-    return Read(bounded, log, columns.e, columns.std)
+    return CorrectedMode(bounded, log, columns.e, columns.std)
 
 
-def _within(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
-    """Return the log of the chance that the links in their gaps are between their flanks.
+def _log_gap_probability(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
+    """Return the log probability that the links in their gaps are between their flanks.
 
     By as much as readings raise it, they speak for a mode whose belief is uncut.
     """
     log = ca.SX(0.0)
     for joint, side in enumerate(contact):
         if side == 0:
-            out = sum(_beyond(layout, joint, belief, slack))
+            out = sum(_flank_probabilities(layout, joint, belief, slack))
             log += ca.log(ca.fmax(1 - out, SMALL))
     return log
 
 
-def _beyond(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
-    """Return the chances that a link is beyond its right and its left flank, under the uncut
-    belief.
+def _flank_probabilities(layout: Layout, joint: int, belief: Gaussian, slack: Any) -> list[Any]:
+    """Return the probabilities that a link is beyond its right and left flank [1].
+
+    The Gaussian is not truncated.
     """
-    return [chance_beyond(belief, h, h @ belief.mean, slack) for h in layout.edges(joint)]
+    return [chance_beyond(belief, h, h @ belief.mean, slack) for h in layout.flank_rows(joint)]
 
 
-def one_or_other(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
-    """Return one belief, or another one."""
+def select_gaussian(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
+    """Return the first of two Gaussians if a condition holds, or the second if not."""
     return Gaussian(
         ca.if_else(use, one.mean, other.mean), mirror_upper(ca.if_else(use, one.cov, other.cov))
     )
 
 
 def normalise_weights(weights: list[Any]) -> list[Any]:
-    """Return the weights over their sum."""
+    """Return the weights divided by their sum."""
     total = ca.fmax(sum(weights), 1e-300)
     return [weight / total for weight in weights]
 
 
-def replace_diverged_filter(told: Sequence[Posterior]) -> list[Posterior]:
-    """Filters of one joint, of which one that ran away goes on as the one does that foretold best.
+def replace_diverged(told: Sequence[Posterior]) -> list[Posterior]:
+    """Return the filters of a joint, with a diverged filter replaced by the most likely.
 
     Args:
         told: of each filter (K).
     """
     best = told[0]
     for one in told[1:]:
-        best = _either(one.log > best.log, one, best)
-    return [_either(one.log < best.log - AWAY, best, one) for one in told]
+        best = _select_posterior(one.log > best.log, one, best)
+    return [_select_posterior(one.log < best.log - AWAY, best, one) for one in told]
 
 
-def _either(use: Any, one: Posterior, other: Posterior) -> Posterior:
-    """What one filter says, or another one."""
+def _select_posterior(use: Any, one: Posterior, other: Posterior) -> Posterior:
+    """Return the first of two posteriors if a condition holds, or the second if not."""
     pairs = zip(tree.leaves(one), tree.leaves(other), strict=True)
     chosen: Posterior = tree.rebuild(one, (ca.if_else(use, a, b) for (_, a), (_, b) in pairs))
     return chosen
 
 
 class Mode(NamedTuple):
-    """A mode on its way to the next sample.
+    """Mode between two samples.
 
     Attributes:
         chance: of the mode.
@@ -359,25 +367,26 @@ def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mod
         told: the modes after the readings.
         u: torque of the motors (N).
     """
-    modes = drive.layout.modes
+    modes = drive.layout.contact_combinations
     now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
-    signs = [_leaving(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    signs = [_leaving_shares(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
-        now, signs = _release_links(drive, q, joint, now, signs)
-    after = [_predict_mode(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+        now, signs = _leave_flanks(drive, q, joint, now, signs)
+    after = [_move_mode(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     each = zip(modes, now, after, strict=True)
-    arrivals = [_arrivals(drive.layout, q.slack, *ways) for ways in each]
+    arrivals = [_arrival_shares(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
-        after, arrivals = _catch_links(drive, q, joint, after, arrivals)
+        after, arrivals = _reach_flanks(drive, q, joint, after, arrivals)
     return after
 
 
-def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
-    """By how much x changes in a sample, contacts held."""
+def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
+    """Return the change of x over a sample as a function, with the contacts unchanged."""
     h = drive.Ts / drive.substeps
 
     def change(x: Any) -> Any:
-        total = ca.SX.zeros(drive.layout.entries)
+        """Return the change of x over a sample (entries)."""
+        total = ca.SX.zeros(drive.layout.entry_count)
         for _ in range(drive.substeps):
             total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], x + total, h)
         return total
@@ -385,21 +394,24 @@ def _change(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[An
     return change
 
 
-def _leaving(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
-    """Return the share of a mode of which each joint leaves its flank in the sample (N).
+def _leaving_shares(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
+    """Return the share of a mode that leaves its flank in the sample, by joint (N) [1].
 
     It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
     free for the whole sample: to wait for its end would make each crossing late.
     """
     x = one.belief.mean
-    end = x + _change(drive, q, contact, u)(x)
+    end = x + _sample_motion(drive, q, contact, u)(x)
     now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
     return q.leaving * normal_cdf(-ca.DM(contact) * (now + then) / 2 / q.torque)
 
 
-def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
-    """Places of right flank, gap and left flank of a joint among the modes, others held."""
-    modes = layout.modes
+def _flank_places(layout: Layout, joint: int) -> list[dict[int, int]]:
+    """Return the places of a joint's right flank, gap and left flank among the modes.
+
+    Each entry is for a combination of the remaining joints.
+    """
+    modes = layout.contact_combinations
     free = [mode for mode in modes if mode[joint] == 0]
     return [
         {side: modes.index((*one[:joint], side, *one[joint + 1 :])) for side in (1, 0, -1)}
@@ -407,12 +419,12 @@ def _sides(layout: Layout, joint: int) -> list[dict[int, int]]:
     ]
 
 
-def _release_links(
+def _leave_flanks(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """Return the modes, and the shares that leave, after one joint has left its flanks."""
+    """Return the modes, and the leaving shares, after a joint has left its flanks."""
     after, shares = list(modes), list(leaving)
-    for places in _sides(drive.layout, joint):
+    for places in _flank_places(drive.layout, joint):
         gap, parts, left = places[0], [], []
         for side in (1, -1):
             here = modes[places[side]]
@@ -420,75 +432,81 @@ def _release_links(
             after[places[side]] = here._replace(chance=here.chance * (1 - share))
             parts.append(here._replace(chance=here.chance * share))
             left.append(leaving[places[side]])
-        parts = [*_resident(drive, q, joint, modes[gap], sum(one.chance for one in parts)), *parts]
+        parts = [
+            *_separate_gap_mode(drive, q, joint, modes[gap], sum(one.chance for one in parts)),
+            *parts,
+        ]
         left = [leaving[gap], leaving[gap], *left]
-        after[gap], weights = _merge_moments(parts)
+        after[gap], weights = _merge_modes(parts)
         shares[gap] = mean_of_models(weights, left)
     return after, shares
 
 
-def _resident(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
-    """What is in a gap to which others come with a chance, in two parts: uncut, and cut to the gap.
+def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
+    """Return a gap's mode in two parts, untruncated and truncated to the gap.
 
     Uncut it tells the first passage. Yet whatever has not arrived is in the gap: what comes would
     be merged with one that has long been elsewhere, and go with it. So it is cut in the share in
     which others come, and wholly, once, where hardly anything of the uncut belief is in the gap.
     """
     belief = gap.belief
-    bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.edges(joint)]
+    bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.flank_rows(joint)]
     inside = truncate_at_bounds(belief, bounds, q.slack, SURE).belief
-    late = sum(_beyond(drive.layout, joint, belief, q.slack)) > LATE
+    late = sum(_flank_probabilities(drive.layout, joint, belief, q.slack)) > LATE
     share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
 
 
-def _predict_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
-    """Return one mode a sample later, contacts held."""
+def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
+    """Return a mode a sample later, with the contacts unchanged."""
     layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
-    motors, halves = layout.of("motor_speed"), layout.of("half")
-    friction = ca.fmax(mean[layout.of("friction")], q.least)
-    Q[motors] += q.rest * friction**2 * _still(mean[motors])  # which takes whatever there is
+    motors, halves = layout.slice_of("motor_speed"), layout.slice_of("half")
+    friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
+    Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])  # which takes whatever there is
     most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
     Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
     return Mode(
-        one.chance, predict_first_order(one.belief, _change(drive, q, contact, u), ca.diag(Q))
+        one.chance,
+        predict_first_order(one.belief, _sample_motion(drive, q, contact, u), ca.diag(Q)),
     )
 
 
-def _arrivals(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
-    """Return the shares of a mode that reach the right and the left flank of each joint (N x 2).
+def _arrival_shares(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
+    """Return the shares of a mode that reach the right and the left flank (N x 2) [1].
 
     Where the uncut belief is much wider than the gap it says nothing more of what is in it.
     """
     shares = ca.SX.zeros(layout.size, 2)
     for joint in range(layout.size):
         if contact[joint] == 0:
-            before, now = (_beyond(layout, joint, one.belief, slack) for one in (start, end))
-            across = layout.edge(joint, 1)
-            most = WIDE * end.belief.mean[layout.of("half")][joint]
+            before, now = (
+                _flank_probabilities(layout, joint, one.belief, slack) for one in (start, end)
+            )
+            across = layout.flank_row(joint, 1)
+            most = WIDE * end.belief.mean[layout.slice_of("half")][joint]
             lost = across @ end.belief.cov @ across.T > most**2 + slack
             shares[joint, :] = ca.horzcat(*arrival_shares(before, now, lost))
     return shares
 
 
-def _catch_links(
+def _reach_flanks(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """Return the modes, and the shares that arrive, after one joint has reached its flanks."""
+    """Return the modes, and the arriving shares, after a joint has reached its flanks."""
     after, shares = list(modes), list(arrivals)
-    for places in _sides(drive.layout, joint):
+    for places in _flank_places(drive.layout, joint):
         gap, share = modes[places[0]], arrivals[places[0]][joint, :]
         after[places[0]] = gap._replace(chance=gap.chance * (1 - ca.sum2(share)))
         for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
             place = places[side]
             new = Mode(gap.chance * arrived, condition_on_impact(drive, q, joint, side, gap.belief))
-            after[place], (kept, come) = _merge_moments([modes[place], new])
+            after[place], (kept, come) = _merge_modes([modes[place], new])
             shares[place] = kept * arrivals[place] + come * arrivals[places[0]]
     return after, shares
 
 
-def _merge_moments(parts: list[Mode]) -> tuple[Mode, list[Any]]:
-    """What comes together in a mode, by its moments, and the share of each part.
+def _merge_modes(parts: list[Mode]) -> tuple[Mode, list[Any]]:
+    """Return the mode merged from parts by their moments, and the share of each part.
 
     Where nothing comes, the first part stays.
     """
@@ -502,7 +520,7 @@ def _merge_moments(parts: list[Mode]) -> tuple[Mode, list[Any]]:
 def condition_on_impact(
     drive: Drive, q: Numbers, joint: int, side: int, belief: Gaussian
 ) -> Gaussian:
-    """Return the belief of a link that has just struck a flank.
+    """Return the Gaussian of a link that has just struck a flank.
 
     In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
     much as the impulse between them says; its size is not known, as restitution is not. Joint by
@@ -510,36 +528,43 @@ def condition_on_impact(
     and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
     """
     layout, x = drive.layout, belief.mean
-    motor, link = layout.of("motor_speed").start + joint, layout.of("link_speed").start + joint
-    late = ca.DM(1, layout.entries)
+    motor, link = (
+        layout.slice_of("motor_speed").start + joint,
+        layout.slice_of("link_speed").start + joint,
+    )
+    late = ca.DM(1, layout.entry_count)
     late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
-    row = layout.edge(joint, side) + late
+    row = layout.flank_row(joint, side) + late
     excess = row @ x
     wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
-    moved = ca.SX.ones(layout.entries) if drive.apart else None
+    moved = ca.SX.ones(layout.entry_count) if drive.apart else None
     if moved is not None:
-        moved[layout.of("half").start + joint] = 1 - _still(x[motor] - x[link])
+        moved[layout.slice_of("half").start + joint] = 1 - _rest_weight(x[motor] - x[link])
     at = condition_on_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
     give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
-    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entries - 4 * N))
+    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entry_count - 4 * N))
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
-    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entries - 2 * N))
+    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entry_count - 2 * N))
     return Gaussian(at.mean + back, mirror_upper(at.cov + (impulse * b) @ b.T))
 
 
-def _still(speed: Any) -> Any:
-    """How surely what has a speed is at rest, from 0 to 1."""
+def _rest_weight(speed: Any) -> Any:
+    """Return the degree of rest at a speed, from 0 to 1 [1]."""
     return ca.exp(-((speed / RESTING) ** 2))
 
 
 def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
-    """Return the state at the next sample; before a first whole sample it stays as it is."""
-    entries, begun = ca.Sparsity.upper(drive.layout.entries), ca.fmax(s.begun, ca.mmin(present(y)))
+    """Return the state at the next sample, unchanged before a first whole sample."""
+    entries, begun = (
+        ca.Sparsity.upper(drive.layout.entry_count),
+        ca.fmax(s.begun, ca.mmin(present(y))),
+    )
 
     def kept(new: Any, old: Any) -> Any:
+        """Return the new value after a first whole sample, or the old value before."""
         return ca.if_else(begun > 0.5, new, old)
 
     chances = ca.vertcat(*normalise_weights([one.chance for one in moved]))

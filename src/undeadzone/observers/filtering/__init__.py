@@ -1,1 +1,1 @@
-"""Filtering."""
+"""Gaussian filters of the state and the widths, with innovation tests."""

@@ -1,4 +1,4 @@
-"""An observer of a plant behind an actuator, known or with widths to estimate, or a delay."""
+"""Observers of a plant behind an actuator, with known or estimated widths, or behind a delay."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a loa
 
 
 class State(NamedTuple):
-    """The observer's state, and the last command within its rate (m), if that has a limit."""
+    """State of the observer, and the last command within its rate (m) if that has a limit."""
 
     observer: Any
     command: Any
 
 
-def build_behind_actuator(
+def build_with_actuator(
     options: Any, model: System, sensor: Zone, belief: Belief | None
 ) -> Observer:
-    """Return the observer with these options for a model behind an actuator.
+    """Return the observer with the given options for a model behind an actuator.
 
     Args:
         options: of the observer.
@@ -46,13 +46,18 @@ def build_behind_actuator(
         InputError: or a subclass, those of the observer; for a method that cannot estimate what is
             not known.
     """
-    _require_friction(str(options.__struct_config__.tag), model, sensor)
-    observer = _behind_actuator(options, model, sensor, belief)
-    return through_delay(observer, model) if model.delay else observer
+    _require_friction_support(str(options.__struct_config__.tag), model, sensor)
+    observer = _build_without_delay(options, model, sensor, belief)
+    return wrap_delay(observer, model) if model.delay else observer
 
 
-def _behind_actuator(options: Any, model: System, sensor: Zone, belief: Belief | None) -> Observer:
-    """Return the observer for a model whose input acts at once; arguments as of `built`."""
+def _build_without_delay(
+    options: Any, model: System, sensor: Zone, belief: Belief | None
+) -> Observer:
+    """Return the observer of a model whose input acts at once.
+
+    Arguments are those of `build_with_actuator`.
+    """
     if belief is None:
         return options.build(model, sensor)
     method = str(options.__struct_config__.tag)
@@ -66,11 +71,11 @@ def _behind_actuator(options: Any, model: System, sensor: Zone, belief: Belief |
         raise InputError(
             f"actuator: {method!r} computes in Python and knows no actuator; use another observer"
         )
-    return through_actuator(observer, model, belief)
+    return wrap_actuator(observer, model, belief)
 
 
-def _require_friction(method: str, model: System, sensor: Zone) -> None:
-    """Raise InputError where the friction of a load cannot be taken into account."""
+def _require_friction_support(method: str, model: System, sensor: Zone) -> None:
+    """Raise InputError if the friction of a load cannot be taken into account."""
     if sensor.friction.any() and (model.m, model.p) != (1, 1):
         raise InputError(
             "sensor.load_friction: needs a plant of one input and one output, found "
@@ -83,8 +88,8 @@ def _require_friction(method: str, model: System, sensor: Zone) -> None:
         )
 
 
-def through_actuator(observer: Observer, model: System, belief: Belief) -> Observer:
-    """Return the observer that is told what passes the actuator in place of the command.
+def wrap_actuator(observer: Observer, model: System, belief: Belief) -> Observer:
+    """Return the observer that gets the actuator's output in place of the command.
 
     Args:
         observer: that takes what enters the plant for its input, or estimates widths itself.
@@ -96,25 +101,29 @@ def through_actuator(observer: Observer, model: System, belief: Belief) -> Obser
     last = np.zeros(model.m if rated else 0)
 
     def init(q: Any) -> State:
+        """Return the state at t = 0."""
         return State(observer.init(tree.drop_last_field(q, kind)), last)
 
     def project(q: Any, s: State) -> State:
+        """Return the state with the observer's part projected."""
         return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
 
-    step = partial(step_through, observer, model, belief.ranges is None)
+    step = partial(step_with_actuator, observer, model, belief.ranges is None)
     params = tree.append_field(observer.params, "actuator", belief.drive)
     return Observer(params, init, step, project, observer.traits)
 
 
-class Late(NamedTuple):
-    """The observer's state, and what has not acted yet, the oldest first (delay m)."""
+class DelayState(NamedTuple):
+    """State of the observer, and the pending inputs, the oldest first (delay m)."""
 
     observer: Any
     line: Any
 
 
-def through_delay(observer: Observer, model: System) -> Observer:
-    """Return the observer that is told what acts now in place of the command. Raises InputError.
+def wrap_delay(observer: Observer, model: System) -> Observer:
+    """Return the observer that gets the input acting now in place of the command.
+
+    Raises InputError.
 
     Its filter keeps its order: what is under way is known.
 
@@ -128,16 +137,19 @@ def through_delay(observer: Observer, model: System) -> Observer:
         )
     smoothing = observer.smoothing
 
-    def init(q: Any) -> Late:
-        return Late(observer.init(q), np.zeros(model.delay * model.m))
+    def init(q: Any) -> DelayState:
+        """Return the state at t = 0."""
+        return DelayState(observer.init(q), np.zeros(model.delay * model.m))
 
-    def project(q: Any, s: Late) -> Late:
+    def project(q: Any, s: DelayState) -> DelayState:
+        """Return the state with the observer's part projected."""
         return s._replace(observer=observer.project(q, s.observer))
 
-    def step(q: Any, s: Late, u: Any, reading: Reading) -> tuple[Late, Estimate]:
+    def step(q: Any, s: DelayState, u: Any, reading: Reading) -> tuple[DelayState, Estimate]:
+        """Return the next state, and the estimate under the input acting now."""
         line, acting = through_line(s.line, u)
         after, estimate = observer.step(q, s.observer, acting, reading)
-        return Late(after, line), estimate
+        return DelayState(after, line), estimate
 
     if smoothing is not None:
         smoothing = smoothing._replace(
@@ -150,10 +162,13 @@ def through_delay(observer: Observer, model: System) -> Observer:
     return observer._replace(init=init, step=step, project=project, smoothing=smoothing)
 
 
-def step_through(
+def step_with_actuator(
     observer: Observer, model: System, known: bool, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """Return one sample; q: numbers of the observer, then the actuator's `Drive`."""
+    """Return the next state and the estimate.
+
+    Here q: parameters of the observer, then the actuator's `Drive`.
+    """
     drive, inner = q.actuator, tree.drop_last_field(q, type(observer.params))
     passed = within_limits(ca, u, drive)
     command = s.command

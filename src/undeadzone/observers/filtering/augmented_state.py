@@ -1,4 +1,4 @@
-"""The state [x; d_r; d_l] of filters: its default disturbance, and the units of its numbers.
+"""State [x; d_r; d_l] of filters: its default disturbance, and the units of its numbers.
 
 Filters count the states in units that make them alike, and show them in the plant's: in those of
 time, states and their variances may be too far apart for numbers of single precision. The units are
@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 
 from undeadzone.interfaces import Estimate, Observer, Reading
-from undeadzone.linalg.hold import discrete_noise_covariance
-from undeadzone.observers.filtering.prior import Prior, sample_time
+from undeadzone.linalg.hold import discretise_noise
+from undeadzone.observers.filtering.prior import Prior, require_sample_time
 from undeadzone.plants.system import System, arrival, state_units, time_scale
 from undeadzone.util.arrays import Floats
 
 SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
 
 
-def agitation(model: System, rms: float, span: float | None = None) -> Floats:
-    """Return the rms (m) of a disturbance, new at every sample, that alone moves some z by a given
-    rms.
+def white_disturbance_rms(model: System, rms: float, span: float | None = None) -> Floats:
+    """Return the rms of a white input disturbance (m) [u] that alone moves z by a given rms.
 
     Args:
         model: the sampled model.
@@ -32,14 +31,14 @@ def agitation(model: System, rms: float, span: float | None = None) -> Floats:
     A, B, C = model.continuous
     reached = []
     for b in B.T:
-        _, covariance = discrete_noise_covariance(A, np.outer(b, b), span or quarter_period(model))
+        _, covariance = discretise_noise(A, np.outer(b, b), span or quarter_period(model))
         reached.append(np.diag(C @ covariance @ C.T).max())
     variance = np.where(np.array(reached) > 0, reached, np.inf)
-    return rms / np.sqrt(sample_time(model) * variance)
+    return rms / np.sqrt(require_sample_time(model) * variance)
 
 
-def default_disturbance(model: System, largest: float, correlation: float) -> Floats:
-    """Return the rms (m) [u] of a coloured disturbance where none is claimed.
+def default_disturbance_rms(model: System, largest: float, correlation: float) -> Floats:
+    """Return the default rms of a coloured input disturbance (m) [u].
 
     At low frequencies it is as strong as a white one that moves z by `SWING` largest widths until
     its `arrival`.
@@ -49,29 +48,29 @@ def default_disturbance(model: System, largest: float, correlation: float) -> Fl
         largest: largest claimed width [z].
         correlation: correlation time of the disturbance [s].
     """
-    white = agitation(model, SWING * largest, arrival(model.continuous, model.Ts))
-    return white * np.sqrt(sample_time(model) / 2 / correlation)
+    white = white_disturbance_rms(model, SWING * largest, arrival(model.continuous, model.Ts))
+    return white * np.sqrt(require_sample_time(model) / 2 / correlation)
 
 
 def quarter_period(model: System) -> float:
-    """Return `time_scale` [s] of a sampled model."""
+    """Return the `time_scale` of a sampled model [s]."""
     return time_scale(model.continuous, model.Ts)
 
 
-def even_units(model: System) -> Floats:
-    """Return the powers of two next to `state_units` (n) of a sampled model."""
+def power_of_two_units(model: System) -> Floats:
+    """Return the powers of two next to the `state_units` of a sampled model (n)."""
     return np.asarray(2.0 ** np.round(np.log2(state_units(model.continuous, model.Ts))))
 
 
-def prior_in_units(prior: Prior, units: Floats) -> Prior:
-    """Return the prior of states that are counted in these units (n)."""
+def scale_prior(prior: Prior, units: Floats) -> Prior:
+    """Return the prior of states expressed in the given units (n)."""
     n = units.size
     scale = np.concatenate([units, np.ones(prior.mean.size - n)])
     return prior._replace(mean=prior.mean / scale, std=prior.std / scale)
 
 
-def show_in_plant_units(observer: Observer, units: Floats) -> Observer:
-    """Return a filter of states counted in these units (n), that shows them in the plant's.
+def rescale_states(observer: Observer, units: Floats) -> Observer:
+    """Return a filter with states in the given units (n), and estimates in the plant's.
 
     Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves
     plants whose units differ.
@@ -81,11 +80,13 @@ def show_in_plant_units(observer: Observer, units: Floats) -> Observer:
         return observer
 
     def in_plant_units(q: Any, counted: Estimate) -> Estimate:
+        """Convert an estimate from the filter's to the plant's units."""
         each = q.model.units if numbered else units
         shown = counted._replace(x=each * counted.x, x_std=each * counted.x_std)
         return shown._replace(w=each * counted.w) if shown.w.shape[0] else shown
 
     def step(q: Any, s: Any, u: Any, reading: Reading) -> tuple[Any, Estimate]:
+        """Return the next state, and the estimate in the plant's units."""
         after, counted = observer.step(q, s, u, reading)
         return after, in_plant_units(q, counted)
 

@@ -1,4 +1,4 @@
-"""A filter that says whether the readings fit its claims, and shows wider intervals if not.
+"""Filter with consistency tests: wider intervals if the innovations contradict the assumptions.
 
 Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
 estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
@@ -28,7 +28,7 @@ LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 
 class Sums(NamedTuple):
-    """What is kept of innovations.
+    """Running sums of innovations.
 
     Attributes:
         total: fading sum of the normalised innovations.
@@ -41,8 +41,8 @@ class Sums(NamedTuple):
     ratio: Any
 
 
-def accumulate(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sums:
-    """Return the sums after one more sample.
+def accumulate_innovations(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sums:
+    """Return the sums after a further sample.
 
     Args:
         before: the sums before it.
@@ -59,7 +59,7 @@ def accumulate(before: Sums, nu: Any, counted: Any, fade: Any, keep: Any) -> Sum
 
 
 class Step(NamedTuple):
-    """What a filter makes of one sample.
+    """Result of a filter for a sample.
 
     Attributes:
         state: its state at the next sample.
@@ -81,7 +81,7 @@ class Step(NamedTuple):
 
 
 class Member(NamedTuple):
-    """A filter as pure functions on CasADi expressions, before its readings are judged.
+    """Filter as pure functions on CasADi expressions, before the consistency tests.
 
     Attributes:
         params: its numbers, `Params`.
@@ -96,8 +96,8 @@ class Member(NamedTuple):
     smoothing: Any = None
 
 
-def log_density(e: Any, std: Any) -> Any:
-    """Return the log of the density of the readings that were used, up to a constant.
+def innovation_log_density(e: Any, std: Any) -> Any:
+    """Return the log density of the used readings, up to a constant (1).
 
     Args:
         e: innovations (p); one of 0 was not used.
@@ -107,7 +107,7 @@ def log_density(e: Any, std: Any) -> Any:
 
 
 class Record(NamedTuple):
-    """What is kept of the innovations of each output.
+    """Running record of the innovations of each output.
 
     Attributes:
         total: fading sum of the normalised innovations (p).
@@ -137,14 +137,14 @@ class Record(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of the filter, and the record of its innovations."""
+    """State of the filter, and the record of its innovations."""
 
     filter: Any
     record: Record
 
 
 class Setup(NamedTuple):
-    """What the parts of a judged filter share.
+    """Options shared by the functions of a filter with consistency tests.
 
     Attributes:
         member: the filter.
@@ -157,10 +157,10 @@ class Setup(NamedTuple):
     widens: bool
 
 
-def with_consistency_tests(
+def add_consistency_tests(
     member: Member, model: System, widens: bool, traits: Traits = NO_TRAITS, recovers: bool = True
 ) -> Observer:
-    """Return the filter as an observer.
+    """Return the filter with consistency tests as an observer.
 
     Args:
         member: the filter.
@@ -172,6 +172,7 @@ def with_consistency_tests(
     setup, p = Setup(member, model, widens), model.p
 
     def init(q: Params) -> State:
+        """Return the state at t = 0."""
         none, once = np.zeros(p), np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
         told = innovation_tests.start_scores(p) if recovers else ()
@@ -184,14 +185,16 @@ def with_consistency_tests(
             moments=lambda q, s, u, reading: member.smoothing.moments(q, s.filter, u, reading),
             odds=lambda s: member.smoothing.odds(s.filter),
             record=lambda s: s.record,
-            shown=partial(_widen_smoothed, setup),
+            shown=partial(_to_smoothed_estimate, setup),
         )
     step = partial(step_with_tests, setup)
     return Observer(member.params, init, step, traits=traits, smoothing=smoothing)
 
 
-def _widen_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: Record) -> Estimate:
-    """Return the estimate that shows smoothed beliefs, as wide as the record demands."""
+def _to_smoothed_estimate(
+    setup: Setup, q: Params, beliefs: Any, share: Any, record: Record
+) -> Estimate:
+    """Return the estimate of smoothed Gaussians, widened as the record demands."""
     estimated = setup.member.smoothing.shown(q, beliefs, share, ())
     return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
 
@@ -199,7 +202,7 @@ def _widen_smoothed(setup: Setup, q: Params, beliefs: Any, share: Any, record: R
 def step_with_tests(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """Return one sample of the filter, and what it shows after its readings were judged.
+    """Return the next state, and the estimate after the consistency tests of a sample.
 
     A restart shows at the next sample: it may come from the input, on which no estimate depends.
     """
@@ -207,7 +210,9 @@ def step_with_tests(
     record = update_record(q, s.record, step, u, reading)
     ratios = consistency_statistics(q, record) | {"range": BEYOND * (step.fits <= 0.5)}
     estimated = step.estimate._replace(
-        **innovation_tests.verdict(ratios), refused=record.refused, restarts=record.restarts
+        **innovation_tests.assumption_fields(ratios),
+        refused=record.refused,
+        restarts=record.restarts,
     )
     if setup.widens:
         estimated = widen_intervals(setup.model, q, record, estimated)
@@ -215,7 +220,10 @@ def step_with_tests(
 
 
 def restart_record(record: Record, restarted: Any) -> Record:
-    """Return the record after the sample: a filter that begins anew has refuted nothing."""
+    """Return the record after the sample.
+
+    After a restart of the filter no assumption counts as rejected.
+    """
     return record._replace(
         restarts=record.restarts + restarted,
         constant=ca.if_else(restarted, 0.0, record.constant),
@@ -224,14 +232,17 @@ def restart_record(record: Record, restarted: Any) -> Record:
 
 
 def update_record(q: Params, record: Record, step: Step, u: Any, reading: Reading) -> Record:
-    """Return the record after one more sample: of innovations that are used and not far off."""
+    """Return the record after a further sample.
+
+    Only innovations that are used and not far off count.
+    """
     e, std = step.estimate.innovation, step.estimate.innovation_std
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
     counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
     fade = q.doubt.fade
     before = Sums(record.total, record.count, record.ratio)
-    sums = accumulate(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
+    sums = accumulate_innovations(before, ca.if_else(counted, nu, 0.0), counted, fade, q.doubt.keep)
     refused = step.trust < 0.5
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
@@ -258,23 +269,23 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
 
 
 def consistency_statistics(q: Params, record: Record) -> dict[str, Any]:
-    """By how much each claim but that of ranges is refuted: above 1 it is."""
+    """Return the statistic over its limit of each assumption except ranges. Above 1 rejects."""
     lasting = ca.mmax(record.ratio) / q.doubt.most
     if record.constant.numel():
         lasting = ca.if_else(ca.sum1(record.constant) > 0, ca.fmax(lasting, REFUTED), lasting)
     found = {"gust": lasting, "glitches": ca.mmax(record.share) / LOST}
     return found | (
-        innovation_tests.rejection_levels(q.doubt, record.scores) if record.scores else {}
+        innovation_tests.assumption_ratios(q.doubt, record.scores) if record.scores else {}
     )
 
 
-def fitting(q: Params, record: Record) -> Any:
-    """Return whether the innovations fit the claims, and most readings were not refused."""
-    return innovation_tests.verdict(consistency_statistics(q, record))["consistent"]
+def is_consistent(q: Params, record: Record) -> Any:
+    """Return 1 if the innovations fit the assumptions and most readings were accepted."""
+    return innovation_tests.assumption_fields(consistency_statistics(q, record))["consistent"]
 
 
 def widen_intervals(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
-    """Return the estimate with standard deviations that the innovations bear out.
+    """Return the estimate with standard deviations that the innovations support.
 
     Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
     and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
@@ -284,13 +295,13 @@ def widen_intervals(model: System, q: Params, record: Record, estimated: Estimat
     """
     worst = ca.mmax(record.ratio)
     worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)
-    fits = fitting(q, record)
+    fits = is_consistent(q, record)
     off = ca.if_else(fits, 0.0, ca.fabs(record.offset))
     lost = ca.mmax(record.share) > LOST
     if record.scores:
-        worst = ca.fmax(worst, innovation_tests.stretch(q.doubt, record.scores))
-        off = ca.fmax(off, innovation_tests.resting(q.doubt, record.scores))
-        lost = ca.logic_or(lost, innovation_tests.losing(record.scores) > 1)
+        worst = ca.fmax(worst, innovation_tests.variance_factor(q.doubt, record.scores))
+        off = ca.fmax(off, innovation_tests.stuck_level(q.doubt, record.scores))
+        lost = ca.logic_or(lost, innovation_tests.mismatch_ratio(record.scores) > 1)
     else:
         off = ca.fmax(off, record.constant)
         lost = ca.logic_or(lost, record.opened * ca.sum1(record.constant) > 0)
@@ -298,6 +309,7 @@ def widen_intervals(model: System, q: Params, record: Record, estimated: Estimat
     factor = ca.sqrt(worst)
 
     def shown(std: Any, off: Any, least: Any) -> Any:
+        """Return a standard deviation that the innovations support."""
         wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
         return ca.if_else(lost, ca.fmax(wider, least), wider)
 

@@ -1,4 +1,4 @@
-"""Further unknowns of a filter that hardly change: gaps ahead, widths of an actuator, friction.
+"""Nearly constant unknowns of a filter: gaps of a backlash ahead, widths of an actuator, friction.
 
 The play ahead of a dead zone in a filter: what its gaps take off z (docs/play.md).
 
@@ -33,7 +33,7 @@ from undeadzone.interfaces import Estimate, Reading
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.nonlinearities.sensor import Zone, offset
 from undeadzone.numerics.gaussian import Gaussian, normal_cdf, normal_density
-from undeadzone.observers.filtering.gaussian_filter import Augmentation, deviations_of_sides
+from undeadzone.observers.filtering.gaussian_filter import Augmentation, branch_deviations
 from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
@@ -41,10 +41,10 @@ from undeadzone.util.arrays import Floats
 SAME = 20.0  # steps for which an error of the side keeps its sign, and counts that much more
 
 
-def with_constants(
+def add_constants(
     inner: Augmentation, variance: Floats, wear: Callable[[Any], Any] | None = None
 ) -> Augmentation:
-    """Return the motion with further unknowns of mean 0, the last ones, that change by noise alone.
+    """Return the motion with further last unknowns of mean 0 that change by noise alone.
 
     Its u is what enters the plant.
 
@@ -58,10 +58,12 @@ def with_constants(
     count, known = variance.size, len(inner.cov)
 
     def change(q: Any, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        """Return (x+ - x, extra+ - extra), 0 for the constants."""
         moved, changed = inner.change(q, x, extra[:known, :], u)
         return moved, ca.vertcat(changed, ca.SX(count, 1))
 
     def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
+        """Return the covariances that a step adds to x and to extra."""
         of_x, of_extra = inner.noise(q, x, u)
         return of_x, ca.diagcat(of_extra, ca.SX(count, count) if wear is None else wear(q))
 
@@ -73,7 +75,7 @@ def with_constants(
 
 
 class Gaps(NamedTuple):
-    """Numbers of a filter about the gaps.
+    """Parameters of a filter for the gaps.
 
     Attributes:
         middle: the gaps, or the middles of their ranges: all c_r, then all c_l (2p) [z].
@@ -88,8 +90,8 @@ class Gaps(NamedTuple):
     drift: Floats
 
 
-def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
-    """Return the numbers of a filter about the play ahead of the zone; None: there is none.
+def gap_numbers(sensor: Zone, prior: Prior) -> Gaps | None:
+    """Return the parameters of the backlash ahead of the zone, or None without a backlash.
 
     Args:
         sensor: as the filter takes it.
@@ -106,15 +108,15 @@ def numbers_of(sensor: Zone, prior: Prior) -> Gaps | None:
     return Gaps(middle, ranges, span / np.sqrt(12), drift)
 
 
-def with_gaps(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
-    """Return the motion with the gaps' errors as its last unknowns, if they are not known."""
+def add_gap_states(inner: Augmentation, gaps: Gaps | None) -> Augmentation:
+    """Return the motion with the errors of the gaps as its last unknowns, if they are unknown."""
     if gaps is None or not gaps.std.size:
         return inner
-    return with_constants(inner, gaps.std**2, lambda q: ca.diag(q.gaps.drift))
+    return add_constants(inner, gaps.std**2, lambda q: ca.diag(q.gaps.drift))
 
 
-def place(q: Any, size: int) -> slice:
-    """Where the gaps' errors stand among the unknowns: ahead of an actuator's widths.
+def gap_slice(q: Any, size: int) -> slice:
+    """Return the slice of the errors of the gaps, ahead of an actuator's widths.
 
     Args:
         q: the filter's numbers.
@@ -124,15 +126,15 @@ def place(q: Any, size: int) -> slice:
     return slice(end - q.gaps.std.shape[0], end)
 
 
-def gaps_at(q: Any, X: Any) -> Any:
+def gap_values(q: Any, X: Any) -> Any:
     """Return the gaps, all c_r, then all c_l (2p) [z], at [x; d; extra]."""
     if not q.gaps.std.shape[0]:
         return q.gaps.middle
-    return q.gaps.middle + X[place(q, X.shape[0])]
+    return q.gaps.middle + X[gap_slice(q, X.shape[0])]
 
 
-def width_correlation(q: Any, model: System, cov: Any) -> Any:
-    """How far readings have told of each width: its correlation with what they said (N).
+def information_shares(q: Any, model: System, cov: Any) -> Any:
+    """Return the correlation of each width with the information from its readings (N) [1].
 
     The root of the share that they took from its prior variance; 1 for all that is not a width.
 
@@ -146,31 +148,31 @@ def width_correlation(q: Any, model: System, cov: Any) -> Any:
     told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
     shares = ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
     if q.gaps is not None and q.gaps.std.shape[0]:
-        gaps = place(q, cov.shape[0])
+        gaps = gap_slice(q, cov.shape[0])
         shares[gaps] = ca.sqrt(ca.fmax(1 - ca.diag(cov)[gaps] / q.gaps.std**2, 0.0))
     return shares
 
 
-def gap_offset(q: Any, i: int, contact: Any, X: Any) -> Any:
-    """What the play ahead of the zone of output i takes off z in a contact; 0 without one."""
+def backlash_offset(q: Any, i: int, contact: Any, X: Any) -> Any:
+    """Return the offset of the backlash ahead of output i in a contact [z], or 0."""
     if q.gaps is None:
         return 0.0
-    gaps = gaps_at(q, X)
+    gaps = gap_values(q, X)
     return offset(contact, gaps[i], gaps[gaps.shape[0] // 2 + i])
 
 
-def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
-    """Return the estimate with the gaps of the play ahead of the zone, if there is one.
+def add_gap_estimates(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
+    """Return the estimate with the gaps of the backlash ahead of the zone, if present.
 
     Its inverse adds the gap of a reading that moves.
     """
     if q.gaps is None:
         return estimated
-    gaps, p = gaps_at(q, shown.mean), estimated.z.shape[0]
+    gaps, p = gap_values(q, shown.mean), estimated.z.shape[0]
     if q.gaps.std.shape[0]:
         gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
-        part = place(q, shown.mean.shape[0])
-        right, left, both = deviations_of_sides(shown.cov[part, part])
+        part = gap_slice(q, shown.mean.shape[0])
+        right, left, both = branch_deviations(shown.cov[part, part])
         estimated = estimated._replace(gap_right_std=right, gap_left_std=left, gap_std=both)
     contact = ca.if_else(reading.side != 0, reading.motion, 0.0)
     inverse = estimated.z_inverse + offset(contact, gaps[:p], gaps[p:])
@@ -178,7 +180,7 @@ def with_play(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) ->
 
 
 class Zones(NamedTuple):
-    """Numbers of a filter about the dead zones of the actuators.
+    """Parameters of a filter for the dead zones of the actuators.
 
     Attributes:
         middle: of the claimed ranges of b_r, then of b_l (2m) [u].
@@ -192,27 +194,31 @@ class Zones(NamedTuple):
     slope_left: Floats
 
 
-def zones_of(belief: Belief | None) -> Zones | None:
-    """Return the numbers of a filter that estimates widths; None: it estimates none."""
+def zone_numbers(belief: Belief | None) -> Zones | None:
+    """Return the parameters of a filter for actuator widths, or None if no width is estimated."""
     if belief is None or belief.ranges is None:
         return None
     drive = belief.drive
     return Zones(belief.ranges.mean(axis=1), belief.ranges, drive.slope_right, drive.slope_left)
 
 
-def with_widths(inner: Augmentation, zones: Zones | None) -> Augmentation:
-    """Return the motion with the widths' errors as its last unknowns: right ones, then left ones.
+def add_actuator_states(inner: Augmentation, zones: Zones | None) -> Augmentation:
+    """Return the motion with the actuator-width errors as its last unknowns.
+
+    Right errors precede left errors.
 
     Its u is what enters the plant; `entering` gives it.
     """
     if zones is None:
         return inner
     spread = np.diff(zones.ranges, axis=1).ravel() / np.sqrt(12)
-    return with_constants(inner, spread**2)._replace(zones=spread.size)
+    return add_constants(inner, spread**2)._replace(zones=spread.size)
 
 
-def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[Any], Any], Any]:
-    """What enters the plant under a command u (m).
+def predict_plant_input(
+    zones: Zones | None, belief: Gaussian, u: Any
+) -> tuple[Callable[[Any], Any], Any]:
+    """Return the input of the plant under a command u (m), as mean and variance.
 
     Returns:
         (a function of [x; d; extra], linear in the widths' errors; the variance that it leaves
@@ -237,6 +243,7 @@ def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[A
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)
 
     def drive(X: Any) -> Any:
+        """Return the mean input of the plant at [x; d; extra] (m) [u]."""
         moved = X[first:] - errors
         own = ca.if_else(right, moved[:m], moved[m:])
         return sign * slope * (mean - share * own)
@@ -244,7 +251,7 @@ def entering(zones: Zones | None, belief: Gaussian, u: Any) -> tuple[Callable[[A
     return drive, left
 
 
-def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:
+def add_actuator_estimates(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:
     """Return the estimate with the widths of the actuators, if they are estimated."""
     if zones is None:
         return estimated
@@ -261,17 +268,19 @@ def with_actuator(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> 
     )
 
 
-def with_friction(inner: Augmentation, sensor: Zone) -> Augmentation:
-    """Return the motion with the error of the friction as its last unknown, if it is not known."""
+def add_friction_state(inner: Augmentation, sensor: Zone) -> Augmentation:
+    """Return the motion with the friction error as its last unknown, if not known."""
     if not sensor.friction_std.any():
         return inner
-    return with_constants(inner, sensor.friction_std**2)
+    return add_constants(inner, sensor.friction_std**2)
 
 
-def against_friction(
+def subtract_friction(
     sensor: Zone, after: int, drive: Callable[[Any], Any], side: Any
 ) -> Callable[[Any], Any]:
-    """What enters the plant, as a function of [x; d; extra], less the unknown part of the friction.
+    """Return the input of the plant less the unknown friction.
+
+    The input is a function of [x; d; extra].
 
     Args:
         sensor: the play.

@@ -1,4 +1,4 @@
-"""Gaussian filters of [x; d_r; d_l; extra] share their numbers, their motion and their estimate."""
+"""Gaussian filters of [x; d_r; d_l; extra]: shared parameters, motion and estimate."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Reading, estimate
+from undeadzone.interfaces import Estimate, Reading, build_estimate
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.gaussian import (
     Gaussian,
@@ -24,7 +24,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Augmentation(NamedTuple):
-    """The model's motion with E further unknowns beside [x; d].
+    """Motion of the model with E further unknowns beside [x; d].
 
     The first argument q of every function is the filter's `Params`.
 
@@ -63,7 +63,7 @@ class Augmentation(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Numbers of a filter.
+    """Parameters of a filter.
 
     Attributes:
         model, augmentation: numbers of the model and of the augmentation.
@@ -103,13 +103,15 @@ class Params(NamedTuple):
     gaps: Any = None
 
 
-def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augmentation) -> Params:
-    """Return the numbers of a filter that starts from the prior."""
+def build_filter_params(
+    model: System, sensor: Zone, prior: Prior, augmentation: Augmentation
+) -> Params:
+    """Return the parameters of a filter that starts from the prior."""
     known = model.n + 2 * model.p
     count = len(augmentation.cov)
     cov = np.zeros((known + count,) * 2)
     cov[:known, :known] = np.diag(prior.std**2)
-    widths, cov[model.n : known, model.n : known] = prior.widths()
+    widths, cov[model.n : known, model.n : known] = prior.width_moments()
     cov[known:, known:] = augmentation.cov
     rows, columns = covariance_entries(model, augmentation).get_triplet()
     return Params(
@@ -127,13 +129,13 @@ def filter_numbers(model: System, sensor: Zone, prior: Prior, augmentation: Augm
 
 
 def covariance_entries(model: System, augmentation: Augmentation) -> ca.Sparsity:
-    """Return the entries of the covariance's upper triangle that a filter keeps."""
+    """Return the sparsity of the covariance's upper triangle that a filter stores."""
     if augmentation.entries is not None:
         return augmentation.entries
     return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
 
 
-def motion(
+def build_motion(
     model: System,
     q: Params,
     augmentation: Augmentation,
@@ -141,7 +143,7 @@ def motion(
     drive: Callable[[Any], Any],
     doubt: Any = None,
 ) -> tuple[Callable[[Any], Any], Any]:
-    """Return (the change of [x; d; extra] over a step, the covariance that it adds).
+    """Return the change of [x; d; extra] over a step as a function, and the added covariance.
 
     Args:
         model: the model.
@@ -161,6 +163,7 @@ def motion(
         noise_x += B @ ca.diag(doubt) @ B.T
 
     def change(X: Any) -> Any:
+        """Return the change of [x; d; extra] over a step (N)."""
         x, extra = augmentation.change(q, X[:n], X[known:], drive(X))
         return ca.vertcat(x, ca.SX(known - n, 1), extra)
 
@@ -168,14 +171,14 @@ def motion(
 
 
 def _state_change(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: Any) -> Any:
-    """Return the change of x over a step under an input."""
+    """Return the change of x over a step under an input (n)."""
     return augmentation.change(q, x, extra, u)[0]
 
 
 def to_estimate(
     model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
 ) -> Estimate:
-    """Return the belief about [x; d; extra] as an `Estimate`.
+    """Return the mean and covariance of [x; d; extra] as an `Estimate`.
 
     Args:
         model: the model.
@@ -190,9 +193,9 @@ def to_estimate(
     n, p = model.n, model.p
     known = n + 2 * p
     x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
-    right_std, left_std, width_std = deviations_of_sides(cov[n:known, n:known])
+    right_std, left_std, width_std = branch_deviations(cov[n:known, n:known])
     z = model.output(q.model, x)
-    means = estimate(x, z, right, left, reading, q.slope, sensor.kind, e)
+    means = build_estimate(x, z, right, left, reading, q.slope, sensor.kind, e)
     return means._replace(
         x_std=ca.sqrt(ca.fmax(ca.diag(cov)[:n], 0.0)),
         right_std=right_std,
@@ -202,8 +205,8 @@ def to_estimate(
     )
 
 
-def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
-    """Return standard deviations of right ends, of left ones, and of the sums of both (p each).
+def branch_deviations(cov: Any) -> tuple[Any, Any, Any]:
+    """Return the deviations of right widths, left widths, and their sums (p each).
 
     Args:
         cov: covariance of all right ends, then of all left ones (2p x 2p).
@@ -215,9 +218,8 @@ def deviations_of_sides(cov: Any) -> tuple[Any, Any, Any]:
     return std[:p], std[p:], ca.sqrt(ca.fmax(of_sum, 0.0))
 
 
-def white(model: System, variance: Floats) -> Augmentation:
-    """Return an input disturbance that is new at every sample, and nothing else unknown beside [x;
-    d].
+def white_disturbance(model: System, variance: Floats) -> Augmentation:
+    """Return the augmentation by an input disturbance that is white, without further unknowns.
 
     Args:
         model: the sampled model.
@@ -228,9 +230,11 @@ def white(model: System, variance: Floats) -> Augmentation:
     of_x = model.change
 
     def change(q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
+        """Return (x+ - x, 0) over a step."""
         return of_x(q.model, x, u), extra
 
     def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+        """Return the covariances that a step adds to x (n x n) and to extra (empty)."""
         _, B = linearise(lambda v: of_x(q.model, x, v), u)
         return B @ ca.diag(q.augmentation) @ B.T, ca.SX(0, 0)
 
@@ -248,7 +252,7 @@ INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing,
 
 
 class Setup(NamedTuple):
-    """What the parts of one filter share.
+    """Options shared by the functions of a filter.
 
     Attributes:
         model: the sampled model.
@@ -275,65 +279,69 @@ class Setup(NamedTuple):
     centred: bool
 
     @property
-    def apart(self) -> bool:
-        """Return whether a reading on one edge moves other widths only as far as theirs told of
-        them.
+    def needs_partial_updates(self) -> bool:
+        """Return whether a reading on a branch moves further widths in part.
+
+        The part is the share of information in their own readings.
         """
-        return self.careful and self.doubts and self.bounds and self.plain and not self.centred
+        return (
+            self.careful and self.doubts and self.bounds and self.is_plain_zone and not self.centred
+        )
 
     @property
-    def limits_pace(self) -> bool:
-        """Return whether readings that leave silence are asked how far z can move."""
-        return self.doubts and self.plain
+    def has_pace_test(self) -> bool:
+        """Return whether readings that leave the zone undergo a pace test."""
+        return self.doubts and self.is_plain_zone
 
     @property
-    def plain(self) -> bool:
-        """Return whether the sensor is a dead zone alone, neither of the jump kind nor with a
-        play.
+    def is_plain_zone(self) -> bool:
+        """Return whether the sensor is a dead zone alone, without jump or backlash."""
+        return not self.is_jump_sensor and not self.sensor.moves
+
+    @property
+    def has_limits(self) -> bool:
+        """Return whether readings at a limit of their range bound z.
+
+        For a backlash they are missing.
         """
-        return not self.jump and not self.sensor.moves
-
-    @property
-    def uses_limits(self) -> bool:
-        """Return whether readings at a limit of their range bound z; of a play they are missing."""
         return self.sensor.limits is not None and not self.sensor.moves
 
     @property
-    def jump(self) -> bool:
+    def is_jump_sensor(self) -> bool:
         """Return whether the sensor is of the jump kind."""
         return self.sensor.kind == "jump"
 
     @property
-    def play(self) -> bool:
-        """Return whether the sensor is a play, which holds its reading in place of 0."""
+    def is_backlash_sensor(self) -> bool:
+        """Return whether the sensor is a backlash, with a constant reading inside the gap."""
         return self.sensor.kind == "play"
 
     @property
-    def both(self) -> bool:
-        """Return whether a play stands ahead of the dead zone."""
+    def has_backlash_ahead(self) -> bool:
+        """Return whether a backlash precedes the dead zone."""
         return self.sensor.play is not None
 
 
 def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """Return the belief that an estimate shows, and whether its widths may lie in their ranges.
+    """Return the Gaussian that an estimate shows, and 1 if its widths may lie in their ranges.
 
     Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
     stronger.
     """
     limited, chance = limit_widths(setup, q, belief)
-    alone = excess_alone(setup.model.n, q, belief) if setup.bounds else 0.0
+    alone = width_excess_square(setup.model.n, q, belief) if setup.bounds else 0.0
     if setup.augmentation.alternative is not None:
         stronger, odds = setup.augmentation.alternative(q, belief)
         stronger, likelier = limit_widths(setup, q, stronger)
         share = likelier * odds / (likelier * odds + chance)
-        limited = ambiguous(stronger, limited, share)
+        limited = mix_two_gaussians(stronger, limited, share)
     if setup.blind:
         return limited, 1.0
-    return clip_widths(setup.model.n, q, limited, setup.doubts, alone)
+    return clip_to_ranges(setup.model.n, q, limited, setup.doubts, alone)
 
 
-def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
-    """Return the mixture of both beliefs, with deviations whose +-1.96 hold 95 % of it.
+def mix_two_gaussians(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
+    """Return the mixture of two Gaussians. Its deviations cover 95 % of the mixture at +-1.96.
 
     A mixture of a narrow and a wide belief has more in its tails than a Gaussian of its variance.
     If the wide one, of chance b, is much wider, 95 % of the mixture lie within 1.96 deviations of
@@ -350,9 +358,10 @@ def ambiguous(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gaussian:
     return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, mirror_upper(cov))
 
 
-def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
-    """Return square of how far the readings alone put some width beyond its range; 0 if they may
-    not.
+def width_excess_square(n: int, q: Params, belief: Gaussian) -> Any:
+    """Return the largest squared excess of a width over its range by readings alone (1) [z^2].
+
+    The value is 0 if the readings allow the ranges.
 
     A belief is the product of its prior, of the variance of a uniform distribution over the range,
     and of what the readings say; a prior that is divided out pulls no mean into the range.
@@ -366,10 +375,10 @@ def excess_alone(n: int, q: Params, belief: Gaussian) -> Any:
     return ca.mmax(ca.if_else(excess**2 > BEYOND**2 * more * variance, excess**2, 0.0))
 
 
-def clip_widths(
+def clip_to_ranges(
     n: int, q: Params, belief: Gaussian, doubts: bool, alone: Any = 0.0
 ) -> tuple[Gaussian, Any]:
-    """Return the belief with every width's mean in its claimed range, and whether it may lie there.
+    """Return the Gaussian with clipped width means, and 1 if the ranges are possible.
 
     A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
 
@@ -395,16 +404,17 @@ def clip_widths(
 
 
 def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """Return `within_ranges` where the filter uses bounds, else the belief as it is, of chance
-    1.
+    """Return the result of `truncate_to_ranges` if the filter uses bounds.
+
+    Otherwise return the Gaussian and probability 1.
     """
     if not setup.bounds:
         return belief, 1.0
-    return within_ranges(q, setup.model.n, belief)
+    return truncate_to_ranges(q, setup.model.n, belief)
 
 
-def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """Return the belief with the mean that it has if every width lies in its claimed range.
+def truncate_to_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """Return the Gaussian with the mean conditional on every width in its assumed range.
 
     The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
     would claim too much. But no width is less known than its range says, however long it drifted.
@@ -421,23 +431,23 @@ def within_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
         both = (n + i, n + p + i)
         pair = Gaussian(mean[both, :], P[both, both])
         ranges = q.ranges[(i, p + i), :]
-        one, first = _clip_displacement(pair, ranges, (0, 1))
-        other, second = _clip_displacement(pair, ranges, (1, 0))
+        one, first = _truncate_pair(pair, ranges, (0, 1))
+        other, second = _truncate_pair(pair, ranges, (1, 0))
         far = _is_inside(pair, ranges)
         mean = mean + P[:, both] @ (ca.logic_not(far) * (one + other) / 2)
         chance *= ca.if_else(far, 1.0, ca.sqrt(ca.fmax(first * second, LEAST)))
-    return Gaussian(mean, _no_wider(q, n, P)), chance
+    return Gaussian(mean, _limit_variances(q, n, P)), chance
 
 
 def _is_inside(pair: Gaussian, ranges: Any) -> Any:
-    """Return whether every width lies farther than `INSIDE` from both ends of its range."""
+    """Return 1 if each width lies more than `INSIDE` deviations within its range."""
     scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
     low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
     return ca.mmin(ca.logic_and(low < -least, high > least))
 
 
-def _clip_displacement(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
-    """What a mean moves by along the columns of two widths that are cut to their ranges in order.
+def _truncate_pair(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple[Any, Any]:
+    """Return the moves of a mean along the columns of two widths truncated in order.
 
     Returns:
         (numbers by which the columns of the covariance move it (2), the chance).
@@ -450,9 +460,10 @@ def _clip_displacement(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> t
     return ca.vertcat(moves[0], moves[1]), chance * likewise
 
 
-def _no_wider(q: Params, n: int, cov: Any) -> Any:
-    """Return a covariance whose widths deviate by no more than a uniform distribution over their
-    range.
+def _limit_variances(q: Params, n: int, cov: Any) -> Any:
+    """Return the covariance with limited width variances.
+
+    The limit is that of a uniform distribution over the range.
     """
     count = q.ranges.shape[0]
     most = (1 + ROUNDING) * (q.ranges[:, 1] - q.ranges[:, 0]) ** 2 / 12
@@ -462,10 +473,10 @@ def _no_wider(q: Params, n: int, cov: Any) -> Any:
     return cov * (scale @ scale.T)
 
 
-def with_unknowns(
+def add_unknown_estimates(
     setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
 ) -> Estimate:
-    """Return the estimate with w and theta where there are such unknowns; u: the last input."""
+    """Return the estimate with w and theta if the filter estimates them; u: the last input."""
     augmentation, model, n = setup.augmentation, setup.model, setup.model.n
     if len(augmentation.cov):
         extra = shown.mean[n + 2 * model.p :]

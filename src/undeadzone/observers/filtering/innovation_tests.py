@@ -1,4 +1,6 @@
-"""Score statistics of claims: what normalised innovations depend on if a claim is false.
+"""Score statistics of assumptions: dependence of normalised innovations on a regressor.
+
+A score that is too large rejects an assumption.
 
 If all claims are true, innovations are white and depend on nothing that was known before them. The
 sum of each, times a regressor, over the root of the sum of the regressor's squares is then a normal
@@ -12,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import CLAIMS, Reading
+from undeadzone.interfaces import ASSUMPTION_CHECKS, Reading
 from undeadzone.nonlinearities.sensor import present
 
 NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`, to refute the noise
@@ -34,7 +36,7 @@ WIDER = {"slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 
 class Scores(NamedTuple):
-    """Fading sums for each output (p), and what the regressors need.
+    """Fading sums for each output (p), and the data of the regressors.
 
     Attributes:
         size: of nu^2 - 1.
@@ -67,14 +69,14 @@ class Scores(NamedTuple):
 
 
 def start_scores(p: int) -> Scores:
-    """Return before any reading; p: number of outputs."""
+    """Return the scores before any reading; p: number of outputs."""
     return Scores(*[np.zeros(p)] * len(Scores._fields))
 
 
 def update_scores(
     q: Any, s: Scores, e: Any, nu: Any, counted: Any, refused: Any, reading: Reading, u: Any
 ) -> Scores:
-    """Return the sums after one more sample.
+    """Return the scores after a further sample.
 
     A loop that sees more than this filter puts it into its input at once, where it foretells
     innovations though all claims are true. So inputs count by their means over a while, in which
@@ -119,16 +121,15 @@ def update_scores(
 
 
 def is_stuck(doubt: Any, y: Any, last: Any) -> Any:
-    """Return whether a reading that is the one before to the last digit shows a stuck sensor
-    (p).
+    """Return 1 if a reading equal to its predecessor shows a stuck sensor (p).
+
+    Equal means to the last digit.
     """
     return ca.logic_and(y == last, doubt.noisy)
 
 
-def squares(s: Scores) -> dict[str, Any]:
-    """Return squares of the scores that are normal numbers, by claim, the largest of the
-    outputs.
-    """
+def score_squares(s: Scores) -> dict[str, Any]:
+    """Return the squares of the normal scores by assumption, maximised over the outputs."""
     of_lift, of_rise = (ca.if_else(V > 0, V, 1.0) for V in (s.lift_square, s.rise_square))
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
@@ -139,53 +140,65 @@ def squares(s: Scores) -> dict[str, Any]:
     return {name: ca.mmax(enough * square) for name, square in found.items()}
 
 
-def holding(doubt: Any, s: Scores) -> Any:
-    """By how much readings that stay refute that the sensor is sound (p): above 1 they do."""
+def stuck_ratio(doubt: Any, s: Scores) -> Any:
+    """Return the statistic of unchanged readings over its limit (p) [1].
+
+    Above 1 the sensor is faulty.
+    """
     return s.held / ca.fmax(HELD, FEWEST * (1 - doubt.keep))
 
 
-def losing(s: Scores) -> Any:
-    """By how much rows of refused readings refute that they and the model go together: above 1."""
+def mismatch_ratio(s: Scores) -> Any:
+    """Return the statistic of runs of rejected readings over its limit (1).
+
+    Above 1 readings and model do not fit.
+    """
     return ca.mmax(s.rows) / OFTEN
 
 
-def resting(doubt: Any, s: Scores) -> Any:
-    """Where readings stay (p) [z], 0 where the sensor is sound."""
-    return ca.if_else(holding(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
+def stuck_level(doubt: Any, s: Scores) -> Any:
+    """Return the mean abs(y) / m of a stuck sensor (p) [z], 0 if the sensor is sound."""
+    return ca.if_else(stuck_ratio(doubt, s) > 1, s.rest / ca.fmax(s.held, HELD), 0.0)
 
 
-def rejection_levels(doubt: Any, s: Scores) -> dict[str, Any]:
-    """By how much each claim is refuted: above 1 it is."""
-    ratios = {"sensor": ca.fmax(ca.mmax(holding(doubt, s)), losing(s))}
-    for name, square in squares(s).items():
-        ratios[name] = square / limit_of(doubt, name)
+def assumption_ratios(doubt: Any, s: Scores) -> dict[str, Any]:
+    """Return the test statistic of each assumption over its limit: above 1 it is rejected."""
+    ratios = {"sensor": ca.fmax(ca.mmax(stuck_ratio(doubt, s)), mismatch_ratio(s))}
+    for name, square in score_squares(s).items():
+        ratios[name] = square / chance_limit(doubt, name)
     return ratios
 
 
-def limit_of(doubt: Any, name: str) -> Any:
-    """Return square of a score that is taken for chance."""
+def chance_limit(doubt: Any, name: str) -> Any:
+    """Return the largest square of a score that counts as chance."""
     return NOISY * doubt.most if name == "noise" else doubt.limit
 
 
-def beyond(ratio: Any) -> Any:
-    """By how much a claim is refuted, 0 where it is not; what is no number refutes it, too."""
+def excess_ratio(ratio: Any) -> Any:
+    """Return the ratio if above 1, or 0 otherwise.
+
+    A value that is no number rejects the assumption, too.
+    """
     return ca.if_else(ratio <= 1, 0.0, ca.if_else(ratio > 1, ratio, NOTHING_KNOWN))
 
 
-def stretch(doubt: Any, s: Scores) -> Any:
-    """By how much deviations are to be larger, squared, where a score refutes its claim."""
-    worst, each = 1.0, rejection_levels(doubt, s)
+def variance_factor(doubt: Any, s: Scores) -> Any:
+    """Return the factor for variances after scores rejected assumptions (1), at least 1."""
+    worst, each = 1.0, assumption_ratios(doubt, s)
     for name, share in WIDER.items():
-        worst = ca.fmax(worst, share * limit_of(doubt, name) * beyond(each[name]))
+        worst = ca.fmax(worst, share * chance_limit(doubt, name) * excess_ratio(each[name]))
     return worst
 
 
-def verdict(ratios: dict[str, Any]) -> dict[str, Any]:
-    """Return the fields of an estimate about claims, by how much each is refuted: above 1 it is."""
+def assumption_fields(ratios: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of an estimate about assumptions from their ratios.
+
+    A ratio above 1 rejects.
+    """
     bits, suspect, worst = 0.0, 0.0, 0.0
-    for k, name in enumerate(CLAIMS):
+    for k, name in enumerate(ASSUMPTION_CHECKS):
         if name in ratios:
-            ratio = beyond(ratios[name])
+            ratio = excess_ratio(ratios[name])
             weight = SHARP.get(name, 1.0) * ratio
             ahead = weight > worst
             bits += 2.0**k * (ratio > 0)

@@ -1,4 +1,4 @@
-"""The Kalman filter on the measured side estimates [x; d_r; d_l] and further unknowns.
+"""Kalman filter on the measured branch for [x; d_r; d_l] and further unknowns.
 
 What comes out of silence beyond how far z can move from one reading to the next is wrong. The
 mathematics is in docs/filters.md, of the latter in "Readings that are wrong".
@@ -24,53 +24,53 @@ from undeadzone.numerics.gaussian import (
     predict,
     predict_first_order,
 )
-from undeadzone.observers.filtering.augmented_state import prior_in_units, show_in_plant_units
+from undeadzone.observers.filtering.augmented_state import rescale_states, scale_prior
 from undeadzone.observers.filtering.consistency import (
     Member,
     Step,
-    log_density,
-    with_consistency_tests,
+    add_consistency_tests,
+    innovation_log_density,
 )
 from undeadzone.observers.filtering.constant_states import (
     SAME,
-    against_friction,
-    entering,
-    numbers_of,
-    with_actuator,
-    with_friction,
-    with_gaps,
-    with_play,
-    with_widths,
-    zones_of,
+    add_actuator_estimates,
+    add_actuator_states,
+    add_friction_state,
+    add_gap_estimates,
+    add_gap_states,
+    gap_numbers,
+    predict_plant_input,
+    subtract_friction,
+    zone_numbers,
 )
 from undeadzone.observers.filtering.gaussian_filter import (
     Augmentation,
     Params,
     Setup,
+    add_unknown_estimates,
+    build_filter_params,
+    build_motion,
     clip_belief,
     covariance_entries,
-    filter_numbers,
-    motion,
     to_estimate,
-    with_unknowns,
 )
 from undeadzone.observers.filtering.innovation_tests import is_stuck
 from undeadzone.observers.filtering.measurement_update import (
     Corrected,
-    beyond_edge,
-    censoring_probabilities,
-    correct,
-    downweight_outliers,
-    ends,
+    branch_output,
+    certain_branch,
+    confirm_silences,
+    correct_by_readings,
     find_censored,
-    rest_of,
-    sure_side,
-    surely_exact,
+    is_surely_exact,
+    range_limits,
+    reject_impossible,
+    silence_pause,
     use_bounds,
     use_limits,
 )
-from undeadzone.observers.filtering.motion_detection import with_motion_detection
-from undeadzone.observers.filtering.multiple_models import with_disturbance_levels
+from undeadzone.observers.filtering.motion_detection import add_motion_detection
+from undeadzone.observers.filtering.multiple_models import add_disturbance_levels
 from undeadzone.observers.filtering.prior import Prior, doubt_numbers
 from undeadzone.observers.filtering.recovery import (
     RejectionRate,
@@ -84,7 +84,7 @@ from undeadzone.util.arrays import Floats
 
 
 class State(NamedTuple):
-    """What the filter carries from sample to sample.
+    """State of the filter from sample to sample.
 
     Attributes:
         mean, cov: mean and covariance (its `triangle`) before the reading.
@@ -106,7 +106,7 @@ class State(NamedTuple):
     pace: Pace
 
 
-def build_gaussian_filter(
+def build_branch_filter(
     plant: System,
     units: Floats,
     sensor: Zone,
@@ -123,8 +123,9 @@ def build_gaussian_filter(
     levels: int = 1,
     recovers: bool = True,
 ) -> Observer:
-    """Return the filter as an observer; `Setup`, `Params` and `doubt_numbers` explain other
-    arguments.
+    """Return the filter as an observer.
+
+    `Setup`, `Params` and `doubt_numbers` explain the remaining arguments.
 
     Args:
         plant: the sampled model, in the plant's units.
@@ -139,11 +140,11 @@ def build_gaussian_filter(
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
     """
     model = in_units(plant, units)
-    prior = prior_in_units(prior, units)
-    gaps = numbers_of(sensor, prior)
-    zones = zones_of(model.actuator)
-    augmentation = with_gaps(with_friction(augmentation, sensor), gaps)
-    augmentation = with_widths(augmentation, zones)
+    prior = scale_prior(prior, units)
+    gaps = gap_numbers(sensor, prior)
+    zones = zone_numbers(model.actuator)
+    augmentation = add_gap_states(add_friction_state(augmentation, sensor), gaps)
+    augmentation = add_actuator_states(augmentation, zones)
     entries = covariance_entries(model, augmentation)
     doubts = glitches > 0 and not blind
     centred = prior.asymmetry is not None
@@ -153,37 +154,46 @@ def build_gaussian_filter(
     p, m = model.p, model.m
 
     def init(q: Params) -> State:
-        each, waits = np.zeros(p), np.zeros(4 * p if setup.uses_limits else 2 * p)
+        """Return the state at t = 0."""
+        each, waits = np.zeros(p), np.zeros(4 * p if setup.has_limits else 2 * p)
         return State(
-            q.mean, q.cov, each, each, waits, np.zeros(m), start_rejection_rate(p), resting(setup)
+            q.mean,
+            q.cov,
+            each,
+            each,
+            waits,
+            np.zeros(m),
+            start_rejection_rate(p),
+            start_pace(setup),
         )
 
-    params = filter_numbers(model, sensor, prior, augmentation)
+    params = build_filter_params(model, sensor, prior, augmentation)
     doubt = doubt_numbers(model, sensor, prior, glitches, claimed)
     params = params._replace(
         lasting=np.asarray(lasting),
         doubt=doubt,
-        ends=ends(sensor, prior),
+        ends=range_limits(sensor, prior),
         zones=zones,
-        rest=np.asarray(rest_of(model, sensor, lasting)),
+        rest=np.asarray(silence_pause(model, sensor, lasting)),
         gaps=gaps,
     )
     smoothing = Smoothing(
-        moments=partial(moments, setup),
+        moments=partial(filter_moments, setup),
         odds=lambda s: np.zeros(1),
         record=lambda s: (),
         shown=lambda q, beliefs, share, record: estimate_of_belief(setup, q, beliefs[0]),
     )
-    member = Member(params, init, partial(filter_step, setup), smoothing)
-    member = with_disturbance_levels(member, levels, claimed)
-    observer = show_in_plant_units(
-        with_consistency_tests(member, model, doubts, traits, recovers), units
-    )
-    return with_motion_detection(observer, plant, sensor)
+    member = Member(params, init, partial(step_filter, setup), smoothing)
+    member = add_disturbance_levels(member, levels, claimed)
+    observer = rescale_states(add_consistency_tests(member, model, doubts, traits, recovers), units)
+    return add_motion_detection(observer, plant, sensor)
 
 
 class Update(NamedTuple):
-    """What a reading says: itself (p), its sure side (p), the beliefs before and after it."""
+    """Result of a measurement update.
+
+    Its fields: reading (p), certain branch (p), Gaussians before and after.
+    """
 
     y: Any
     side: Any
@@ -193,30 +203,32 @@ class Update(NamedTuple):
 
 
 def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> Update:
-    """What is known given a reading, and what it bounds."""
+    """Return the measurement update by a reading and by its bounds."""
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y, 0.0)
     side = choose_branch(setup, q, s, reading, y, seen)
     before = Gaussian(s.mean, from_upper_entries(s.cov, setup.entries))
-    R = variances(q, reading)
-    surprises = silence_log_ratio(setup, q, s.pace, y, side, R)
-    corrected = correct(setup, q, before, y, side, R, surprises, reading.motion)
+    R = measurement_variances(q, reading)
+    surprises = silence_log_ratios(setup, q, s.pace, y, side, R)
+    corrected = correct_by_readings(setup, q, before, y, side, R, surprises, reading.motion)
     heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
-    heard = with_bounds(setup, q, s, heard, reading, y, side)
-    if setup.uses_limits:
-        heard = heard._replace(trust=downweight_outliers(heard.trust, reading))
+    heard = apply_bounds(setup, q, s, heard, reading, y, side)
+    if setup.has_limits:
+        heard = heard._replace(trust=reject_impossible(heard.trust, reading))
     return Update(y, side, before, corrected, heard)
 
 
-def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tuple[Moments, ...]:
-    """What the filter knows about one sample, for a smoother."""
+def filter_moments(
+    setup: Setup, q: Params, s: State, u: Any, reading: Reading
+) -> tuple[Moments, ...]:
+    """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
     taken = update_measurement(setup, q, s, reading)
     corrected, heard = taken.corrected, taken.heard
-    rows, edges = rows_at(setup, q, taken.before.mean, taken.side)
+    rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
     restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )[2]
-    slope = slope_at(setup, q, heard.belief, u)
+    slope = motion_slope(setup, q, heard.belief, u)
     log = log_likelihood(setup, corrected, heard)
     known = Moments(
         taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted
@@ -224,58 +236,62 @@ def moments(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> tupl
     return (known,)
 
 
-def rows_at(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
-    """Return the rows of the readings on these sides (p x N), and of all edges (2p x N)."""
+def measurement_rows(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, Any]:
+    """Return the rows of the readings (p x N), and of all breakpoints (2p x N).
+
+    The readings are on the given branches.
+    """
     p = setup.model.p
-    read = list(enumerate([0.0] * p if setup.jump else ca.vertsplit(side)))
+    read = list(enumerate([0.0] * p if setup.is_jump_sensor else ca.vertsplit(side)))
     edges = [(i, edge) for edge, i in product((RIGHT, LEFT), range(p))]
 
     def rows(branches: list[tuple[int, Any]]) -> Any:
-        each = (partial(beyond_edge, setup, q, i, branch) for i, branch in branches)
+        """Return the linearised rows of some branches."""
+        each = (partial(branch_output, setup, q, i, branch) for i, branch in branches)
         return ca.vertcat(*(linearise(beyond, at)[1] for beyond in each))
 
     return rows(read), rows(edges)
 
 
-def slope_at(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
-    """Return the slope of the motion that the prediction takes (N x N)."""
+def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
+    """Return the Jacobian of the motion in the prediction (N x N)."""
     if setup.order == 1 and setup.augmentation.slope is not None:
         return setup.augmentation.slope(q)
-    drive, _ = entering(q.zones, belief, u)
-    change, _ = motion(setup.model, q, setup.augmentation, belief, drive)
+    drive, _ = predict_plant_input(q.zones, belief, u)
+    change, _ = build_motion(setup.model, q, setup.augmentation, belief, drive)
     return linearise(change, belief.mean)[1]
 
 
 def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
-    """Return the estimate that shows a belief; it has no innovations."""
+    """Return the estimate of a Gaussian, without innovations."""
     shown, _ = clip_belief(setup, q, belief)
     none = ca.SX(setup.model.p, 1)
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
 
 def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> Any:
-    """Return the log of the density with which the filter foretold a sample, up to a constant."""
+    """Return the log predictive density of a sample, up to a constant (1)."""
     if setup.doubts:
         return ca.sum1(ca.log(heard.likely))
-    return log_density(corrected.e, corrected.std)
+    return innovation_log_density(corrected.e, corrected.std)
 
 
-def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
-    """Return one sample: correct by the reading, use what bounds, estimate, predict."""
+def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
+    """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
     y, side, _, corrected, heard = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
-    estimated = with_unknowns(setup, q, estimated, shown, s.u)
-    estimated = with_actuator(q.zones, estimated, shown)
-    estimated = with_play(q, estimated, shown, reading)
+    estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
+    estimated = add_actuator_estimates(q.zones, estimated, shown)
+    estimated = add_gap_estimates(q, estimated, shown, reading)
     mean, cov, restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )
-    pace = predict_state(setup, q, s.pace, heard, u, side, reading)
+    pace = predict_pace(setup, q, s.pace, heard, u, side, reading)
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
     if setup.doubts:
-        after = revise_branch(setup, q, after, side, heard.trust)
+        after = apply_rejections(setup, q, after, side, heard.trust)
     return Step(
         state=after,
         estimate=estimated,
@@ -287,17 +303,20 @@ def filter_step(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     )
 
 
-def variances(q: Params, reading: Reading) -> Any:
-    """Return variances of the readings (p) [z^2]: the filter's, unless a reading tells its own."""
+def measurement_variances(q: Params, reading: Reading) -> Any:
+    """Return the variances of the readings (p) [z^2].
+
+    A reading's own variance replaces the filter's.
+    """
     if reading.rms is None:
         return q.R
     return ca.if_else(reading.rms > 0, (reading.rms / q.slope) ** 2, q.R)
 
 
-def with_bounds(
+def apply_bounds(
     setup: Setup, q: Params, s: State, heard: Corrected, reading: Reading, y: Any, side: Any
 ) -> Corrected:
-    """What is known given what silences and readings at a limit bound, if the filter uses that.
+    """Return the correction by silent samples and limits, if the filter uses bounds.
 
     Args:
         setup: the filter.
@@ -310,24 +329,26 @@ def with_bounds(
     """
     silent = find_censored(setup, q, reading, y)
     if not setup.bounds:
-        return heard._replace(silence=censoring_probabilities(setup, q, heard.belief, silent))
-    if setup.both:
-        return with_bounds_of_both(setup, q, s, heard, y, present(reading.y))
-    if not setup.uses_limits:
-        return use_bounds(setup, q, heard, silent, side, y if setup.play else None)
+        return heard._replace(silence=confirm_silences(setup, q, heard.belief, silent))
+    if setup.has_backlash_ahead:
+        return apply_backlash_bounds(setup, q, s, heard, y, present(reading.y))
+    if not setup.has_limits:
+        return use_bounds(setup, q, heard, silent, side, y if setup.is_backlash_sensor else None)
     edges = use_bounds(setup, q, heard, silent, side)
     return use_limits(setup, q, edges, s.wait[2 * setup.model.p :], y, reading.side)
 
 
-def with_bounds_of_both(
+def apply_backlash_bounds(
     setup: Setup, q: Params, s: State, heard: Corrected, y: Any, seen: Any
 ) -> Corrected:
-    """Return `with_bounds` of a play ahead of a dead zone, which bounds z wherever it is.
+    """Return the result of `apply_bounds` for a backlash ahead of a dead zone.
+
+    The backlash bounds z at all times.
 
     Silence says -d_l - c_l <= z <= d_r + c_r; beyond an edge z lies within the gap about what is
     held, as far as readings that are held may be off.
     """
-    held = sure_side(y, s.last, s.previous, q.gate)
+    held = certain_branch(y, s.last, s.previous, q.gate)
     silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
     heard_at_all = ca.logic_or(silent, held != 0)
     held = ca.if_else(silent, 0.0, held)
@@ -336,7 +357,7 @@ def with_bounds_of_both(
 
 
 def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, seen: Any) -> Any:
-    """Return the sides on which the readings are used (p), 0 where none is sure.
+    """Return the branches for the use of the readings (p), 0 for an uncertain branch.
 
     Args:
         setup: the filter.
@@ -348,20 +369,22 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
     """
     if setup.blind:
         return seen
-    shown = setup.jump or setup.play
-    side = reading.side if shown else sure_side(y, s.last, s.previous, q.gate)
-    if setup.uses_limits:
-        exact = surely_exact(setup, q, y, s.last, s.previous, reading.side)
+    shown = setup.is_jump_sensor or setup.is_backlash_sensor
+    side = reading.side if shown else certain_branch(y, s.last, s.previous, q.gate)
+    if setup.has_limits:
+        exact = is_surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
-    if setup.both:  # what holds tells no contact
+    if setup.has_backlash_ahead:  # what holds tells no contact
         side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side
     return ca.if_else(is_stuck(q.doubt, y, s.last), 0.0, side)
 
 
-def revise_branch(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
-    """Return the state without the readings that were refused; opened where most of late were.
+def apply_rejections(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
+    """Return the state without the rejected readings.
+
+    The covariance is inflated if most recent readings were rejected.
 
     Args:
         setup: the filter.
@@ -378,13 +401,16 @@ def revise_branch(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> S
 
 
 def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any) -> Gaussian:
-    """Return the belief at the next sample, under an input u (m); side: that was measured (p)."""
+    """Return the Gaussian at the next sample under an input u (m).
+
+    Here side: the measured branch (p).
+    """
     augmentation = setup.augmentation
-    drive, doubt = entering(q.zones, belief, u)
-    drive = against_friction(setup.sensor, augmentation.zones, drive, side)
+    drive, doubt = predict_plant_input(q.zones, belief, u)
+    drive = subtract_friction(setup.sensor, augmentation.zones, drive, side)
     if doubt is not None:
         doubt = SAME * doubt
-    change, Q = motion(setup.model, q, augmentation, belief, drive, doubt)
+    change, Q = build_motion(setup.model, q, augmentation, belief, drive, doubt)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return predict_first_order(belief, change, Q, slope)
@@ -393,14 +419,14 @@ def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any)
 
 
 def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
-    """Return the `Products` of the augmentation, at X = [x; d; extra]."""
+    """Return the `Products` of the augmentation at X = [x; d; extra]."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
     return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
 
 
 class Pace(NamedTuple):
-    """What is kept of how z moves; empty where nobody asks.
+    """Running record of the motion of z; empty without a pace test.
 
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].
@@ -414,14 +440,14 @@ class Pace(NamedTuple):
     since: Any
 
 
-def resting(setup: Setup) -> Pace:
-    """Nothing is known of z so far."""
-    p = setup.model.p if setup.limits_pace else 0
+def start_pace(setup: Setup) -> Pace:
+    """Return the pace before the first reading."""
+    p = setup.model.p if setup.has_pace_test else 0
     return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p))
 
 
-def silence_log_ratio(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
-    """Return log of the density of each reading given the silence before it, over that without (p).
+def silence_log_ratios(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
+    """Return the log density ratio of readings with and without preceding silence (p).
 
     z was inside of the edge since[] steps ago, by a reading within the gate, and moved by so many
     times what it moves in a step. A reading beyond that needs a motion as many deviations off; or
@@ -436,7 +462,7 @@ def silence_log_ratio(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R:
         R: variances of the readings (p) [z^2].
     """
     p = setup.model.p
-    if not setup.limits_pace:
+    if not setup.has_pace_test:
         return [0.0] * p
     each = []
     for i in range(p):
@@ -448,7 +474,7 @@ def silence_log_ratio(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R:
     return each
 
 
-def predict_state(
+def predict_pace(
     setup: Setup, q: Params, pace: Pace, heard: Corrected, u: Any, side: Any, reading: Reading
 ) -> Pace:
     """Return the pace at the next reading.
@@ -462,12 +488,12 @@ def predict_state(
         side: the sides on which readings were used (p).
         reading: what was read.
     """
-    if not setup.limits_pace:
+    if not setup.has_pace_test:
         return pace
     belief, n = heard.belief, setup.model.n
-    drive, doubt = entering(q.zones, belief, u)
-    change, Q = motion(setup.model, q, setup.augmentation, belief, drive, doubt)
-    E = slope_at(setup, q, belief, u)
+    drive, doubt = predict_plant_input(q.zones, belief, u)
+    change, Q = build_motion(setup.model, q, setup.augmentation, belief, drive, doubt)
+    E = motion_slope(setup, q, belief, u)
     _, h = linearise(lambda X: setup.model.output(q.model, X[:n]), belief.mean)
     believed = heard.trust > 0.5
     since = []

@@ -1,4 +1,4 @@
-"""What a reading, or a silence, says to the filter on the measured side.
+"""Measurement update for a known branch and for censored samples.
 
 A reading at a limit of its range only bounds what the sensor reads; near it, noise selects what is
 read. The mathematics is in docs/filters.md.
@@ -27,7 +27,7 @@ from undeadzone.numerics.gaussian import (
     truncate_at_bounds,
     update_with_outliers,
 )
-from undeadzone.observers.filtering.constant_states import gap_offset, width_correlation
+from undeadzone.observers.filtering.constant_states import backlash_offset, information_shares
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
 from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
 from undeadzone.plants.system import System, pace, time_scale
@@ -39,7 +39,7 @@ BEYOND = 0.5  # share of the wrong readings that lie beyond the range and read a
 
 
 class Corrected(NamedTuple):
-    """What is known after a reading.
+    """Result of a correction by a reading.
 
     Attributes:
         belief: mean and covariance of [x; d; extra].
@@ -56,17 +56,19 @@ class Corrected(NamedTuple):
     silence: tuple[Any, ...] = ()
 
 
-def beyond_edge(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: Any = 0.0) -> Any:
-    """How far z_i is beyond the edge of that side: the reading on it; with side 0, z_i itself.
+def branch_output(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: Any = 0.0) -> Any:
+    """Return the expected reading of z_i on a branch [z]: z_i less its offset.
+
+    Side 0 gives z_i itself.
 
     contact: of a play ahead of the zone, whose gap is taken off too.
     """
     n, p = setup.model.n, setup.model.p
     z = setup.model.output(q.model, X[:n])[i]
-    return z - offset(side, X[n + i], X[n + p + i]) - gap_offset(q, i, contact, X)
+    return z - offset(side, X[n + i], X[n + p + i]) - backlash_offset(q, i, contact, X)
 
 
-def correct(
+def correct_by_readings(
     setup: Setup,
     q: Params,
     belief: Gaussian,
@@ -76,7 +78,7 @@ def correct(
     surprise: Sequence[Any],
     contact: Any = None,
 ) -> RobustUpdate:
-    """Return the belief after the readings on the sides that are sure, one output at a time.
+    """Return the Gaussian after the readings on certain branches, output by output.
 
     Args:
         setup: the filter.
@@ -94,21 +96,23 @@ def correct(
     each = []
     for i in range(setup.model.p):
         active = side[i] != 0
-        branch = 0.0 if setup.jump else side[i]
+        branch = 0.0 if setup.is_jump_sensor else side[i]
         moving = 0.0 if contact is None else contact[i]
-        sight = partial(beyond_edge, setup, q, i, branch, contact=moving)
+        sight = partial(branch_output, setup, q, i, branch, contact=moving)
         expected, h = linearise(sight, belief.mean)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
-        moved = moved_shares(setup, q, belief, i, side[i]) if setup.apart else None
+        moved = update_shares(setup, q, belief, i, side[i]) if setup.needs_partial_updates else None
         one = update_with_outliers(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
         each.append(one)
     return stack_updates(each)
 
 
-def rest_of(model: System, sensor: Zone, lasting: float) -> float:
-    """Steps for which a silent edge is not heard again: a 25th of the plant's period at least.
+def silence_pause(model: System, sensor: Zone, lasting: float) -> float:
+    """Return the number of steps between uses of a silent breakpoint.
+
+    The pause is at least a 25th of the plant's period.
 
     However long a disturbance lasts, z has moved in a quarter period.
 
@@ -125,14 +129,14 @@ def rest_of(model: System, sensor: Zone, lasting: float) -> float:
     return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
 
 
-def moved_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
-    """Return the share by which a reading of output i moves each variable (N).
+def update_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
+    """Return the share of the full update of each variable by a reading of output i (N) [1].
 
     What silence says of z and an edge binds them, though it moved the edge by a share only. A
     reading on the other edge, which tells of z, moves this one by no more.
     """
     n, p = setup.model.n, setup.model.p
-    moved = ca.SX(width_correlation(q, setup.model, belief.cov))
+    moved = ca.SX(information_shares(q, setup.model, belief.cov))
     for place, edge in ((n + i, RIGHT), (n + p + i, LEFT)):
         moved[place] = ca.if_else(side == edge, 1.0, moved[place])
     return moved
@@ -147,7 +151,7 @@ def use_bounds(
     level: Any = None,
     held: Any = None,
 ) -> Corrected:
-    """What is known given that z is inside the edges of a silent sensor.
+    """Return the correction given that z is inside the breakpoints of a silent sensor.
 
     The z of a jump sensor is beyond the edge that it is on, besides. Silence is heard once in a
     while: its samples say the same of the same edge, and mean and covariance do not show that a
@@ -167,10 +171,10 @@ def use_bounds(
     waits, believed = [None] * (2 * p), [None] * (2 * p)
     belief, likely = known.belief, ca.SX(known.likely)
     trust = ca.SX(known.trust)
-    for i, edges in _edges(setup):
+    for i, edges in _edge_groups(setup):
         bounds = []
         for k, edge in edges.items():
-            outside = (side[i] == edge) if setup.jump else 0.0
+            outside = (side[i] == edge) if setup.is_jump_sensor else 0.0
             heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
             above = 0.0 if level is None else edge * level[i]
             slack, branch = q.gate[i] + above, edge
@@ -178,7 +182,9 @@ def use_bounds(
                 branch = ca.if_else(held[i] != 0, held[i], edge)
                 slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
             slack = ca.if_else(silent[i], slack / q.slope[i], 0.0)
-            bounds.append(edge_bound(setup, q, belief, i, edge, branch, outside, slack, heard))
+            bounds.append(
+                breakpoint_bound(setup, q, belief, i, edge, branch, outside, slack, heard)
+            )
         one = edge_constraint(setup, q, belief, i, bounds)
         belief = one.belief
         likely[i] *= one.likely
@@ -191,22 +197,25 @@ def use_bounds(
     return Corrected(belief, ca.vertcat(*waits), trust, likely, silences)
 
 
-def _edges(setup: Setup) -> list[tuple[int, dict[int, float]]]:
-    """Return edges that are heard together: the output, and the side of each by its place among
-    all.
+def _edge_groups(setup: Setup) -> list[tuple[int, dict[int, float]]]:
+    """Return the breakpoints that are applied together.
+
+    Each entry: the output, and the side of each breakpoint by its place.
 
     Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
     other.
     """
     p = setup.model.p
-    if setup.jump:
+    if setup.is_jump_sensor:
         rights: list[tuple[int, dict[int, float]]] = [(i, {i: RIGHT}) for i in range(p)]
         return rights + [(i, {p + i: LEFT}) for i in range(p)]
     return [(i, {i: RIGHT, p + i: LEFT}) for i in range(p)]
 
 
 def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
-    """Which readings bound z by the edges of a silent sensor (p); of a play, all that are there.
+    """Return 1 for readings that bound z by the breakpoints (p).
+
+    For a backlash all present readings do.
 
     Args:
         setup: the filter.
@@ -215,17 +224,15 @@ def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
         y: reading, 0 where it is missing (p) [y].
     """
     silent = present(reading.y)
-    if not setup.play:
+    if not setup.is_backlash_sensor:
         silent = ca.logic_and(silent, ca.fabs(y) <= q.gate)
-    if setup.uses_limits:
+    if setup.has_limits:
         silent = ca.logic_and(silent, ca.fabs(reading.side) < 2)
     return silent
 
 
-def censoring_probabilities(
-    setup: Setup, q: Params, belief: Gaussian, silent: Any
-) -> tuple[Any, ...]:
-    """Return whether the belief bears a silence out, by right edges and by left ones (2 of p).
+def confirm_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) -> tuple[Any, ...]:
+    """Return 1 if the Gaussian supports a silence, by right and by left breakpoints (2 of p).
 
     Empty where nobody asks.
 
@@ -235,20 +242,20 @@ def censoring_probabilities(
         belief: about [x; d; extra], which no silence moves here.
         silent: whether each output is silent (p).
     """
-    if not setup.limits_pace:
+    if not setup.has_pace_test:
         return ()
     each = []
     for i in range(setup.model.p):
         bounds = []
         for edge in (RIGHT, LEFT):
             slack = q.gate[i] / q.slope[i]
-            bounds.append(edge_bound(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
+            bounds.append(breakpoint_bound(setup, q, belief, i, edge, edge, 0.0, slack, 0.0))
         trust = edge_constraint(setup, q, belief, i, bounds).trust
         each.append(ca.logic_and(silent[i], trust > 0.5))
     return (ca.vertcat(*each),) * 2
 
 
-def edge_bound(
+def breakpoint_bound(
     setup: Setup,
     q: Params,
     belief: Gaussian,
@@ -259,7 +266,7 @@ def edge_bound(
     slack: Any,
     heard: Any,
 ) -> Bound:
-    """Return the bound that one edge is.
+    """Return the bound that a breakpoint sets.
 
     Args:
         setup: the filter.
@@ -272,7 +279,7 @@ def edge_bound(
         slack: how far z may be beyond the edge [z].
         heard: whether the edge is heard.
     """
-    sight = partial(beyond_edge, setup, q, i, branch, contact=edge)
+    sight = partial(branch_output, setup, q, i, branch, contact=edge)
     excess, h = linearise(sight, belief.mean)
     sign = edge * (1 - 2 * outside)
     return Bound(sign * h, sign * excess - slack, heard)
@@ -281,33 +288,34 @@ def edge_bound(
 def edge_constraint(
     setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]
 ) -> TruncationUpdate:
-    """What edges of output i say; bounds: what each one is."""
+    """Return the Gaussian truncated at breakpoints of output i; bounds: of each breakpoint."""
     if not setup.doubts:
         return truncate_at_bounds(belief, bounds, q.R[i], DOUBT)
-    moved = width_correlation(q, setup.model, belief.cov) if setup.careful else None
+    moved = information_shares(q, setup.model, belief.cov) if setup.careful else None
     return truncate_at_bounds(belief, bounds, q.R[i], DOUBT, q.doubt.fake, moved)
 
 
-def sure_side(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Return the side on which a reading may be taken for z - d_r or z + d_l with noise of mean 0
-    (p).
+def certain_branch(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """Return the branch of readings that count as z - d_r or z + d_l with zero-mean noise (p).
 
     A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
     their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
     would select noise of one sign.
     """
-    return 1.0 * _sure(y, last, previous, gate) - 1.0 * _sure(-y, -last, -previous, gate)
+    return 1.0 * _is_certainly_right(y, last, previous, gate) - 1.0 * _is_certainly_right(
+        -y, -last, -previous, gate
+    )
 
 
-def _sure(y: Any, last: Any, previous: Any, gate: Any) -> Any:
-    """Return whether a reading is surely on the right."""
+def _is_certainly_right(y: Any, last: Any, previous: Any, gate: Any) -> Any:
+    """Return 1 if a reading is surely on the right."""
     both_beyond = ca.logic_and(last > gate, previous > gate)
     line_beyond = ca.logic_and(2 * last - previous > gate, y > 0)
     return ca.logic_or(y > 2 * gate, ca.logic_and(both_beyond, line_beyond))
 
 
-class Ends(NamedTuple):
-    """Numbers of a filter about the range of the readings.
+class RangeLimits(NamedTuple):
+    """Parameters of a filter for the range of the readings.
 
     Attributes:
         low, high: limits of the readings (p) [y].
@@ -319,15 +327,15 @@ class Ends(NamedTuple):
     gate: Floats
 
 
-def ends(sensor: Zone, prior: Prior) -> Ends | None:
-    """Return the numbers about the range; None where no output has one."""
+def range_limits(sensor: Zone, prior: Prior) -> RangeLimits | None:
+    """Return the parameters for the range of the readings, or None if no output has a range."""
     if sensor.limits is None:
         return None
-    return Ends(*sensor.limits, 4 * np.sqrt(prior.R) * sensor.slope)
+    return RangeLimits(*sensor.limits, 4 * np.sqrt(prior.R) * sensor.slope)
 
 
-def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
-    """Return whether a reading is surely exact, and not one that noise brought there (p).
+def is_surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
+    """Return 1 if a reading is surely exact, and not moved into the range by noise (p).
 
     It lies far from silence and from the limit of its side, or the two before it announced it: both
     lie between silence and limit, and their straight line too. A reading at a limit announces
@@ -340,14 +348,14 @@ def surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side
         last, previous: the two before it, 0 where one was missing or refused (p) [y].
         side: measured sides (p), +2 or -2 at a limit.
     """
-    gate = 0.0 if setup.jump else q.gate
-    right = _surely_between(y, last, previous, gate, q.ends.high, q.ends.gate)
-    left = _surely_between(-y, -last, -previous, gate, -q.ends.low, q.ends.gate)
+    gate = 0.0 if setup.is_jump_sensor else q.gate
+    right = _is_surely_between(y, last, previous, gate, q.ends.high, q.ends.gate)
+    left = _is_surely_between(-y, -last, -previous, gate, -q.ends.low, q.ends.gate)
     return ca.logic_and(ca.fabs(side) < 2, ca.logic_or(right, left))
 
 
-def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, margin: Any) -> Any:
-    """Return whether a reading is surely on the right and below its limit.
+def _is_surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, margin: Any) -> Any:
+    """Return 1 if a reading is surely on the right and below its limit.
 
     Args:
         y: reading (p) [y].
@@ -358,6 +366,7 @@ def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, marg
     """
 
     def between(y: Any, times: float) -> Any:
+        """Return 1 if a reading lies between gate and limit by their margins."""
         return ca.logic_and(y > times * gate, high - y > times * margin)
 
     both = ca.logic_and(between(last, 1.0), between(previous, 1.0))
@@ -369,7 +378,7 @@ def _surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, marg
 def use_limits(
     setup: Setup, q: Params, known: Corrected, wait: Any, y: Any, side: Any
 ) -> Corrected:
-    """What is known given that z is at least, or at most, what a reading at a limit says.
+    """Return the correction given a reading at a limit: z is at or beyond it.
 
     Args:
         setup: the filter.
@@ -404,7 +413,7 @@ def use_limits(
 def limit_update(
     setup: Setup, q: Params, belief: Gaussian, i: int, end: Any, y: Any, heard: Any
 ) -> TruncationUpdate:
-    """What a limit says.
+    """Return the Gaussian truncated at a limit of the range.
 
     Args:
         setup: the filter.
@@ -415,13 +424,13 @@ def limit_update(
         y: reading [y].
         heard: whether the limit is heard.
     """
-    branch = 0.0 if setup.jump else end
-    expected, h = linearise(partial(beyond_edge, setup, q, i, branch), belief.mean)
+    branch = 0.0 if setup.is_jump_sensor else end
+    expected, h = linearise(partial(branch_output, setup, q, i, branch), belief.mean)
     bound = Bound(-end * h, end * (y / q.slope[i] - expected), heard)
     fake = q.doubt.glitch + math.log(BEYOND) if setup.doubts else None
     return truncate_at_bounds(belief, [bound], q.R[i], DOUBT, fake)
 
 
-def downweight_outliers(trust: Any, reading: Reading) -> Any:
-    """Return the trust in readings (p), 0 for those that cannot be: beyond their range."""
+def reject_impossible(trust: Any, reading: Reading) -> Any:
+    """Return the trust in readings (p) [1], 0 for impossible readings beyond their range."""
     return ca.if_else(reading.y > 1e300, 0.0, trust)

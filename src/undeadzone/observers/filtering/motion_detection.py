@@ -1,4 +1,4 @@
-"""Which side of a play a reading is on, made out from its motion (docs/play.md).
+"""Detection of the branch of a backlash from the motion of its readings (docs/play.md).
 
 Three rules, by what the sensor promises:
 
@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, exact
+from undeadzone.interfaces import Estimate, Observer, Reading, drop_limit_readings
 from undeadzone.nonlinearities.play import detect_tick
 from undeadzone.nonlinearities.sensor import Zone, present, side
 from undeadzone.plants.system import System
@@ -39,11 +39,11 @@ BRANCH_OBSERVERS = (
     "oracle",
 )
 # Of a play ahead of a dead zone; the latter two take no widths into account.
-HEARERS_OF_BOTH = ("auto", "censored", "kalman", "full_state", "luenberger")
+BACKLASH_AHEAD_OBSERVERS = ("auto", "censored", "kalman", "full_state", "luenberger")
 
 
 class Motion(NamedTuple):
-    """Numbers of the rules, the last field of those of the observer.
+    """Parameters of the rules, the last field of the observer's parameters.
 
     Attributes:
         slope: m (p) [y/z].
@@ -63,7 +63,7 @@ class Motion(NamedTuple):
 
 
 class State(NamedTuple):
-    """The observer's state, and what is known of the motion.
+    """State of the observer, and of the motion detection.
 
     Attributes:
         observer: the observer's.
@@ -82,8 +82,10 @@ class State(NamedTuple):
     refused: Any
 
 
-def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Observer:
-    """Return the observer behind what makes out the side of a play; itself for another sensor.
+def add_motion_detection(observer: Observer, model: System, sensor: Zone) -> Observer:
+    """Return the observer with branch detection for a backlash.
+
+    For a further kind of sensor return the observer itself.
 
     Args:
         observer: that takes side, level and rms of a reading as given.
@@ -100,7 +102,7 @@ def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Ob
             "sensor.kind: the side of a play is made out from one reading to the next; set "
             'simulation.time = "sampled"'
         )
-    fade = fading(sensor.window)
+    fade = line_fading(sensor.window)
     numbers = Motion(
         slope=sensor.slope,
         quantum=sensor.quantum,
@@ -112,18 +114,20 @@ def with_motion_detection(observer: Observer, model: System, sensor: Zone) -> Ob
     none, kind = np.zeros(model.p), type(observer.params)
 
     def init(q: Any) -> State:
+        """Return the state at t = 0."""
         return State(observer.init(tree.drop_last_field(q, kind)), none, none, none, none, none)
 
     def project(q: Any, s: State) -> State:
+        """Return the state with the observer's part projected."""
         return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
 
-    step = partial(step_by_motion, observer, model, sensor)
+    step = partial(step_with_motion, observer, model, sensor)
     params = tree.append_field(observer.params, "motion", numbers)
     return Observer(params, init, step, project, observer.traits)
 
 
-def fading(window: int) -> float:
-    """Return the share that a fading line keeps of a residual.
+def line_fading(window: int) -> float:
+    """Return the share of a residual that a fading line keeps per step [1].
 
     Its slope has the variance of that of a straight line through `window` readings: 2 ((1 - b) /
     (1 + b))^3 = 12 / window^3 for large windows.
@@ -132,17 +136,18 @@ def fading(window: int) -> float:
     return (1 - ratio) / (1 + ratio)
 
 
-def step_by_motion(
+def step_with_motion(
     observer: Observer, model: System, sensor: Zone, q: Any, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """Return one sample of the observer with the side of its readings; q: its numbers, then
-    `Motion`.
+    """Return the next state and the estimate, with detected branches.
+
+    Here q: the observer's parameters, then `Motion`.
     """
     inner, motion = tree.drop_last_field(q, type(observer.params)), q.motion
-    reading = exact(reading, sensor.limits)
+    reading = drop_limit_readings(reading, sensor.limits)
     y = reading.y
     seen = present(y)
-    moving, heard, rms = side_of_motion(sensor, motion, s, y)
+    moving, heard, rms = detect_branches(sensor, motion, s, y)
     moving = ca.if_else(seen, moving, 0.0)
     if sensor.play is None:
         taken = Reading(heard, moving, reading.x, heard, rms)
@@ -156,42 +161,47 @@ def step_by_motion(
     if estimate.refused.shape[0]:
         refused = estimate.refused
         regular = ca.logic_and(seen, refused == s.refused)
-    line = follow_level(sensor, motion, s, y, regular)
+    line = update_line(sensor, motion, s, y, regular)
     after = State(moved, *line, ahead, refused)
     if sensor.play is not None:
         return after, estimate
     return after, estimate._replace(contact=taken.side)
 
 
-def side_of_motion(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
-    """Return (sides (p), the readings at the side (p) [y], what they are off by, rms (p) [y])."""
+def detect_branches(sensor: Zone, q: Motion, s: State, y: Any) -> tuple[Any, Any, Any]:
+    """Return (branches (p), readings on the branch (p) [y], their rms errors (p) [y])."""
     parts = []
     for i in range(sensor.slope.size):
-        rule = by_line
+        rule = branch_by_line
         if not sensor.noise[i]:
-            rule = by_tick if sensor.quantum[i] else by_change
+            rule = branch_by_tick if sensor.quantum[i] else branch_by_change
         parts.append(rule(q, s, y, i))
     moving, heard, rms = (ca.vertcat(*column) for column in zip(*parts, strict=True))
     return ca.if_else(s.known, moving, 0.0), heard, rms
 
 
-def by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Return output i by the sign of its change."""
+def branch_by_change(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Return branch, reading and rms error of output i by the sign of its change."""
     change = y[i] - s.level[i]
     least = ROUNDING * (ca.fabs(y[i]) + ca.fabs(s.level[i]))
     return side(change, least), y[i], 0.0
 
 
-def by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Return output i by its ticks, at most as far beyond a boundary as z^ moves in a step."""
+def branch_by_tick(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Return branch, reading and rms error of output i by its ticks.
+
+    The reading lies beyond a boundary by at most z^'s motion in a step.
+    """
     quantum = q.quantum[i]
     tick = side(y[i] - s.level[i], quantum / 2)
     at_boundary, variance = detect_tick(ca, y[i], tick, s.ahead[i] * q.slope[i], quantum)
     return tick, at_boundary, ca.if_else(tick != 0, ca.sqrt(variance), quantum / np.sqrt(12))
 
 
-def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
-    """Return output i by the slope of the readings before, if z^ moves the same way.
+def branch_by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
+    """Return branch, reading and rms error of output i by the slope of earlier readings.
+
+    The branch counts only if z^ moves the same way.
 
     The variance of a slope through few readings is larger, by window^3 / (known^3 - known).
     """
@@ -201,9 +211,10 @@ def by_line(q: Motion, s: State, y: Any, i: int) -> tuple[Any, Any, Any]:
     return ca.if_else(moving * s.ahead[i] > 0, moving, 0.0), y[i], 0.0
 
 
-def follow_level(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
-    """Return (level, slope, known) of the readings so far (p each); a new beginning where none was
-    known.
+def update_line(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tuple[Any, Any, Any]:
+    """Return (level, slope, known) of the readings so far (p each).
+
+    The line restarts if none was known.
 
     The line through the first readings is the straight one, until the fading one forgets faster. It
     goes on where a noisy reading is missing or was refused, and rests on one less; what is missing
@@ -228,12 +239,12 @@ def follow_level(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tup
 
 
 def require_branch_observer(options: Any, sensor: Zone) -> None:
-    """Raise InputError where the method with these options does not know the sensor's play."""
+    """Raise InputError if the method does not support the sensor's backlash."""
     method = str(options.__struct_config__.tag)
-    if sensor.play is not None and method not in HEARERS_OF_BOTH:
+    if sensor.play is not None and method not in BACKLASH_AHEAD_OBSERVERS:
         raise InputError(
             f"observer.method: {method!r} knows no play ahead of a dead zone; use one of "
-            f"{', '.join(HEARERS_OF_BOTH)}, or leave out sensor.play"
+            f"{', '.join(BACKLASH_AHEAD_OBSERVERS)}, or leave out sensor.play"
         )
     if sensor.kind == "play" and method not in BRANCH_OBSERVERS:
         raise InputError(

@@ -1,4 +1,4 @@
-"""A bank of filters that claim different things gives the mixture of their estimates.
+"""Multiple-model filter: mixture of the estimates of filters with different assumptions.
 
 Each counts by how well it foretold the readings (docs/filters.md).
 """
@@ -32,7 +32,7 @@ LOUDEST, FAINTEST = 4.0, 0.125  # level of the disturbance, in its default, if i
 
 
 class State(NamedTuple):
-    """What the bank carries from sample to sample.
+    """State of the multiple-model filter from sample to sample.
 
     Attributes:
         members: states of the K members.
@@ -43,8 +43,10 @@ class State(NamedTuple):
     odds: Any
 
 
-def with_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member:
-    """Return the bank of a filter with several rms of its disturbance; the filter if it has none.
+def add_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member:
+    """Return the multiple-model filter over several rms of the disturbance.
+
+    A filter without disturbance is returned unchanged.
 
     Args:
         member: the filter.
@@ -61,17 +63,19 @@ def with_disturbance_levels(member: Member, levels: int, claimed: bool) -> Membe
     factors: Floats = np.geomspace(LOUDEST, FAINTEST, levels)
     if claimed:
         factors = FALL ** (1.0 * (levels >= DOUBTED) - np.arange(levels))
-    return bank(member, [partial(_scale_disturbance, factor) for factor in factors])
+    return build_multiple_models(
+        member, [partial(_scale_disturbance, factor) for factor in factors]
+    )
 
 
 def _scale_disturbance(factor: float, q: Any) -> Any:
-    """Return the numbers of a filter with the rms of the disturbance times a factor."""
+    """Return the parameters of a filter with the rms of the disturbance times a factor."""
     variance = q.augmentation.variance * factor**2
     return q._replace(augmentation=q.augmentation._replace(variance=variance))
 
 
-def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
-    """Return the mixture of K filters, as likely as each other at first (Magill 1965).
+def build_multiple_models(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
+    """Return the mixture of K filters of equal prior probability (Magill 1965).
 
     Args:
         member: the filter.
@@ -80,17 +84,19 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
     """
 
     def init(q: Any) -> State:
+        """Return the state at t = 0."""
         return State(tuple(member.init(q) for _ in variants), np.zeros(len(variants)))
 
     def step(q: Any, s: State, u: Any, reading: Reading) -> Step:
-        one_step = reusable_step(member.step, variants[0](q), s.members[0], u, reading)
+        """Return the result of the mixture for a sample."""
+        one_step = share_step_graph(member.step, variants[0](q), s.members[0], u, reading)
         steps = []
         for variant, state in zip(variants, s.members, strict=True):
             steps.append(one_step(variant(q), state, u, reading))
         odds, share = update_weights(s.odds, ca.vertcat(*(one.log for one in steps)))
         return Step(
             state=State(tuple(one.state for one in steps), odds),
-            estimate=mixture([one.estimate for one in steps], share),
+            estimate=mix_estimates([one.estimate for one in steps], share),
             log=0.0,
             trust=mean_of_models(share, [one.trust for one in steps]),
             fits=mean_of_models(share, [one.fits for one in steps]),
@@ -98,12 +104,13 @@ def bank(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
             opened=sum(one.opened for one in steps) > 0,
         )
 
-    return Member(member.params, init, step, _smoothing(member.smoothing, variants))
+    return Member(member.params, init, step, _build_smoothing(member.smoothing, variants))
 
 
 def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any]:
-    """Return (log of the odds, 0 for the best; shares) of K members once they have foretold a
-    reading.
+    """Return (log odds, weights) of K models after a reading (K each).
+
+    The best model has log odds 0.
 
     Args:
         odds: their log before (K).
@@ -116,9 +123,8 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
     return odds, share / ca.sum1(share)
 
 
-def reusable_step(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
-    """Return a step whose graph is built once: a call puts other expressions in the place of
-    symbols.
+def share_step_graph(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
+    """Return a step with a graph that is built once. A call replaces symbols by its arguments.
 
     Args:
         step: of a member.
@@ -131,6 +137,7 @@ def reusable_step(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
     graph = ca.Function("member", symbols, leaves)
 
     def call(*arguments: Any) -> Step:
+        """Return the result of the graph for the arguments of a step."""
         given = [leaf for _, leaf in tree.leaves(arguments)]
         found: Step = tree.rebuild(result, iter(graph.call(given)))
         return found
@@ -138,32 +145,33 @@ def reusable_step(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
     return call
 
 
-def _smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:
-    """Return the bank as a smoother takes it."""
+def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:
+    """Return the functions of the multiple-model filter for a smoother."""
 
     def moments(q: Any, s: State, u: Any, reading: Reading) -> tuple[Moments, ...]:
+        """Return the moments of all members at a sample."""
         every: list[Moments] = []
         for variant, state in zip(variants, s.members, strict=True):
             every += member.moments(variant(q), state, u, reading)
         return tuple(every)
 
     def shown(q: Any, beliefs: Sequence[Gaussian], share: Any, record: Any) -> Estimate:
+        """Return the mixture estimate of smoothed Gaussians of the members."""
         each = []
         for variant, belief in zip(variants, beliefs, strict=True):
             each.append(member.shown(variant(q), [belief], 1.0, record))
-        return mixture(each, share)
+        return mix_estimates(each, share)
 
     return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)
 
 
-def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
-    """Return mean of the estimates by their shares (K), and deviations whose +-1.96 hold 95 % of
-    them.
+def mix_estimates(estimates: Sequence[Estimate], share: Any) -> Estimate:
+    """Return the weighted mean of the estimates (K). Its deviations cover 95 % at +-1.96.
 
     Those of what is estimated count each variance by `wider_of_two`; that of the innovation is the
     mixture's own.
     """
-    wide = wider_of_two(share)
+    wide = wider_component_weights(share)
     means = [mean_of_models(share, values) for values in zip(*estimates, strict=True)]
     stds = {}
     for field, parts in SPREAD.items():
@@ -176,13 +184,14 @@ def mixture(estimates: Sequence[Estimate], share: Any) -> Estimate:
 
 
 def mean_of_models(share: Any, values: Sequence[Any]) -> Any:
-    """Return the sum of the values, each times its share (K)."""
+    """Return the sum of the values, each times its weight (K)."""
     return sum(share[k] * value for k, value in enumerate(values))
 
 
-def wider_of_two(share: Any) -> Any:
-    """Return the chance of each component, widest first, to be the wider one of two that are drawn
-    (K).
+def wider_component_weights(share: Any) -> Any:
+    """Return the probability of each component to be the wider of two draws (K) [1].
+
+    The widest component comes first.
 
     A mixture of deviations has more in its tails than a Gaussian of its variance; these shares make
     up for it (docs/filters.md, "What cannot be known").

@@ -1,4 +1,4 @@
-"""The prior of a filter: what it assumes of state, widths and sensor before the first reading."""
+"""Prior of a filter: its assumptions about state, widths and sensor before the first reading."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, u
 
 
 class Prior(NamedTuple):
-    """Mean and spread of [x; d_r; d_l] (n + 2p) before the first reading, and the sensor's noise.
+    """Mean and spread of [x; d_r; d_l] (n + 2p) before the first reading.
+
+    The sensor's noise is included.
 
     Attributes:
         mean: mean of [x; d_r; d_l] (n + 2p).
@@ -48,10 +50,8 @@ class Prior(NamedTuple):
     asymmetry: Floats | None = None
     largest: float = 0.0
 
-    def widths(self) -> tuple[Floats, Floats]:
-        """Return mean (2p) and covariance (2p x 2p) of [d_r; d_l], with what is claimed of the
-        centre.
-        """
+    def width_moments(self) -> tuple[Floats, Floats]:
+        """Return mean (2p) and covariance (2p x 2p) of [d_r; d_l], asymmetry included."""
         n = self.mean.size - len(self.ranges)
         mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
         if self.asymmetry is None:
@@ -77,7 +77,7 @@ def build_prior(
     centre: Array | None = None,
     silence: bool = False,
 ) -> Prior:
-    """Return the prior from claimed ranges [lo, hi] of the widths.
+    """Return the prior from the assumed ranges [lo, hi] of the widths.
 
     A width has the mean of its range, and the standard deviation of a uniform distribution over it.
 
@@ -100,9 +100,9 @@ def build_prior(
     Raises:
         InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
     """
-    Ts = sample_time(model)
+    Ts = require_sample_time(model)
     p = model.p
-    ranges = width_ranges(claims.right, claims.left, p)
+    ranges = read_width_ranges(claims.right, claims.left, p)
     span = ranges[:, 1] - ranges[:, 0]
     largest = max(ranges[:, 1].max(), largest_gap(sensor.play))
     if claims.noise is None:
@@ -110,7 +110,7 @@ def build_prior(
         shown = np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)) / sensor.slope
         least = floor * span.reshape(2, p).max(axis=0)
     else:
-        rms = shown = _require_noise(claims.noise, p)
+        rms = shown = _read_noise(claims.noise, p)
         least = np.zeros(p)
     if claims.x_std is None:
         spread = reach * largest * state_units(model.continuous, Ts)
@@ -135,7 +135,9 @@ def build_prior(
 
 
 def silence_gate(sensor: Zone, rms: Floats) -> Floats:
-    """Return |y| that is surely not silent (p) [y]; of a play, how far a held reading may be off.
+    """Return the abs(y) that is surely not silent (p) [y].
+
+    For a backlash: the error bound of a held reading.
 
     Args:
         sensor: the dead zone.
@@ -145,8 +147,8 @@ def silence_gate(sensor: Zone, rms: Floats) -> Floats:
     return HELD * noise if sensor.kind == "play" else np.maximum(sensor.threshold, SILENT * noise)
 
 
-def traits_of_prior(prior: Prior, x_std: Array | None) -> Traits:
-    """What verdicts may use of a filter's prior: a start and centres, where they are claimed.
+def prior_traits(prior: Prior, x_std: Array | None) -> Traits:
+    """Return the traits of a filter's prior: a start and asymmetries, if assumed.
 
     Args:
         prior: of the filter.
@@ -186,8 +188,8 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
 
 
-def _require_noise(noise: Array, p: int) -> Floats:
-    """Return the claimed rms of a reading (p) [z]. Raises InputError where it is 0."""
+def _read_noise(noise: Array, p: int) -> Floats:
+    """Return the assumed rms of a reading (p) [z]. Raises InputError for 0."""
     rms = nonnegative("observer.noise", noise, p, "one per output")
     if not rms.all():
         raise InputError(
@@ -196,7 +198,7 @@ def _require_noise(noise: Array, p: int) -> Floats:
     return rms
 
 
-def sample_time(model: System) -> float:
+def require_sample_time(model: System) -> float:
     """Return the model's sample time [s]. Raises InputError in continuous time."""
     if model.Ts is None:
         raise InputError(
@@ -206,8 +208,8 @@ def sample_time(model: System) -> float:
     return model.Ts
 
 
-def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
-    """Return the claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+def read_width_ranges(right: Array, left: Array | None, p: int) -> Floats:
+    """Return the assumed ranges of all d_r, then of all d_l (2p x 2) [z].
 
     Args:
         right, left: [lo, hi], or one per output (p x 2); left None: those of right.
@@ -218,12 +220,15 @@ def width_ranges(right: Array, left: Array | None, p: int) -> Floats:
     """
     of_left = right if left is None else left
     return np.concatenate(
-        [_ranges("observer.right", right, p), _ranges("observer.left", of_left, p)]
+        [
+            _read_branch_ranges("observer.right", right, p),
+            _read_branch_ranges("observer.left", of_left, p),
+        ]
     )
 
 
-def _ranges(key: str, value: Array, p: int) -> Floats:
-    """Return the ranges of one side (p x 2). Raises InputError, ShapeError."""
+def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
+    """Return the ranges of a branch (p x 2) [z]. Raises InputError, ShapeError."""
     given = require_pairs(key, array(key, value), p, "the declared range [lo, hi]", "per output")
     ranges = np.broadcast_to(given, (p, 2))
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
@@ -250,7 +255,7 @@ HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
 class Doubt(NamedTuple):
-    """Numbers of the doubt about readings and claims.
+    """Parameters for doubtful readings and assumptions.
 
     Attributes:
         glitch: log of the odds that a reading on an active side is wrong.
@@ -286,7 +291,7 @@ class Doubt(NamedTuple):
 def doubt_numbers(
     model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
 ) -> Doubt:
-    """Return the numbers of the doubt.
+    """Return the parameters for doubtful readings and assumptions.
 
     Args:
         model: the sampled model.
@@ -302,7 +307,7 @@ def doubt_numbers(
     return Doubt(
         glitch=np.log(share / (1 - share)),
         fake=np.log(FAKE * share),
-        reach=glitch_reach(prior),
+        reach=outlier_reach(prior),
         noisy=1.0 * (noisy & (sensor.quantum == 0)),
         fade=np.exp(-model.Ts / (SPAN * quarter)),
         keep=np.exp(-model.Ts / (HISTORY * quarter)),
@@ -316,13 +321,13 @@ def doubt_numbers(
     )
 
 
-def glitch_reach(prior: Prior) -> Floats:
-    """Return the range over which a wrong reading is evenly spread (p) [z]."""
+def outlier_reach(prior: Prior) -> Floats:
+    """Return the range of the uniform distribution of an outlier (p) [z]."""
     return np.asarray(GLITCH_REACH * prior.ranges[:, 1].reshape(2, -1).max(axis=0))
 
 
-def glitch_share(claimed: float) -> float:
-    """Return the claimed probability of a wrong reading. Raises InputError."""
+def outlier_probability(claimed: float) -> float:
+    """Return the assumed probability of an outlier [1]. Raises InputError."""
     share = scalar("observer.glitches", claimed, least=0.0)
     if share > 0.5:
         raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
@@ -330,7 +335,9 @@ def glitch_share(claimed: float) -> float:
 
 
 class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is claimed of a plant and its sensor; what is not claimed is doubted, and 0 is a claim.
+    """Assumptions about a plant and its sensor.
+
+    A quantity without an assumption is uncertain; the value 0 is an assumption.
 
     Attributes:
         right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
@@ -371,5 +378,5 @@ class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     glitches: float = GLITCHES
 
     def claims(self) -> dict[str, Any]:
-        """Return the claims by name."""
+        """Return the assumptions by name."""
         return {name: getattr(self, name) for name in Assumptions.__struct_fields__}

@@ -1,4 +1,4 @@
-"""What a filter does where its belief cannot be right: it opens it, or begins anew.
+"""Recovery of a filter from a wrong estimate: covariance inflation and reset to the prior.
 
 The mathematics is in docs/filters.md.
 """
@@ -21,7 +21,7 @@ LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
 class RejectionRate(NamedTuple):
-    """What is kept of refused readings.
+    """Running record of rejected measurements.
 
     Attributes:
         share: mean share of refused readings of late (p).
@@ -33,7 +33,7 @@ class RejectionRate(NamedTuple):
 
 
 def start_rejection_rate(p: int) -> RejectionRate:
-    """No reading was refused so far; p: number of outputs."""
+    """Return the record before the first reading; p: number of outputs."""
     return RejectionRate(np.zeros(p), np.zeros(1))
 
 
@@ -47,7 +47,9 @@ def inflate_covariance(
     used: Any,
     trust: Any,
 ) -> tuple[Any, RejectionRate]:
-    """Return the covariance (its `triangle`), opened where most readings of late were refused.
+    """Inflate the covariance (its `triangle`) if most recent measurements were rejected.
+
+    Return the covariance with the new record.
 
     It then gains the prior's variances of state, disturbance and bias; of widths and errors of the
     model too where it was opened not long ago.
@@ -67,9 +69,9 @@ def inflate_covariance(
     mean = forget * patience.share + (1 - forget) * refused
     share = ca.if_else(ca.logic_or(used, refused), mean, patience.share)
     opens = ca.mmax(share) > TOO_MANY
-    moving = moving_ones(model, constants, entries)
+    moving = dynamic_variance_mask(model, constants, entries)
     again = ca.logic_and(opens, patience.opened > RECENT)
-    for gain, gained in ((opens, moving), (again, variances(entries) & ~moving)):
+    for gain, gained in ((opens, moving), (again, variance_mask(entries) & ~moving)):
         cov = cov + ca.if_else(gain, ca.DM(1.0 * gained) * q.cov, 0.0)
     return cov, RejectionRate(
         share=ca.if_else(opens, 0.0, share),
@@ -77,22 +79,22 @@ def inflate_covariance(
     )
 
 
-def variances(entries: ca.Sparsity) -> Flags:
-    """Which entries that are kept are variances."""
+def variance_mask(entries: ca.Sparsity) -> Flags:
+    """Return flags of the stored covariance entries: true for variances."""
     rows, columns = entries.get_triplet()
     return np.array(rows) == np.array(columns)
 
 
-def moving_ones(model: System, constants: int, entries: ca.Sparsity) -> Flags:
-    """Which entries that are kept are variances of a state, a disturbance or a bias."""
+def dynamic_variance_mask(model: System, constants: int, entries: ca.Sparsity) -> Flags:
+    """Return flags of the stored variances of states, disturbances and biases."""
     n, known = model.n, model.n + 2 * model.p
     rows = np.array(entries.get_triplet()[0])
     last = entries.size1() - constants
-    return variances(entries) & ((rows < n) | ((rows >= known) & (rows < last)))
+    return variance_mask(entries) & ((rows < n) | ((rows >= known) & (rows < last)))
 
 
 def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple[Any, Any, Any]:
-    """Return the belief if it is one of finite numbers and positive variances, else the prior.
+    """Return the estimate if finite with non-negative variances, or the prior if not.
 
     Args:
         q: the filter's numbers.

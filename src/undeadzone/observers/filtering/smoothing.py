@@ -1,4 +1,4 @@
-"""What a smoother of a whole log asks of a filter: its beliefs about each sample, and how it shows.
+"""Interface between a filter and a smoother of a whole log: moments of each sample and display.
 
 A filter is a bank of members, one at least, whose beliefs a smoother improves one by one. The
 mathematics is in docs/filters.md, "Looking back".
@@ -14,7 +14,7 @@ from undeadzone.numerics.gaussian import Gaussian
 
 
 class Moments(NamedTuple):
-    """What a member of a filter knew about a sample of [x; d; extra] (N).
+    """Moments of [x; d; extra] (N) at a sample, by a member of a filter.
 
     Attributes:
         before: mean and covariance before the reading.
@@ -38,7 +38,7 @@ class Moments(NamedTuple):
 
 
 class Smoothing(NamedTuple):
-    """A filter as a smoother takes it.
+    """Functions of a filter for a smoother.
 
     Attributes:
         moments: moments(q, s, u, reading) are the `Moments` of its members.

@@ -1,4 +1,4 @@
-"""A filter's states for what may be wrong besides the widths: disturbance, bias, model tolerance.
+"""Filter states beside the widths: disturbance, bias and errors of the model.
 
 What of a model is uncertain, an entry or a parameter, is a constant unknown. The mathematics is in
 docs/filters.md.
@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.linalg.hold import discrete_noise_covariance, zoh_slopes
-from undeadzone.linalg.matrices import Matrices, similar
+from undeadzone.linalg.hold import discretise_noise, zoh_slopes
+from undeadzone.linalg.matrices import Matrices, change_state_units
 from undeadzone.numerics.gaussian import Gaussian, Products, joseph_update
-from undeadzone.observers.filtering.constant_states import width_correlation
+from undeadzone.observers.filtering.constant_states import information_shares
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, held_inputs, in_units, state_units, time_scale
 from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
@@ -29,7 +29,7 @@ BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is 
 
 
 class Colour(NamedTuple):
-    """A disturbance C p of unit rms, p+ = F p + noise of covariance Q.
+    """Coloured disturbance C p of unit rms, p+ = F p + noise of covariance Q.
 
     Attributes:
         F, Q: motion and added covariance of p (k x k).
@@ -44,7 +44,7 @@ class Colour(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Run-time numbers of the unknowns.
+    """Parameters of the unknowns at run time.
 
     Attributes:
         F, Q: motion and added covariance of a disturbance of unit rms, as in `Colour`.
@@ -67,7 +67,7 @@ class Numbers(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What the functions of `unknowns` share; extra = [bias; p; theta].
+    """Options shared by the functions of `build_unknown_inputs`; extra = [bias; p; theta].
 
     Attributes:
         model: the sampled model.
@@ -88,7 +88,7 @@ class Setup(NamedTuple):
     careful: bool
 
 
-def coloured_noise_model(correlation: float, washout: float | None, Ts: float) -> Colour:
+def build_colour(correlation: float, washout: float | None, Ts: float) -> Colour:
     """Return first-order noise p_1' = -p_1 / correlation + white noise, sampled exactly.
 
     With a washout, p_1 - p_2 with p_2' = (p_1 - p_2) / washout instead: it has no constant part.
@@ -110,12 +110,12 @@ def coloured_noise_model(correlation: float, washout: float | None, Ts: float) -
         F = np.array([[-a, 0.0], [b, -b]])
         W = np.diag([2 * (a + b), 0.0])  # which makes the rms of p_1 - p_2 one
         C = np.array([1.0, -1.0])
-    Fd, Q = discrete_noise_covariance(F, W, Ts)
+    Fd, Q = discretise_noise(F, W, Ts)
     return Colour(Fd, (Q + Q.T) / 2, solve_discrete_lyapunov(Fd, Q), C)
 
 
-def span(key: str, value: Any, Ts: float) -> float:
-    """Return a time that samples resolve [s]. Raises InputError."""
+def read_time_span(key: str, value: Any, Ts: float) -> float:
+    """Return a time that the samples resolve [s]. Raises InputError."""
     time = scalar(f"observer.{key}", value, above=0.0)
     if not 0.1 * Ts <= time <= 1e6 * Ts:
         raise InputError(
@@ -125,20 +125,23 @@ def span(key: str, value: Any, Ts: float) -> float:
     return time
 
 
-def per_input(key: str, claimed: Array | None, default: Floats) -> Floats:
-    """Return an rms as claimed, or its default (m) [u]. Raises InputError, ShapeError."""
+def resolve_input_rms(key: str, claimed: Array | None, default: Floats) -> Floats:
+    """Return an rms as given, or its default (m) [u]. Raises InputError, ShapeError."""
     if claimed is None:
         return default
     return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
 
 
-def correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
-    """That of a disturbance [s]; default: a 16th of the plant's period. Raises InputError."""
+def resolve_correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
+    """Return the correlation time of a disturbance [s].
+
+    The default is a 16th of the plant's period. Raises InputError.
+    """
     time = BRIEF * time_scale(flow, Ts) if claimed is None else claimed
-    return span("correlation_time", time, Ts)
+    return read_time_span("correlation_time", time, Ts)
 
 
-def unknowns(
+def build_unknown_inputs(
     model: System,
     colour: Colour,
     rms: Floats,
@@ -147,7 +150,9 @@ def unknowns(
     tolerance: Tolerance,
     careful: bool = False,
 ) -> Augmentation:
-    """Return bias, disturbance and tolerance states of those inputs and entries that have any.
+    """Return the augmentation by bias, disturbance and tolerance states.
+
+    Only nonzero entries get states.
 
     Args:
         model: the sampled model.
@@ -174,7 +179,7 @@ def unknowns(
         slopes=tolerance.slopes,
         values=tolerance.values,
         held=tolerance.held,
-        rest=rest_under_bias(model, biased),
+        rest=bias_rest_state(model, biased),
         bias=bias[bias > 0],
         odds=np.float64(calibrated / (1 - calibrated)),
     )
@@ -189,13 +194,13 @@ def unknowns(
         cov,
         partial(change_with_unknowns, setup),
         partial(noise_of_unknowns, setup),
-        alternative=partial(small_bias, setup) if may_be_small else None,
+        alternative=partial(assume_small_bias, setup) if may_be_small else None,
         bilinear=partial(tolerance_times_state, setup) if tolerance.entries else None,
         constants=tolerance.std.size,
     )
 
 
-def rest_under_bias(model: System, biased: Floats) -> Floats:
+def bias_rest_state(model: System, biased: Floats) -> Floats:
     """Return the state at rest under each unit bias (n x biases).
 
     The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
@@ -203,7 +208,7 @@ def rest_under_bias(model: System, biased: Floats) -> Floats:
     """
     A, B, _ = model.continuous
     units = state_units(model.continuous)
-    even = similar(A, units)
+    even = change_state_units(A, units)
     rest = np.linalg.lstsq(even, -(B / units[:, None]) @ biased, rcond=None)[0]
     return np.asarray(units[:, None] * rest)
 
@@ -228,7 +233,7 @@ def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) ->
 
 
 def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> Products:
-    """Return theta_i a_i [x; u] in the rows of A and B, held over the step."""
+    """Return the products theta_i a_i [x; u] in the rows of A and B, held over the step."""
     numbers, entries = q.augmentation, setup.tolerance.entries
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
@@ -241,8 +246,9 @@ def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -
 
 
 def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any]:
-    """Return the covariances that a step adds to x and to extra: only the disturbances move at
-    random.
+    """Return the covariances that a step adds to x and to extra.
+
+    Only the disturbances are random.
     """
     n, biases, count = setup.model.n, setup.biased.shape[1], setup.tolerance.std.size
     of_disturbances = ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance))
@@ -250,14 +256,16 @@ def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any
     return ca.SX(n, n), of_extra
 
 
-def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
-    """Return the belief if the bias is `SMALL`: what a reading of it as 0 leaves (docs/filters.md).
+def assume_small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
+    """Return (the Gaussian under the hypothesis of a `SMALL` bias, its odds).
+
+    The hypothesis acts as a reading of the bias as 0 (docs/filters.md).
 
     Returns:
         (belief, its odds).
     """
     odds = q.augmentation.odds
-    moved = width_correlation(q, setup.model, belief.cov) if setup.careful else 1.0
+    moved = information_shares(q, setup.model, belief.cov) if setup.careful else 1.0
     first = setup.model.n + 2 * setup.model.p
     for i in range(setup.biased.shape[1]):
         R = q.augmentation.bias[i] ** 2 / (1 / SMALL**2 - 1)
@@ -269,7 +277,9 @@ def small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any
 
 
 class Tolerance(NamedTuple):
-    """What of a model is uncertain: K entries of A and B, or K parameters of a nonlinear plant.
+    """Uncertain quantities of a model:
+
+    K entries of A and B, or K parameters of a nonlinear plant.
 
     Attributes:
         std: their standard deviations (K), relative ones but in `named`.
@@ -290,8 +300,10 @@ class Tolerance(NamedTuple):
     changed: Callable[[Any, Any], Any] = lambda params, theta: params * (1 + theta)
 
 
-def named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
-    """Return named parameters of a nonlinear plant, of absolute standard deviations.
+def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
+    """Return the tolerance of named parameters of a nonlinear plant, with absolute deviations.
+
+    Raises InputError.
 
     Raises InputError.
     """
@@ -314,10 +326,10 @@ def named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     )
 
 
-def tolerances(
+def read_tolerance(
     model: System, claimed: float | dict[str, float], units: Floats | None = None
 ) -> Tolerance:
-    """Return the uncertain entries of the plant's A and B, or its parameters.
+    """Return the tolerance of A and B, or of the parameters of a nonlinear plant.
 
     Args:
         model: the sampled model.
@@ -329,7 +341,7 @@ def tolerances(
         InputError: for an entry that does not exist or is 0.
     """
     if model.nonlinear:
-        return _of_parameters(model, claimed)
+        return _read_parameter_tolerance(model, claimed)
     assert model.Ts is not None
     AB = np.hstack(model.continuous[:2])
     places = _entry_names(model.n, model.m)
@@ -350,15 +362,15 @@ def tolerances(
     AB = np.hstack(even.continuous[:2])
     return Tolerance(
         np.array(std),
-        slopes_of_sampled_model(AB, entries, model.Ts),
+        zoh_entry_slopes(AB, entries, model.Ts),
         tuple(entries),
         np.array([AB[at] for at in entries]),
         held_inputs(even),
     )
 
 
-def _of_parameters(model: System, claimed: float | dict[str, float]) -> Tolerance:
-    """Return the same relative standard deviation of every parameter of a nonlinear plant."""
+def _read_parameter_tolerance(model: System, claimed: float | dict[str, float]) -> Tolerance:
+    """Return the tolerance with equal relative deviations of a nonlinear plant's parameters."""
     if isinstance(claimed, dict):
         raise InputError(
             "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
@@ -369,7 +381,7 @@ def _of_parameters(model: System, claimed: float | dict[str, float]) -> Toleranc
 
 
 def _entry_names(n: int, m: int) -> dict[str, tuple[int, int]]:
-    """Return the place in [A, B] of each entry, by name: "A[0,1]", "B[1,0]"."""
+    """Return the place of each entry in [A, B] by its name: "A[0,1]", "B[1,0]"."""
     places = {}
     for name, columns, first in (("A", n, 0), ("B", m, n)):
         for i, j in np.ndindex(n, columns):
@@ -380,7 +392,7 @@ def _entry_names(n: int, m: int) -> dict[str, tuple[int, int]]:
 def _dynamic_entries(
     AB: Floats, places: dict[str, tuple[int, int]], std: float
 ) -> dict[str, float]:
-    """Return `std` for every entry that is not 0, but of rows that only say x_i' = x_j."""
+    """Return `std` for every nonzero entry outside rows that only state x_i' = x_j."""
     integrates = (np.count_nonzero(AB, axis=1) == 1) & (AB.max(axis=1) == 1.0)
     stds = {}
     for name, at in places.items():
@@ -389,9 +401,8 @@ def _dynamic_entries(
     return stds
 
 
-def slopes_of_sampled_model(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Floats:
-    """Return d[Ad, Bd] per relative change of each entry of [A, B], one below the other (K n x (n +
-    m)).
+def zoh_entry_slopes(AB: Floats, entries: list[tuple[int, int]], Ts: float) -> Floats:
+    """Return d[Ad, Bd] per relative change of each entry of [A, B], stacked (K n x (n + m)).
 
     Args:
         AB: [A, B] (n x (n + m)).

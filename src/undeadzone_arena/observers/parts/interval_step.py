@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, estimate
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, build_estimate
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
@@ -311,7 +311,7 @@ def boxes_to_estimate(
     """Convert boxes to an estimate: midpoints, and half-widths / sqrt(3)."""
     right, left = boxes.right, boxes.left
     half_right, half_left = (right.hi - right.lo) / 2, (left.hi - left.lo) / 2
-    midpoints = estimate(
+    midpoints = build_estimate(
         boxes.x,
         q.model.C @ boxes.x,
         (right.lo + right.hi) / 2,

@@ -13,14 +13,14 @@ from undeadzone.interfaces import Estimate, Reading
 from undeadzone.nonlinearities import sensor as sensors
 from undeadzone.nonlinearities.sensor import Zone, inverse
 from undeadzone.numerics.gaussian import CLIP, TAIL
-from undeadzone.observers.filtering.augmented_state import agitation, quarter_period
+from undeadzone.observers.filtering.augmented_state import quarter_period, white_disturbance_rms
 from undeadzone.observers.filtering.prior import (
     GLITCHES,
     Doubt,
     Prior,
     build_prior,
-    sample_time,
-    width_ranges,
+    read_width_ranges,
+    require_sample_time,
 )
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -107,9 +107,9 @@ def build_joint_prior(
     Raises:
         InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
     """
-    Ts = sample_time(model)
+    Ts = require_sample_time(model)
     readings = quarter_period(model) / (stride * Ts)
-    ranges = width_ranges(claims.right, claims.left, model.p)
+    ranges = read_width_ranges(claims.right, claims.left, model.p)
     largest = float(ranges.max())
     floor = defaults.noise * max(1.0, readings / CROWD) ** 0.5
     prior = build_prior(
@@ -122,7 +122,7 @@ def build_joint_prior(
     )
     swing = scalar("observer.swing", claims.swing, least=0.0)
     if claims.disturbance is None:
-        rms = agitation(model, swing * largest)
+        rms = white_disturbance_rms(model, swing * largest)
     else:
         rms = nonnegative("observer.disturbance", claims.disturbance, model.m, "one per input")
     return JointPrior(prior, rms**2, ranges)

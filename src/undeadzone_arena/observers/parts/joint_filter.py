@@ -8,25 +8,25 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from undeadzone.interfaces import Observer, Reading, no_further
+from undeadzone.interfaces import Observer, Reading, clip_expected_reading
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import Gaussian, RobustUpdate, from_upper_entries, stack_updates
 from undeadzone.observers.filtering.augmented_state import (
-    even_units,
-    prior_in_units,
-    show_in_plant_units,
+    power_of_two_units,
+    rescale_states,
+    scale_prior,
 )
-from undeadzone.observers.filtering.consistency import Member, Step, with_consistency_tests
+from undeadzone.observers.filtering.consistency import Member, Step, add_consistency_tests
 from undeadzone.observers.filtering.gaussian_filter import (
     Params,
-    clip_widths,
+    build_filter_params,
+    build_motion,
+    clip_to_ranges,
     covariance_entries,
-    filter_numbers,
-    motion,
     to_estimate,
-    white,
+    white_disturbance,
 )
-from undeadzone.observers.filtering.prior import doubt_numbers, glitch_share
+from undeadzone.observers.filtering.prior import doubt_numbers, outlier_probability
 from undeadzone.observers.filtering.recovery import (
     RejectionRate,
     inflate_covariance,
@@ -101,13 +101,13 @@ def build_joint_filter(
     Raises:
         InputError: for a share of glitches that is none.
     """
-    share = glitch_share(glitches)
-    units = even_units(model)
+    share = outlier_probability(glitches)
+    units = power_of_two_units(model)
     model = in_units(model, units)
-    prior = prior._replace(prior=prior_in_units(prior.prior, units))
-    augmentation = white(model, prior.variance)
+    prior = prior._replace(prior=scale_prior(prior.prior, units))
+    augmentation = white_disturbance(model, prior.variance)
     doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)
-    params = filter_numbers(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
+    params = build_filter_params(model, sensor, prior.prior, augmentation)._replace(doubt=doubt)
     entries = covariance_entries(model, augmentation)
 
     def step(q: Params, s: JointState, u: Any, reading: Reading) -> Step:
@@ -124,9 +124,9 @@ def build_joint_filter(
             each.append(correct(q, belief, sample))
             belief = each[-1].belief
         known = stack_updates(each)
-        shown, fits = clip_widths(model.n, q, belief, share > 0)
+        shown, fits = clip_to_ranges(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
-        after = predict(belief, *motion(model, q, augmentation, belief, lambda X: u))
+        after = predict(belief, *build_motion(model, q, augmentation, belief, lambda X: u))
         mean, cov, restarted = reset_if_invalid(q, entries, after)
         patience = s.patience
         if share > 0:
@@ -147,8 +147,8 @@ def build_joint_filter(
     member = Member(
         params, lambda q: JointState(q.mean, q.cov, start_rejection_rate(model.p)), step
     )
-    return show_in_plant_units(
-        with_consistency_tests(member, model, widens=share > 0, recovers=False), units
+    return rescale_states(
+        add_consistency_tests(member, model, widens=share > 0, recovers=False), units
     )
 
 
@@ -161,4 +161,4 @@ def noise_free_reading(model: System, kind: str, q: Params, i: int, X: Any) -> A
 
 def reading_at_limit(sight: Sight, y: Any, side: Any, X: Any) -> Any:
     """Return `sight` with a reading y_i / m_i at a limit of its range as a bound."""
-    return no_further(sight(X), y, side)
+    return clip_expected_reading(sight(X), y, side)

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, Traits, exact
+from undeadzone.interfaces import Estimate, Observer, Reading, Traits, drop_limit_readings
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import linearise
@@ -169,7 +169,7 @@ def learning_step(
     setup: LearnedSetup, q: LearnedParams, s: LearnedState, u: Any, reading: Reading
 ) -> tuple[LearnedState, Estimate]:
     """Return the state's derivative, or its next value when sampled, and the estimate."""
-    model, reading = setup.model, exact(reading, setup.ends)
+    model, reading = setup.model, drop_limit_readings(reading, setup.ends)
     sampled = model.Ts is not None
     z, H = linearise(lambda x: model.output(q.model, x), s.x)
     seen = present(reading.y)
