@@ -24,9 +24,9 @@ import numpy as np
 
 from undeadzone.registry import Options
 from undeadzone.interfaces import Observer
-from undeadzone.observers.adaptive.gain import gains
-from undeadzone.observers.adaptive.branch_observer import measured_side
-from undeadzone.observers.adaptive.adaptation_laws import bounded_widths
+from undeadzone.observers.adaptive.gain import innovation_gain
+from undeadzone.observers.adaptive.branch_observer import build_branch_observer
+from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
 from undeadzone.plants.system import System
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.util.arrays import Array
@@ -43,9 +43,9 @@ class Held(Options, frozen=True, kw_only=True, tag="held"):
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """The observer."""
-        widths, limit = bounded_widths(self.widths0, None, model.p)
-        L, gamma, x0 = gains(None, model), np.zeros(model.p), np.zeros(model.n)
-        return measured_side(model, sensor, L, gamma, x0, widths, limit, False)
+        widths, limit = read_initial_widths(self.widths0, None, model.p)
+        L, gamma, x0 = innovation_gain(None, model), np.zeros(model.p), np.zeros(model.n)
+        return build_branch_observer(model, sensor, L, gamma, x0, widths, limit, False)
 
 
 @click.command()
