@@ -365,7 +365,7 @@ def test_deviations_are_those_of_all_readings() -> None:
     gap, width = (np.array(row, float) for row in ([0, 0, 1, 1, 0, 0], [0, 0, 0, 0, 1, 1]))
     assert one.gap_std == pytest.approx(np.sqrt(gap @ cov @ gap), rel=1e-3)
     assert one.zone.std["width"] == pytest.approx(np.sqrt(width @ cov @ width), rel=1e-3)
-    assert one.has_backlash_ahead
+    assert one.both
     assert not one.zone.centre
     assert not one.gap.centre
 

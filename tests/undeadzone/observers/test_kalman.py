@@ -338,13 +338,13 @@ def test_the_estimate_does_not_depend_on_the_input() -> None:
 def test_a_reading_is_used_if_far_or_announced(
     y: float, last: float, previous: float, expected: int
 ) -> None:
-    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(1.0))], y, last, previous)
+    (sure,) = evaluate(lambda *a: [filtering.certain_branch(*a, ca.SX(1.0))], y, last, previous)
     assert sure == expected
 
 
 @given(st.floats(-5, 5), st.floats(-5, 5), st.floats(-5, 5))
 def test_without_noise_the_side_is_the_measured_one(y: float, last: float, previous: float) -> None:
-    (sure,) = evaluate(lambda *a: [filtering.sure_side(*a, ca.SX(0.0))], y, last, previous)
+    (sure,) = evaluate(lambda *a: [filtering.certain_branch(*a, ca.SX(0.0))], y, last, previous)
     assert sure == sensor.side(y)
 
 
@@ -354,7 +354,7 @@ def test_asking_only_whether_a_reading_is_active_would_bias_the_widths(
     problems = coverage.problems("grazing", coverage.World(), 2, 150, 3)
     ours = coverage.observe(coverage.kalman, problems)
     monkeypatch.setattr(
-        filtering, "sure_side", lambda y, last, previous, gate: sensor.side(y, gate)
+        filtering, "certain_branch", lambda y, last, previous, gate: sensor.side(y, gate)
     )
     naive = coverage.observe(coverage.kalman, problems)
     assert ours.covered()[:2].min() > 0.92

@@ -366,7 +366,7 @@ SINGLE_RUN = """
 import sys
 import numpy
 from undeadzone.signals import noise
-noise.coloured(0, 9, numpy.ones(1), 1.0, 0.1)
+noise.stationary_first_order_noise(0, 9, numpy.ones(1), 1.0, 0.1)
 print({"llvmlite", "scipy.signal"} & sys.modules.keys())
 """
 
