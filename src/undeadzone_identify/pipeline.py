@@ -21,7 +21,7 @@ from undeadzone.util.progress import in_notebook
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone_identify.logs.prepare import Prepared, prepare
-from undeadzone_identify.models.elements import best_densities, static_rivals
+from undeadzone_identify.models.elements import best_maps, fit_maps
 from undeadzone_identify.models.estimates import KeptClimbs, digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
@@ -29,7 +29,14 @@ from undeadzone_identify.models.zone_fit import Fit, longest_record, polish_fit,
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
-from undeadzone_identify.selection.alternatives import Found, at_input, with_gap, with_play
+from undeadzone_identify.selection.alternatives import (
+    Found,
+    at_input,
+    has_a_model,
+    with_adequacy,
+    with_gap,
+    with_play,
+)
 from undeadzone_identify.selection.decision import MEMORY, Case, decide, name_missing_model
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_places
@@ -258,10 +265,10 @@ def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Ca
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     residuals = orders.residual_map(chosen.singles)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
-    rivals = {}  # behind plants of each order, on the readings as they are
+    maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
-        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduce_record(one.singles)))
-    suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
+        maps[n] = fit_maps(_of_readings(fitted.prepared, reduce_record(one.singles)))
+    suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
     advance(1)
     return Case(
         grid=grid,
@@ -272,7 +279,7 @@ def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Ca
         chosen=chosen,
         no_zone=no_zone,
         residuals=residuals,
-        rivals=best_densities(itertools.chain(*(one.values() for one in rivals.values()))),
+        maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
         suited=fits[suited],
         advance=advance,
     )
@@ -370,4 +377,5 @@ QUESTIONS = (
     Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
     Question("a dead zone of the actuator", _is_at_input, _with_actuator),
+    Question("what the likeliest model leaves", has_a_model, with_adequacy),
 )

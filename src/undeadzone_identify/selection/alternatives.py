@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,12 +36,15 @@ from undeadzone_identify.models.place import (
 )
 from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
 from undeadzone_identify.models.zone_fit import Fit, reduce_record
+from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
     MEMORY,
+    MODELS,
     UNLIKELY,
     Case,
     Verdict,
     classify,
+    decide,
     detect_feedback,
 )
 from undeadzone_identify.selection.delays import GLITCH, RARE
@@ -54,6 +57,7 @@ LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
+TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 LAST = {
     "play": 25,
     "both": 25,
@@ -442,6 +446,48 @@ def _zone_of(
         widths[name] = Interval.around(value, half).scale_interval(scale)
         least = min(least, degrees)
     return widths, least
+
+
+# --- Whether what explains the log best leaves nothing known
+
+
+def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
+    """Return the best fit of a word's models, by BIC per reading; None where there is none.
+
+    Args:
+        case: with static maps.
+        found: with all other models.
+        word: the verdict's, as the odds have it.
+    """
+    plays = {} if found.plays is None else found.plays.fits
+    there = [fits.get(word) for fits in (case.maps, found.places, plays)]
+    fits: list[Fitted[Any]] = [one for one in there if one is not None]
+    return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
+
+
+def has_a_model(case: Case, found: Found) -> bool:
+    """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
+    of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
+    return bool(found.odds) and found.verdict.word != "unclear" and not of_servo and not case.jumps
+
+
+def with_adequacy(case: Case, found: Found) -> Found:
+    """What is found, unless what the likeliest model leaves depends on something known.
+
+    Args:
+        case: the log.
+        found: with odds.
+    """
+    word = found.verdict.word
+    if word not in found.odds or word in TOP_OF_ODDS:
+        word = next(iter(found.odds))
+    fit = fit_of(case, found, word)
+    remainder = None if fit is None else largest_remainder(fit)
+    if remainder is None:
+        return found
+    return found._replace(
+        verdict=decide("unclear", *remainder.in_words(MODELS[word])), element=None
+    )
 
 
 # --- How it does on data that had no part in its fit

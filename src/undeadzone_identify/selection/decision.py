@@ -14,8 +14,9 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.logs.prepare import JumpEdge
 from undeadzone_identify.models import least_squares
+from undeadzone_identify.models.elements import MapModel
 from undeadzone_identify.models.estimates import long_run_covariance, quantile
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, Fitted
 from undeadzone_identify.models.plant import Data
 from undeadzone_identify.models.zone_fit import Fit, fit_linear
 from undeadzone_identify.selection import orders
@@ -87,7 +88,7 @@ class Case(NamedTuple):
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
         residuals: residual by z^.
-        rivals: static rivals, each behind the plant that suits it.
+        maps: static rivals, each behind the plant that suits it.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
         servo: what the predictor of a servo, asked first, withheld; None: it was not asked.
@@ -101,7 +102,7 @@ class Case(NamedTuple):
     chosen: orders.OrderFit
     no_zone: orders.NoZone
     residuals: orders.ResidualMap
-    rivals: dict[str, Density]
+    maps: dict[str, Fitted[MapModel]]
     suited: orders.OrderFit
     advance: Callable[[int], None]
     servo: ServoGap | None = None
@@ -110,6 +111,11 @@ class Case(NamedTuple):
     def data(self) -> Data:
         """Return the records as they were fitted."""
         return self.fitted.prepared.data
+
+    @property
+    def rivals(self) -> dict[str, Density]:
+        """Return the densities of static rivals, by the verdict's words."""
+        return {name: one.density for name, one in self.maps.items()}
 
     @property
     def quantum(self) -> float:

@@ -1,0 +1,65 @@
+"""Truths that no model holds: what is seen is said, and nothing is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+import undeadzone as uz
+from undeadzone.cli import group
+from undeadzone.util.arrays import Floats
+
+STEP = 0.01
+
+
+def walk(rng: np.random.Generator, size: int = 1200, hold: float = 8.0) -> Floats:
+    """Coloured noise of rms 1."""
+    u = lfilter([1.0], [1.0, -np.exp(-1 / hold)], rng.standard_normal(size))
+    return np.asarray(u / u.std())
+
+
+def two_lags(u: Floats, samples: float = 12.0) -> Floats:
+    """A plant of two equal time constants, its output of rms 1."""
+    keep = np.exp(-1 / samples)
+    for _ in range(2):
+        u = lfilter([0.0, 1 - keep], [1.0, -keep], u)
+    return np.asarray(u / u.std())
+
+
+def asked(u: Floats, y: Floats, **more: object) -> uz.Identified:
+    answer = uz.identify(t=STEP, u=u, y=y, **more)
+    assert isinstance(answer, uz.Identified)
+    return answer
+
+
+def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> None:
+    """A soft limit of the input: nothing known holds it; the command says what it saw."""
+    rng = np.random.default_rng(1)
+    u = walk(rng)
+    y = two_lags(np.tanh(2 * u)) + 0.02 * rng.standard_normal(u.size)
+    log = tmp_path / "log.csv"
+    rows = np.column_stack([STEP * np.arange(u.size), u, y])
+    np.savetxt(log, rows, delimiter=",", header="t,u,y", comments="")
+    words = ["identify", str(log), "--json", "--no-figures", "--out", str(tmp_path)]
+    assert group.main(words, standalone_mode=False) == 1
+    saved = json.loads((tmp_path / "identify.json").read_text())
+    assert saved["verdict"] == "unclear"
+    assert saved["odds"] == {}
+    assert saved["width"] is None
+    assert "depends on the size of the input" in saved["reasons"][0]
+    assert "record steps" in saved["reasons"][1]
+    assert not (tmp_path / "log.toml").exists()
+
+
+def test_a_dead_zone_leaves_nothing() -> None:
+    rng = np.random.default_rng(2)
+    u = walk(rng)
+    z = two_lags(u)
+    y = np.maximum(z - 0.5, 0) + np.minimum(z + 0.35, 0) + 0.02 * rng.standard_normal(u.size)
+    answer = asked(u, y)
+    assert answer.verdict == "dead_zone"
+    assert answer.width is not None
+    assert answer.width.low < 0.85 < answer.width.high
