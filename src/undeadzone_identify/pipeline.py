@@ -41,11 +41,13 @@ from undeadzone_identify.selection.decision import MEMORY, Case, decide, name_mi
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_places
 from undeadzone_identify.selection.servo import (
+    has_no_gap,
     may_be_servo,
     name_servo,
     servo_of_ticks,
     with_servo,
     with_servo_options,
+    without_gap,
 )
 from undeadzone_identify.servo.gap import ServoGap
 
@@ -229,7 +231,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         InputError: nothing can be learnt.
     """
     servo = servo_of_ticks(grid, options)
-    if servo is not None and servo.is_given:
+    is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
+    if servo is not None and (servo.is_given or is_plain):
         advance(1)
         return _of_servo(grid, options, advance, servo)
     case = _fit_log(shorten_log(grid, options.integrators), options, advance)
@@ -248,11 +251,12 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
 def _of_servo(
     grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
-    """Return the answer of a servo behind a play, beside a fit of its order. Raises InputError."""
+    """Return the answer of a servo, beside a fit of its order. Raises InputError."""
     case = _fit_log(grid, with_servo_options(options, servo), advance)
     case = case._replace(options=options)
     found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
-    return Identified(to_answer(case, name_servo(case, servo, found)))
+    named = name_servo if servo.is_given else without_gap
+    return Identified(to_answer(case, named(case, servo, found)))
 
 
 def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
+from benchmarks.strangers_logs import KINDS
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -33,6 +35,34 @@ def asked(u: Floats, y: Floats, **more: object) -> uz.Identified:
     answer = uz.identify(t=STEP, u=u, y=y, **more)
     assert isinstance(answer, uz.Identified)
     return answer
+
+
+def of_kind(kind: str, seed: int) -> uz.Identified:
+    log = KINDS[kind].make(np.random.default_rng(seed))
+    return asked(log.u, log.y, **log.options)
+
+
+@pytest.mark.parametrize("samples", [5, 50, 500])
+def test_a_linear_motor_has_no_gap(samples: int) -> None:
+    """Of 500 samples the log holds four time constants: then nothing is named."""
+    answer = of_kind(f"motor of {samples}", 3 if samples == 500 else 1)
+    assert answer.verdict == ("unclear" if samples == 500 else "none")
+    assert answer.width is None
+    if samples == 500:
+        assert "record for longer" in answer.answer.reasons[0]
+        assert not answer.numbers()["odds"]
+
+
+def test_a_joint_that_rubs_is_named_with_its_friction() -> None:
+    """The servo's predictor excludes a gap: its fit is that of friction, in the input's unit."""
+    answer = of_kind("joint, friction .3", 1)
+    assert answer.verdict == "friction"
+    value, low, high = answer.numbers()["friction"]
+    assert low < 0.3 < high
+    assert value == pytest.approx(0.3, rel=0.03)
+    assert "friction" in answer.summary()
+    assert "crossings" not in answer.summary()
+    assert answer.numbers()["held_out"]["fit"] > 0.99
 
 
 def test_another_curve_of_the_input_has_no_name_and_no_odds(tmp_path: Path) -> None:

@@ -200,7 +200,7 @@ def to_answer(case: Case, found: Found) -> Answer:
     doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
     if doubt:
         verdict = decide("undecided", *found.verdict.reasons, doubt)
-        found = found._replace(element=None, verdict=verdict)
+        found = found._replace(element=None, verdict=verdict, odds={})
     if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
         found = found._replace(odds={})
     chosen, data = case.chosen, case.data
@@ -246,7 +246,8 @@ def _with_edges(answer: Answer) -> Answer:
     remarks += _hardly_passed(answer, shown)
     doubt = _not_wide(shown) or _unfound_widths(answer, shown)
     if doubt:
-        return answer._replace(verdict="undecided", reasons=[doubt])
+        found = answer.found._replace(odds={})  # the likeliest model's own test denies it
+        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
 
@@ -301,7 +302,8 @@ def _in_loop(answer: Answer) -> Answer:
     holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
         loop = loop._replace(chance=servo.log.loop)
-        holds = "The gap holds in it: each error is that of one prediction"
+        what = "gap" if answer.verdict == "play" else "friction"
+        holds = f"The {what} holds in it: each error is that of one prediction"
     is_closed = loop.is_closed or (servo is not None and servo.log.has_feedback)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []

@@ -70,7 +70,7 @@ class Element(NamedTuple):
     """An element that is no dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both, input_zone or two_zones.
+        kind: play, both, input_zone, two_zones; none or friction of a servo without a gap.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
@@ -138,6 +138,7 @@ class Found(NamedTuple):
         places: models of the zone's place by word; empty where that was not asked.
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
+        friction: level of a motor's friction [u]; None where no servo measured it.
     """
 
     verdict: Verdict
@@ -149,6 +150,7 @@ class Found(NamedTuple):
     places: dict[str, PlaceFit] = {}
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
+    friction: Interval | None = None
 
     def judge_again(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
         """What is found with more models, and perhaps without some words."""
@@ -468,7 +470,9 @@ def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
 def has_a_model(case: Case, found: Found) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
-    return bool(found.odds) and found.verdict.word != "unclear" and not of_servo and not case.jumps
+    word, top = found.verdict.word, next(iter(found.odds), "")
+    is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
+    return bool(top) and not (is_said or of_servo or case.jumps)
 
 
 def with_adequacy(case: Case, found: Found) -> Found:

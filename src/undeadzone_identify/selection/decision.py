@@ -61,6 +61,11 @@ UNSETTLED = (
     " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
+TOO_SHORT = (
+    "the plant does not settle within a record: the log is shorter than about six of its time"
+    " constants, and a slow pole beside an integrator looks like any curve; record for"
+    " longer"
+)
 MODELS = {
     "dead_zone": "a dead zone of the sensor",
     "none": "a plant without any zone",
@@ -205,6 +210,8 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
     word = _likeliest_word(odds)
     if case.jumps:
         return _by_jump(case, odds, models)
+    if not case.fitted.prepared.settles:
+        return decide("unclear", TOO_SHORT)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
     if as_linear and _within_steps(case):
         unclear = _unclear(case, "none", best_of("none", models), fits)
@@ -288,7 +295,8 @@ def _within_steps(case: Case) -> bool:
 def _without_zone(case: Case) -> Verdict:
     """Return the verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
-    if np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0:
+    is_aside = np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0
+    if is_aside and not case.options.integrators:  # whose z has no zero of its own
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
         return decide("operating_point", f"{point}; --zero {about}, or take it off")
@@ -382,9 +390,10 @@ def offset_inside(fit: Fit) -> float | None:
     """Return the mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
 
     Args:
-        fit: plant and zone; with noise behind the zone, else silence is exactly 0.
+        fit: plant and zone; with noise behind the zone, else silence is exactly 0. z of an
+            integrating plant has no zero that an offset could move.
     """
-    if fit.objective.kind != "behind":
+    if fit.objective.kind != "behind" or fit.objective.layout.integrators:
         return None
     z, margin = fit.z, WELL_INSIDE * fit.s
     inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)
