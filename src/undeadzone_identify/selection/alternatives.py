@@ -57,6 +57,7 @@ LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
+LONGEST = 25  # steps of a climb that checks any other fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 LAST = {
     "play": 25,
@@ -506,10 +507,21 @@ def held_out_error(element: Element, held_out: float) -> HeldOut:
     """
     if isinstance(element.fit, ServoGap):
         return _held_out_error_of_servo(element, element.fit, held_out)
-    fit, data = element.fit, element.fit.squares.data
+    return held_out_error_of_fit(element.fit, held_out, LAST[element.kind])
+
+
+def held_out_error_of_fit(fit: Fitted[Any], held_out: float, last: int = LONGEST) -> HeldOut:
+    """Return the same of any model that simulates the readings.
+
+    Args:
+        fit: the model.
+        held_out: share of the samples that checks.
+        last: steps of the climb to the others.
+    """
+    data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_top(trained, [fit.theta], fit.model.first, LAST[element.kind])
+    top = best_top(trained, [fit.theta], fit.model.first, last)
     theta = fit.theta if top is None else top.theta
     test = data.ok & ~train
     e = fit.squares.residual(theta)
