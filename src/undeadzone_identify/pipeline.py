@@ -21,7 +21,8 @@ from undeadzone.util.progress import in_notebook
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone_identify.logs.prepare import Prepared, prepare
-from undeadzone_identify.models.elements import best_maps, fit_maps
+from undeadzone_identify.models.chain import fit_chains
+from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
 from undeadzone_identify.models.estimates import KeptClimbs, digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
@@ -36,8 +37,15 @@ from undeadzone_identify.selection.alternatives import (
     with_adequacy,
     with_gap,
     with_play,
+    without_needless,
 )
-from undeadzone_identify.selection.decision import MEMORY, Case, decide, name_missing_model
+from undeadzone_identify.selection.decision import (
+    LARGER,
+    MEMORY,
+    Case,
+    decide,
+    name_missing_model,
+)
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_places
 from undeadzone_identify.selection.servo import (
@@ -338,12 +346,22 @@ def _has_a_place(case: Case, found: Found) -> bool:
 
 
 def _with_place(case: Case, found: Found) -> Found:
-    """With models of friction, of a zone of the input, and of two zones."""
-    places = find_places(longest_record(case.suited.pairs), case.quantum)
-    models = {word: one.density for word, one in places.items()}
-    if "none" not in models:  # no plant alone settles within the record: nothing to compare with
+    """With models of friction, of a zone, a curve or a play of the input, and of two zones."""
+    fit = longest_record(case.suited.pairs)
+    places = find_places(fit, case.quantum)
+    if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
-    return found._replace(places=places).judge_again(case, models)
+    chains = fit_chains(fit, places)
+    rows = [
+        (word, one.density.bic, one.density) for word, one in [*places.items(), *chains.items()]
+    ]
+    found = found._replace(places=places, chains=chains)
+    return found.judge_again(case, best_of_each(rows))
+
+
+def _holds_more(case: Case, found: Found) -> bool:
+    """Return whether a model is named that holds that of a sensor's zone, and more."""
+    return found.verdict.word in LARGER["dead_zone"]
 
 
 def _is_a_play(case: Case, found: Found) -> bool:
@@ -377,6 +395,7 @@ QUESTIONS = (
     Question("friction, or a zone of the input", _has_a_place, _with_place),
     Question("a play, or a play and a dead zone", _without_jump, with_play),
     Question("a servo behind a play", may_be_servo, with_servo),
+    Question("if a larger model simulates better", _holds_more, without_needless),
     Question("the widths of a play", _is_a_play, with_gap),
     Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),

@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
 STEP = 0.01
@@ -93,3 +94,44 @@ def test_a_dead_zone_leaves_nothing() -> None:
     assert answer.verdict == "dead_zone"
     assert answer.width is not None
     assert answer.width.low < 0.85 < answer.width.high
+
+
+# --- Everyday truths
+
+
+@pytest.mark.parametrize("kind", ["fan", "exponential valve", "cubic input", "root of the input"])
+def test_a_curve_of_the_input_is_no_zone(kind: str) -> None:
+    """It has neither widths nor a scenario whose inverse would add at each reversal."""
+    answer = of_kind(kind, 1)
+    assert answer.verdict == "input_curve"
+    assert answer.width is None
+    assert not answer.zone
+    assert "smooth curve" in answer.answer.reasons[0]
+    with pytest.raises(InputError, match="no inverse"):
+        answer.scenario()
+
+
+@pytest.mark.parametrize(("kind", "gap"), [("play ahead, 12", 0.5), ("play ahead, 2", 0.9)])
+def test_play_ahead_of_the_plant_has_its_gap(kind: str, gap: float) -> None:
+    answer = of_kind(kind, 1)
+    assert answer.verdict == "input_play"
+    assert answer.width is not None
+    assert answer.width.low < gap < answer.width.high
+    assert answer.width.value == pytest.approx(gap, rel=0.03)
+    assert "c width" in answer.summary()
+    assert len(answer.answer.poles) == answer.order
+    with pytest.raises(InputError, match="ahead of the plant"):
+        answer.scenario()
+
+
+def test_a_filter_behind_the_zone_is_no_friction() -> None:
+    answer = of_kind("zone, mean of 4", 1)
+    assert answer.verdict == "filtered_zone"
+    assert answer.zone
+    assert "filter off" in answer.answer.reasons[0]
+    with pytest.raises(InputError, match="filter"):
+        answer.scenario()
+
+
+def test_a_mean_of_readings_is_no_zone() -> None:
+    assert of_kind("mean of 5", 1).verdict == "none"

@@ -11,6 +11,7 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.models.chain import gap_of_input
 from undeadzone_identify.models.estimates import Interval, quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, innovations
@@ -25,15 +26,16 @@ from undeadzone_identify.selection.alternatives import (
     held_out_error_of_fit,
 )
 from undeadzone_identify.selection.decision import (
-    LEAST as LEAST_SHARE,
-)
-from undeadzone_identify.selection.decision import (
+    CHAINED,
     MODELS,
     UNEXPLAINED,
     Case,
     Loop,
     decide,
     detect_feedback,
+)
+from undeadzone_identify.selection.decision import (
+    LEAST as LEAST_SHARE,
 )
 from undeadzone_identify.selection.orders import (
     OrderFit,
@@ -116,7 +118,7 @@ class Answer(NamedTuple):
     @property
     def zone(self) -> bool:
         """Return whether the sensor has a dead zone."""
-        return self.verdict in ("dead_zone", "unreached")
+        return self.verdict in ("dead_zone", "unreached", "filtered_zone")
 
     @property
     def fit(self) -> Fit:
@@ -251,12 +253,29 @@ def to_answer(case: Case, found: Found) -> Answer:
     if found.element is not None:
         remarks = [*found.element.remarks, *_late(answer)]
         return _showing(answer, found.element.widths, remarks)
+    if answer.verdict == "input_play" and named is not None:
+        return _with_gap_ahead(answer, gap_of_input(named))
     if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jumps):
         return _with_edges(answer)
     return answer
 
 
-OF_THEIR_OWN = ("friction", "saturation", "other")  # words of models with a plant of their own
+def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
+    """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
+    width = gap.scale_interval(float(answer.case.data.u_scale[0]))
+    doubt = _not_wide({"width": width})
+    if doubt:
+        found = answer.found._replace(odds={})
+        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+    return answer._replace(width=width)
+
+
+OF_THEIR_OWN = (
+    "friction",
+    "saturation",
+    "other",
+    *CHAINED,
+)  # words of models with a plant of their own
 
 
 def named_fit(case: Case, found: Found) -> Fitted[Any] | None:

@@ -121,6 +121,9 @@ HEADS = {
     "friction": "NO: friction in the plant",
     "input_zone": "NO: a zone of the input",
     "two_zones": "yes, and not alone: the input has one too",
+    "input_curve": "NO: a curve of the input",
+    "input_play": "NO: play ahead of the plant",
+    "filtered_zone": "yes, with a filter behind it",
     "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
     "undecided": "undecided",
@@ -132,6 +135,9 @@ SHORT = {
     "both": "play and sensor",
     "zone_and_friction": "sensor and friction",
     "two_zones": "sensor and input",
+    "input_curve": "curve of the input",
+    "input_play": "play ahead",
+    "filtered_zone": "sensor and filter",
 }
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
@@ -286,6 +292,8 @@ def _widths(answer: Answer) -> dict[str, str]:
     """
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", _unit(grid.output_unit)
+    if answer.verdict == "input_play":
+        letter, unit = "c", _unit(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
         if element.kind == "input_zone":

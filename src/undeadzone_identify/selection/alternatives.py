@@ -16,6 +16,7 @@ import numpy as np
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import plant
+from undeadzone_identify.models.chain import ChainFit
 from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
@@ -38,6 +39,7 @@ from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
 from undeadzone_identify.models.zone_fit import Fit, reduce_record
 from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
+    CHAINED,
     MEMORY,
     MODELS,
     UNLIKELY,
@@ -137,6 +139,8 @@ class Found(NamedTuple):
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty where that was not asked.
+        chains: models of the input's curve or play, and of a filter, by word.
+        denied: words of larger models that simulate held-out data no better.
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
         friction: level of a motor's friction [u]; None where no servo measured it.
@@ -149,6 +153,8 @@ class Found(NamedTuple):
     offsets: Offsets | None = None
     plays: Plays | None = None
     places: dict[str, PlaceFit] = {}
+    chains: dict[str, ChainFit] = {}
+    denied: frozenset[str] = frozenset()
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
@@ -156,8 +162,9 @@ class Found(NamedTuple):
     def judge_again(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
-        odds = odds_of(every, {*without, *excluded_words(case)})
-        fits = self.places | ({} if self.plays is None else self.plays.fits)
+        odds = odds_of(every, {*without, *self.denied, *excluded_words(case)})
+        plays = {} if self.plays is None else self.plays.fits
+        fits = dict(self.places) | dict(self.chains) | dict(plays)
         return self._replace(models=every, odds=odds, verdict=classify(case, odds, every, fits))
 
 
@@ -173,6 +180,7 @@ def excluded_words(case: Case) -> Collection[str]:
     loud = white_noise(fit.objective.residuals(fit.theta), speaks, case.data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
+        out |= {"input_curve", "input_play"}
     return out
 
 
@@ -463,7 +471,7 @@ def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
         word: the verdict's, as the odds have it.
     """
     plays = {} if found.plays is None else found.plays.fits
-    there = [fits.get(word) for fits in (case.maps, found.places, plays)]
+    there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
     fits: list[Fitted[Any]] = [one for one in there if one is not None]
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
@@ -489,10 +497,46 @@ def with_adequacy(case: Case, found: Found) -> Found:
     fit = fit_of(case, found, word)
     remainder = None if fit is None else largest_remainder(fit)
     if remainder is None:
-        return found
+        return found if word not in found.chains else _in_numbers(case, found)
     return found._replace(
         verdict=decide("unclear", *remainder.in_words(MODELS[word])), element=None
     )
+
+
+def _in_numbers(case: Case, found: Found) -> Found:
+    """What is found, with the numbers of a chain that is named."""
+    word, verdict, data = found.verdict.word, found.verdict, case.data
+    if word not in CHAINED:
+        return found
+    one = found.chains[word]
+    said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    return found._replace(verdict=verdict._replace(reasons=[said]))
+
+
+def without_needless(case: Case, found: Found) -> Found:
+    """What is found, unless the sensor's zone alone leaves no more of held-out data.
+
+    A larger model must simulate them better, too: one-step errors alone are decided by the colour
+    of what disturbs the plant.
+
+    Args:
+        case: the log.
+        found: with a word of a model that holds a sensor's zone and more.
+    """
+    larger = fit_of(case, found, found.verdict.word)
+    models = (found.places.get("dead_zone"), case.maps.get("dead_zone"))
+    if larger is None or not any(models):
+        return found
+    size = larger.squares.data.y.size
+    smaller = next((one for one in models if one and one.squares.data.y.size == size), None)
+    if smaller is None:
+        return found
+    held_out = case.options.held_out
+    errors = [held_out_error_of_fit(one, held_out).error for one in (smaller, larger)]
+    if errors[1] < errors[0]:
+        return found
+    denied = found.denied | {found.verdict.word}
+    return found._replace(denied=denied).judge_again(case)
 
 
 # --- How it does on data that had no part in its fit

@@ -37,11 +37,12 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 # what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
+CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
-    "dead_zone": ("zone_and_friction", "two_zones", "both"),
+    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone"),
     "friction": ("zone_and_friction",),
     "input_zone": ("two_zones",),
     "play": ("both",),
@@ -78,6 +79,9 @@ MODELS = {
     "input_zone": "a zone of the input",
     "zone_and_friction": "friction beside a dead zone of the sensor",
     "two_zones": "a zone of the input beside one of the sensor",
+    "input_curve": "a smooth curve of the input",
+    "input_play": "play between input and plant",
+    "filtered_zone": "a dead zone of the sensor with a filter behind it",
 }
 
 
