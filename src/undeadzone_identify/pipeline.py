@@ -26,6 +26,7 @@ from undeadzone_identify.models.elements import best_maps, best_of_each, fit_map
 from undeadzone_identify.models.estimates import KeptClimbs, digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
+from undeadzone_identify.models.plant import longest_of
 from undeadzone_identify.models.zone_fit import Fit, longest_record, polish_fit, reduce_record
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
@@ -351,7 +352,8 @@ def _with_place(case: Case, found: Found) -> Found:
     places = find_places(fit, case.quantum)
     if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
-    chains = fit_chains(fit, places)
+    recorded = longest_of(case.recorded)
+    chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
     rows = [
         (word, one.density.bic, one.density) for word, one in [*places.items(), *chains.items()]
     ]

@@ -90,6 +90,7 @@ INPUTS = {
         play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
     ),
 }
+PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
 CURVES = ("power", "cubic", "exponential")
 
 
@@ -235,38 +236,73 @@ class ChainModel:
 ChainFit = Fitted[ChainModel]
 
 
-def fit_chains(fit: Fit, places: dict[str, PlaceFit]) -> dict[str, ChainFit]:
+def fit_chains(
+    fit: Fit, places: dict[str, PlaceFit], recorded: Data, orders: Sequence[int]
+) -> dict[str, ChainFit]:
     """Return the best chain of each word.
 
     Args:
         fit: plant and sensor zone of one record.
         places: other models of the same record.
+        recorded: the same readings with the input as it was recorded: a delay that the zone's plant
+            asked for may be that of an element.
+        orders: that the log is long enough for; of the fit's and the next ones the best is taken.
     """
     starts = PlaceStarts(fit)
-    simulator, base = starts.simulator, starts.simulator.layout.right
-    if simulator.layout.m > 1:
+    layout, data = starts.simulator.layout, starts.simulator.data
+    if layout.m > 1:
         return {}
+    kinds = [(data, n) for n in (layout.n, layout.n + 1)]
+    same = recorded.y.size == data.y.size and np.array_equal(recorded.y, data.y)
+    if same and not np.array_equal(recorded.u, data.u):
+        kinds += [(recorded, n) for n in range(layout.n, layout.n + 3)]
+    plants = [
+        Simulator(one, n, layout.integrators) for one, n in kinds if n in orders or n == layout.n
+    ]
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
-        begun = scan_input(simulator, element)
-        fits.append(LeastSquares(ChainModel(simulator, name)).best(begun))
+        scanned = [scan_input(plant, element) for plant in plants]
+        fits.append(_best_order(plants, scanned, lambda one, name=name: ChainModel(one, name)))
+    plain = [scan_input(plant, PLAIN) for plant in plants]
+    taps = [np.array(one) for one in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
+    longer = [
+        [Begun(one.cost, np.append(one.theta, f)) for one in row for f in taps] for row in plain
+    ]
+    fits.append(_best_order(plants, longer, lambda one: ChainModel(one, taps=TAPS)))
     zoned, widths = starts.plant, starts.widths
     if "dead_zone" in places:
         known = places["dead_zone"]
-        zoned, widths = known.theta[:base], known.model.part(known.theta, "sensor")
-    lag, taps = ChainModel(simulator, zone=True, lags=True), [[0.2, 0.2, 0.0, 0.0], [0.2] * TAPS]
+        zoned, widths = known.theta[: layout.right], known.model.part(known.theta, "sensor")
+    lag = ChainModel(starts.simulator, zone=True, lags=True)
     begun = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
     fits.append(LeastSquares(lag).best(begun))
-    filtered = ChainModel(simulator, zone=True, taps=TAPS)
-    begun = [np.concatenate([zoned, widths, one]) for one in taps]
-    fits.append(LeastSquares(filtered).best(begun))
-    begun = [np.append(starts.plain, one) for one in taps]
-    fits.append(LeastSquares(ChainModel(simulator, taps=TAPS)).best(begun))
+    filtered = ChainModel(starts.simulator, zone=True, taps=TAPS)
+    fits.append(LeastSquares(filtered).best([np.concatenate([zoned, widths, f]) for f in taps]))
     there = [one for one in fits if one is not None]
     return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
 
 
-def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> list[Floats]:
+class Begun(NamedTuple):
+    """Where a climb begins, and BIC of the linear plant there."""
+
+    cost: float
+    theta: Floats
+
+
+def _best_order(
+    plants: Sequence[Simulator],
+    scanned: Sequence[Sequence[Begun]],
+    model: Callable[[Simulator], ChainModel],
+) -> ChainFit | None:
+    """Return the fit behind the plant whose scan leaves least."""
+    there = [(min(one.cost for one in row), k) for k, row in enumerate(scanned) if row]
+    if not there:
+        return None
+    best = min(there)[1]
+    return LeastSquares(model(plants[best])).best([one.theta for one in scanned[best]])
+
+
+def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> list[Begun]:
     """Return where climbs begin: the best numbers of a scan, with the linear plant behind each.
 
     Args:
@@ -274,7 +310,7 @@ def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> li
         element: of the input.
         most: how many.
     """
-    layout, data, found = simulator.layout, simulator.data, list[tuple[float, Floats]]()
+    layout, data, found = simulator.layout, simulator.data, list[Begun]()
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
         scale = float(v.std())
@@ -284,9 +320,8 @@ def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> li
         fit = fit_linear(Simulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
         theta[layout.b] /= scale
-        found.append((-fit.value, np.append(theta, numbers)))
-    found.sort(key=lambda one: one[0])
-    return [theta for _, theta in found[:most]]
+        found.append(Begun(fit.bic, np.append(theta, numbers)))
+    return sorted(found, key=lambda one: one.cost)[:most]
 
 
 def gap_of_input(fit: ChainFit) -> Interval:
