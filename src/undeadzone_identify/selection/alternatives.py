@@ -39,6 +39,7 @@ from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
 from undeadzone_identify.models.zone_fit import Fit, reduce_record
 from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
+    CANNOT_TELL,
     CHAINED,
     MEMORY,
     MODELS,
@@ -481,6 +482,8 @@ def has_a_model(case: Case, found: Found) -> bool:
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
     word, top = found.verdict.word, next(iter(found.odds), "")
     is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
+    reason = next(iter(found.verdict.reasons), "")
+    is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
     return bool(top) and not (is_said or of_servo or case.jumps)
 
 

@@ -62,6 +62,7 @@ UNSETTLED = (
     " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
+CANNOT_TELL = "this record cannot tell"
 TOO_SHORT = (
     "the plant does not settle within a record: the log is shorter than about six of its time"
     " constants, and a slow pole beside an integrator looks like any curve; record for"
@@ -287,7 +288,7 @@ def best_of(word: str, models: Sequence[Family]) -> Density:
 def _describe_undecided(odds: dict[str, float]) -> Verdict:
     """That no name is likely enough, with what could be there."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
-    apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
+    apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
     return decide("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
 

@@ -46,7 +46,12 @@ from undeadzone_identify.servo.observations import Observations, noise_of, read_
 from undeadzone_identify.servo.predictor import DEGREES
 
 DENYING = ("none", "friction")  # words by which there is no play
-STATIC = ("saturation", "input_zone")  # words of what has no memory, beside the sensor's own zone
+STATIC = (
+    "saturation",
+    "input_zone",
+    "input_curve",
+    "filtered_zone",
+)  # words of what has no memory, beside the sensor's own zone
 NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
 EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
@@ -128,7 +133,7 @@ def may_be_servo(case: Case, found: Found) -> bool:
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
-    if _is_likely(case.servo, word):
+    if _is_likely(case.servo, _likeliest_word(found)):
         return True
     log = observations_of(case.grid, case.options)
     explained, unlike = word in EXPLAINED, not case.chosen.white
@@ -139,6 +144,12 @@ def may_be_servo(case: Case, found: Found) -> bool:
     fit = case.chosen.pairs
     slow = fit.objective.simulator.settles(fit.theta) < SETTLES  # as an integrator does
     return word in (*EXPLAINED, *NAMELESS) and (left or (unlike and slow))
+
+
+def _likeliest_word(found: Found) -> str:
+    """Return the verdict's word, or that of the largest odds where these are of static models."""
+    word, top = found.verdict.word, next(iter(found.odds), "")
+    return top if word == "undecided" and top in STATIC else word
 
 
 def _is_likely(servo: ServoGap | None, word: str) -> bool:
@@ -171,7 +182,7 @@ def with_servo(case: Case, found: Found) -> Found:
     if servo.is_given:
         return found if explained and not integrates else name_servo(case, servo, found)
     denied = servo.integrates and servo.odds > LIKELY and word in DENYING
-    if denied or _is_likely(servo, word):
+    if denied or _is_likely(servo, _likeliest_word(found)):
         return _withhold_servo(servo, found, in_words(servo))
     if explained:
         return found
