@@ -30,6 +30,7 @@ DEPENDS = {
     "turns of the input": "the direction in which the input moved last",
     "turns of the output": "the direction in which the output moved last",
     "behind": "what was read a few samples before",
+    "spring": "the size of the output as a force on the plant",
     "time": "the time",
 }
 SEEN = {
@@ -42,6 +43,8 @@ SEEN = {
     "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
     " input, of several amplitudes",
     "behind": "the sensor may smooth its readings; record them with its filter off",
+    "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
+    " record with a smaller input",
     "time": "the plant or the sensor may drift; identify a shorter part of the log",
 }
 
@@ -147,6 +150,10 @@ def _directions(fit: Fitted[Any]) -> dict[str, Floats]:
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
         lags += [_late(read - z, k) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
+    else:  # of a sensor's zone a bent spring is a caution (decision.py)
+        force = z / max(float(np.std(z)), 1e-12)
+        bent = np.column_stack([force**2, force**3, force * np.abs(force)])
+        directions["spring"] = _through_plant(fit, bent)
     return directions
 
 

@@ -250,7 +250,7 @@ def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
     stick = f"readings stick at the ends of the range {ends}"
     if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
         return decide("saturation", f"{stick}; the odds are those of what lies between")
-    if mostly and word in MEMORY:
+    if mostly and word in (*MEMORY, *CHAINED):
         return decide("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
     return None
 
