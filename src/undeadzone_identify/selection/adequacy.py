@@ -19,6 +19,7 @@ from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, Fitted
 
 SHARE = 0.05  # of the innovations' variance, from which a direction is real
+SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 BEHIND = 5  # lags of what is read
@@ -62,10 +63,13 @@ class Remainder(NamedTuple):
     share: float
     chance: float
 
-    @property
-    def is_real(self) -> bool:
-        """Return whether a model that leaves this is wrong."""
-        return self.share > SHARE and self.chance < CHANCE
+    def is_real(self, least: float = SHARE) -> bool:
+        """Return whether a model that leaves this is wrong.
+
+        Args:
+            least: share from which it is.
+        """
+        return self.share > least and self.chance < CHANCE
 
     def in_words(self, model: str) -> tuple[str, str]:
         """Return what was seen, and what that may be and how it is found out.
@@ -80,13 +84,18 @@ class Remainder(NamedTuple):
         ]
 
 
-def largest_remainder(fit: Fitted[Any]) -> Remainder | None:
+def largest_remainder(fit: Fitted[Any], word: str) -> Remainder | None:
     """Return what a model's innovations depend on most, if that is real; else None.
 
     Args:
         fit: the model.
+        word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
+            something, and that of friction by the sample leaves more than others.
     """
-    real = [one for one in remainders(fit) if one.is_real]
+    if word == "jump":
+        return None
+    least = SHARE_OF_FRICTION if word == "friction" else SHARE
+    real = [one for one in remainders(fit) if one.is_real(least)]
     return max(real, key=lambda one: one.share, default=None)
 
 

@@ -498,7 +498,7 @@ def with_adequacy(case: Case, found: Found) -> Found:
     if word not in found.odds or word in TOP_OF_ODDS:
         word = next(iter(found.odds))
     fit = fit_of(case, found, word)
-    remainder = None if fit is None else largest_remainder(fit)
+    remainder = None if fit is None else largest_remainder(fit, word)
     if remainder is None:
         return found if word not in found.chains else _in_numbers(case, found)
     return found._replace(
