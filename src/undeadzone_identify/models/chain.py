@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -262,7 +263,7 @@ def fit_chains(
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
         scanned = [scan_input(plant, element) for plant in plants]
-        fits.append(_best_order(plants, scanned, lambda one, name=name: ChainModel(one, name)))
+        fits.append(_best_order(plants, scanned, partial(_model_of, name)))
     plain = [scan_input(plant, PLAIN) for plant in plants]
     taps = [np.array(one) for one in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
     longer = [
@@ -280,6 +281,11 @@ def fit_chains(
     fits.append(LeastSquares(filtered).best([np.concatenate([zoned, widths, f]) for f in taps]))
     there = [one for one in fits if one is not None]
     return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
+
+
+def _model_of(name: str, simulator: Simulator) -> ChainModel:
+    """Return a plant behind an element of the input."""
+    return ChainModel(simulator, name)
 
 
 class Begun(NamedTuple):

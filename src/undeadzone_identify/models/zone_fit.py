@@ -204,7 +204,8 @@ def _of_slow_poles(objective: Objective, begun: Floats) -> Floats:
         """Return the sum of squares that a plant leaves about its mean."""
         return float(np.var((y - simulator.z(theta))[use]))
 
-    best, least = begun, left(begun)
+    best: Floats = begun
+    least = left(begun)
     linear = slice(layout.b.start, layout.x0.stop)
     for share in SLOWEST:
         pole = math.exp(-1 / (share * simulator.longest))
