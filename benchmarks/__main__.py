@@ -43,6 +43,7 @@ NAMES = (
     "arms",
     "identify",
     "names",
+    "strangers",
     "identify_known",
     "identify_speed",
     "damaged_logs",

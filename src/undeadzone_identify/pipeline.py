@@ -21,24 +21,42 @@ from undeadzone.util.progress import in_notebook
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
 from undeadzone_identify.logs.prepare import Prepared, prepare
-from undeadzone_identify.models.elements import best_densities, static_rivals
+from undeadzone_identify.models.chain import fit_chains
+from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
 from undeadzone_identify.models.estimates import KeptClimbs, digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
+from undeadzone_identify.models.plant import longest_of
 from undeadzone_identify.models.zone_fit import Fit, longest_record, polish_fit, reduce_record
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
-from undeadzone_identify.selection.alternatives import Found, at_input, with_gap, with_play
-from undeadzone_identify.selection.decision import MEMORY, Case, decide, name_missing_model
+from undeadzone_identify.selection.alternatives import (
+    Found,
+    at_input,
+    has_a_model,
+    with_adequacy,
+    with_gap,
+    with_play,
+    without_needless,
+)
+from undeadzone_identify.selection.decision import (
+    LARGER,
+    MEMORY,
+    Case,
+    decide,
+    name_missing_model,
+)
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_places
 from undeadzone_identify.selection.servo import (
+    has_no_gap,
     may_be_servo,
     name_servo,
     servo_of_ticks,
     with_servo,
     with_servo_options,
+    without_gap,
 )
 from undeadzone_identify.servo.gap import ServoGap
 
@@ -222,7 +240,8 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         InputError: nothing can be learnt.
     """
     servo = servo_of_ticks(grid, options)
-    if servo is not None and servo.is_given:
+    is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
+    if servo is not None and (servo.is_given or is_plain):
         advance(1)
         return _of_servo(grid, options, advance, servo)
     case = _fit_log(shorten_log(grid, options.integrators), options, advance)
@@ -241,11 +260,12 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
 def _of_servo(
     grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
-    """Return the answer of a servo behind a play, beside a fit of its order. Raises InputError."""
+    """Return the answer of a servo, beside a fit of its order. Raises InputError."""
     case = _fit_log(grid, with_servo_options(options, servo), advance)
     case = case._replace(options=options)
     found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
-    return Identified(to_answer(case, name_servo(case, servo, found)))
+    named = name_servo if servo.is_given else without_gap
+    return Identified(to_answer(case, named(case, servo, found)))
 
 
 def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
@@ -258,10 +278,10 @@ def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Ca
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
     residuals = orders.residual_map(chosen.singles)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
-    rivals = {}  # behind plants of each order, on the readings as they are
+    maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
-        rivals[n] = static_rivals(_of_readings(fitted.prepared, reduce_record(one.singles)))
-    suited = min(rivals, key=lambda n: min(one.bic for one in rivals[n].values()))
+        maps[n] = fit_maps(_of_readings(fitted.prepared, reduce_record(one.singles)))
+    suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
     advance(1)
     return Case(
         grid=grid,
@@ -272,7 +292,7 @@ def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Ca
         chosen=chosen,
         no_zone=no_zone,
         residuals=residuals,
-        rivals=best_densities(itertools.chain(*(one.values() for one in rivals.values()))),
+        maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
         suited=fits[suited],
         advance=advance,
     )
@@ -327,12 +347,23 @@ def _has_a_place(case: Case, found: Found) -> bool:
 
 
 def _with_place(case: Case, found: Found) -> Found:
-    """With models of friction, of a zone of the input, and of two zones."""
-    places = find_places(longest_record(case.suited.pairs), case.quantum)
-    models = {word: one.density for word, one in places.items()}
-    if "none" not in models:  # no plant alone settles within the record: nothing to compare with
+    """With models of friction, of a zone, a curve or a play of the input, and of two zones."""
+    fit = longest_record(case.suited.pairs)
+    places = find_places(fit, case.quantum)
+    if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
-    return found._replace(places=places).judge_again(case, models)
+    recorded = longest_of(case.recorded)
+    chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
+    rows = [
+        (word, one.density.bic, one.density) for word, one in [*places.items(), *chains.items()]
+    ]
+    found = found._replace(places=places, chains=chains)
+    return found.judge_again(case, best_of_each(rows))
+
+
+def _holds_more(case: Case, found: Found) -> bool:
+    """Return whether a model is named that holds that of a sensor's zone, and more."""
+    return found.verdict.word in LARGER["dead_zone"]
 
 
 def _is_a_play(case: Case, found: Found) -> bool:
@@ -366,8 +397,10 @@ QUESTIONS = (
     Question("friction, or a zone of the input", _has_a_place, _with_place),
     Question("a play, or a play and a dead zone", _without_jump, with_play),
     Question("a servo behind a play", may_be_servo, with_servo),
+    Question("if a larger model simulates better", _holds_more, without_needless),
     Question("the widths of a play", _is_a_play, with_gap),
     Question("noise that falls silent in the zone", _falls_silent, _with_filter),
     Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
     Question("a dead zone of the actuator", _is_at_input, _with_actuator),
+    Question("what the likeliest model leaves", has_a_model, with_adequacy),
 )

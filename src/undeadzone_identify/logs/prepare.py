@@ -21,8 +21,9 @@ from undeadzone.util.arrays import Flags, Floats, Integers, runs
 from undeadzone_identify.logs.grid import SPIKE, Grid, spikes
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.plant import Data
+from undeadzone_identify.models.plant import Data, Simulator
 from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.zone_fit import fit_linear
 
 LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
 DROPPED = 0.1  # share of the readings that may be dropouts
@@ -129,7 +130,9 @@ def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
 
 # --- The data of a fit
 
-STRETCH = 250  # samples of an integrating plant that have one state at their start
+STRETCH = 250  # samples of an integrating plant that have one state at their start, or twice as
+# many, and so on, until the plant settles within them
+POLE = 20.0  # nats by which a pole beside the integrators is real
 PER_NUMBER = 50  # readings needed for each pole, and one more
 ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
 LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
@@ -169,6 +172,7 @@ class Prepared(NamedTuple):
         remarks: what was done, for the user.
         ends: where readings stick, as a range of readings has it; empty: nowhere.
         jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
+        settles: whether an integrating plant's other poles settle within a record.
     """
 
     options: Options
@@ -179,6 +183,7 @@ class Prepared(NamedTuple):
     remarks: list[str]
     ends: str
     jumps: tuple[JumpEdge, JumpEdge] | None = None
+    settles: bool = True
 
 
 def prepare(grid: Grid, options: Options) -> Prepared:
@@ -206,7 +211,11 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     _refuse(grid, y[ok], side, "; ".join(["", *remarks]))
     orders = _orders(int(ok.sum()), options, remarks)
     ahead = _is_ahead(y[ok], side[ok] == 0, options)
-    start = _stretches(grid, remarks) if options.integrators else grid.start
+    start, settles = grid.start, True
+    if options.integrators:
+        whole = Data(grid.u, y, ok, start, side, ahead, np.ones(grid.u.shape[1]), 1.0)
+        length, settles = _settled_length(whole, orders, options.integrators)
+        start = _stretches(grid, length, remarks)
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
     u, y = grid.u / u_scale, y / y_scale
     data = Data(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
@@ -214,7 +223,8 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     if options.kind == "jump":
         data, limits, jumps = as_dead_zone(data, options)
         return Prepared(options, data, limits, orders, quantum, remarks, stuck, jumps)
-    return Prepared(options, data, _limits(data, options), orders, quantum, remarks, stuck)
+    limits = _limits(data, options)
+    return Prepared(options, data, limits, orders, quantum, remarks, stuck, settles=settles)
 
 
 def _require_silence_at_zero(grid: Grid) -> None:
@@ -305,14 +315,42 @@ def _stands_out(y: Floats) -> bool:
     return bool(counts[zero] > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
 
 
-def _stretches(grid: Grid, remarks: list[str]) -> Integers:
-    """Return first samples of stretches of about STRETCH samples of each record."""
-    ends = np.append(grid.start[1:], grid.t.size)
+def _settled_length(data: Data, orders: list[int], integrators: int) -> tuple[int, bool]:
+    """Return samples of a stretch in which the poles of a linear plant settle, and if they do.
+
+    Args:
+        data: whole records, without scales.
+        orders: that will be tried.
+        integrators: of the plant.
+    """
+    order = max(integrators + 1, min(orders))
+    u_scale, y_scale = data.u.std(axis=0), float(np.sqrt(np.mean(data.y[data.ok] ** 2)))
+    scaled = data._replace(u=data.u / u_scale, y=data.y / y_scale)
+    length, most = STRETCH, int(np.diff(np.append(data.start, data.y.size)).max())
+    while True:
+        cut = scaled._replace(start=_first_samples(data.start, data.y.size, length))
+        fit = fit_linear(Simulator(cut, order, integrators), data.ok)
+        if not fit.objective.simulator.at_limit(fit.theta):
+            return length, True
+        if length >= most:
+            plain = fit_linear(Simulator(cut, integrators, integrators), data.ok)
+            return length, fit.value - plain.value < POLE
+        length *= 2
+
+
+def _first_samples(start: Integers, size: int, length: int) -> Integers:
+    """Return first samples of stretches of about so many samples of each record."""
+    ends = np.append(start[1:], size)
     starts = []
-    for first, end in zip(grid.start, ends, strict=True):
-        count = max(1, round((end - first) / STRETCH))
+    for first, end in zip(start, ends, strict=True):
+        count = max(1, round((end - first) / length))
         starts.append(first + np.arange(count) * (end - first) // count)
-    start = np.concatenate(starts)
+    return np.concatenate(starts)
+
+
+def _stretches(grid: Grid, length: int, remarks: list[str]) -> Integers:
+    """Return first samples of stretches in which the plant settles, of each record."""
+    start = _first_samples(grid.start, grid.t.size, length)
     remarks.append(
         f"disturbances add up in an integrating plant: the log is taken as {start.size} records"
         " with a state of their own each"

@@ -314,19 +314,29 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     Returns:
         Densities by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
-    densities = []
+    return {name: one.density for name, one in fit_maps(fit).items()}
+
+
+def fit_maps(fit: Fit) -> dict[str, Fitted[MapModel]]:
+    """Return the fits whose densities `static_rivals` returns, by the verdict's words.
+
+    Args:
+        fit: plant and zone of the record, where the rivals start.
+    """
+    fits = []
     for name, shape, starts in _maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
-        fitted = squares.best([_start_of_climb(squares.model, *start) for start in starts])
-        density = _nothing(squares) if fitted is None else fitted.density
+        begun = [_start_of_climb(squares.model, *start) for start in starts]
+        fitted = squares.best(begun) or Fitted(squares, begun[0], _nothing(squares))
         breaks = BREAKS if name in ("jump", "saturation") else 0
-        densities.append(density._replace(numbers=density.numbers + breaks))
-    return best_densities(densities)
+        numbers = fitted.density.numbers + breaks
+        fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
+    return best_maps(fits)
 
 
-def best_densities(densities: Iterable[Density]) -> dict[str, Density]:
-    """Return the density of least BIC of each name."""
-    return best_of_each((one.name, one.bic, one) for one in densities)
+def best_maps(fits: Iterable[Fitted[MapModel]]) -> dict[str, Fitted[MapModel]]:
+    """Return the fit of least BIC of each name."""
+    return best_of_each((one.density.name, one.density.bic, one) for one in fits)
 
 
 def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:

@@ -131,7 +131,7 @@ class LeastSquares(Generic[M]):
         """
         if not self.model.simulator.admissible(theta):
             return -math.inf
-        return self._value_of(self._whiten(self.residual(theta)))
+        return self._value_of(self.whiten(self.residual(theta)))
 
     def _value_of(self, e: Floats) -> float:
         """Return the value of an admissible plant with these residuals (N)."""
@@ -144,11 +144,11 @@ class LeastSquares(Generic[M]):
         """Return (value, score, Gauss-Newton Hessian) of the free numbers of an admissible
         plant.
         """
-        e, rows = (self._whiten(one) for one in self.rows(theta))
+        e, rows = (self.whiten(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return self._value_of(e), rows.T @ e / variance, hessian
 
-    def _whiten(self, columns: Floats) -> Floats:
+    def whiten(self, columns: Floats) -> Floats:
         """Return less what the samples before say of them."""
         if not self.past.size:
             return columns
@@ -171,7 +171,7 @@ class LeastSquares(Generic[M]):
 
     def spread(self, theta: Floats) -> estimates.Spread:
         """Return (I1) of the free numbers."""
-        e, rows = (self._whiten(one) for one in self.rows(theta))
+        e, rows = (self.whiten(one) for one in self.rows(theta))
         variance, hessian = self._gauss_newton(e, rows)
         return estimates.sandwich(rows * e[:, None] / variance, hessian)
 
@@ -199,12 +199,12 @@ class LeastSquares(Generic[M]):
         ok, e, z = self.data.ok, self.residual(theta), self.model.output(theta)
         strange = first.rms > LEAST_ODD and is_strange(*curve_over(z[ok], e[ok]))
         for _ in range(ROUNDS):
-            theta = estimates.climb(self._fit_coloured(theta), theta, STEPS).theta
+            theta = estimates.climb(self.fit_coloured(theta), theta, STEPS).theta
             best = min(best, self.density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=strange)
 
     @estimates.latest
-    def _fit_coloured(self, theta: Floats) -> LeastSquares[M]:
+    def fit_coloured(self, theta: Floats) -> LeastSquares[M]:
         """Return the same, with residuals that as many before them foretell as BIC takes."""
         e = self.residual(theta)
         every = [LeastSquares(self.model, past) for past in self._pasts(e)]
@@ -212,7 +212,7 @@ class LeastSquares(Generic[M]):
 
     def _cost(self, e: Floats) -> float:
         """Return BIC of what foretells residuals."""
-        return -2 * self._value_of(self._whiten(e)) + self.past.size * math.log(self._count)
+        return -2 * self._value_of(self.whiten(e)) + self.past.size * math.log(self._count)
 
     def _pasts(self, e: Floats) -> list[Floats]:
         """What foretells a residual from 1, 2, ... residuals before it (lags each)."""
@@ -225,8 +225,8 @@ class LeastSquares(Generic[M]):
         noise.
         """
         e = self.residual(theta)
-        coloured = self._fit_coloured(theta)
-        innovation = coloured._whiten(e)
+        coloured = self.fit_coloured(theta)
+        innovation = coloured.whiten(e)
         variance = float(np.mean(innovation**2)) + 1e-12
         value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1

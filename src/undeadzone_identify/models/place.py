@@ -269,7 +269,7 @@ class PlaceStarts:
 
     def none(self) -> list[Floats]:
         """Return a plant without a zone."""
-        return [numbers_of(self.plain, self.n)]
+        return [numbers_of(plant, self.n) for plant in (self.plain, self.plant)]
 
     def at_sensor(self) -> list[Floats]:
         """Return the zone at the sensor."""

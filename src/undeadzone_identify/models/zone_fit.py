@@ -15,6 +15,7 @@ from undeadzone_identify.models.plant import Data, Simulator, longest_of, part_o
 from undeadzone_identify.models.zone import Kind, Limits, Objective
 
 SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
+SLOWEST = (0.14, 0.05, 0.02, 0.007)  # time constants tried first, in samples of a record
 FEW = 3  # runs a side, per number to be found, for the start from an ARX model a side
 
 
@@ -178,10 +179,44 @@ def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
     a, b, _ = arx(simulator, None, use)
     theta[objective.layout.a] = stabilise(a)
     theta[objective.layout.b] = b
+    if simulator.layout.integrators and a.size:
+        theta = _of_slow_poles(objective, theta)
     above = simulator.z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
     theta[objective.layout.right + 2] = math.log(0.5)
     return Fit(objective, *climb(objective, theta, 40))
+
+
+def _of_slow_poles(objective: Objective, begun: Floats) -> Floats:
+    """Return numbers of a linear plant that leave least, of those begun and of slow poles.
+
+    Noise hides the slow poles of an integrating plant from differences of its readings. For given
+    poles the rest is linear.
+
+    Args:
+        objective: of a linear plant.
+        begun: numbers by differences.
+    """
+    simulator, layout, use = objective.simulator, objective.layout, objective.readings.ok
+    y = simulator.data.y
+
+    def left(theta: Floats) -> float:
+        """Return the sum of squares that a plant leaves about its mean."""
+        return float(np.var((y - simulator.z(theta))[use]))
+
+    best: Floats = begun
+    least = left(begun)
+    linear = slice(layout.b.start, layout.x0.stop)
+    for share in SLOWEST:
+        pole = math.exp(-1 / (share * simulator.longest))
+        poles = pole ** (4.0 ** np.arange(layout.a.stop))
+        theta = begun.copy()
+        theta[layout.a] = np.real(np.poly(poles))[1:]
+        columns = simulator.gradient(theta, simulator.z(theta))[:, linear]
+        theta[linear] = np.linalg.lstsq(columns[use], y[use], rcond=1e-10)[0]
+        if simulator.admissible(theta) and left(theta) < least:
+            best, least = theta, left(theta)
+    return best
 
 
 def speaking_correlation(fit: Fit) -> float:

@@ -11,14 +11,32 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.models.chain import gap_of_input
 from undeadzone_identify.models.estimates import Interval, quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, innovations
-from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.least_squares import CHANCE, Fitted
 from undeadzone_identify.models.plant import Layout, Simulator
 from undeadzone_identify.models.zone_fit import Fit
-from undeadzone_identify.selection.alternatives import Element, Found, held_out_error
-from undeadzone_identify.selection.decision import Case, Loop, decide, detect_feedback
+from undeadzone_identify.selection.alternatives import (
+    Element,
+    Found,
+    fit_of,
+    held_out_error,
+    held_out_error_of_fit,
+)
+from undeadzone_identify.selection.decision import (
+    CHAINED,
+    MODELS,
+    UNEXPLAINED,
+    Case,
+    Loop,
+    decide,
+    detect_feedback,
+)
+from undeadzone_identify.selection.decision import (
+    LEAST as LEAST_SHARE,
+)
 from undeadzone_identify.selection.orders import (
     OrderFit,
     credible,
@@ -79,6 +97,7 @@ class Answer(NamedTuple):
         chosen: the order that was chosen, with the checks of what was found.
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
+        named: the model that is named, where it is neither an element nor a sensor's zone.
     """
 
     verdict: str
@@ -94,11 +113,12 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: Widths
+    named: Fitted[Any] | None = None
 
     @property
     def zone(self) -> bool:
         """Return whether the sensor has a dead zone."""
-        return self.verdict in ("dead_zone", "unreached")
+        return self.verdict in ("dead_zone", "unreached", "filtered_zone")
 
     @property
     def fit(self) -> Fit:
@@ -134,21 +154,28 @@ class Answer(NamedTuple):
         return self.element.simulator, self.element.theta
 
     @property
+    def named_plant(self) -> tuple[Simulator, Floats]:
+        """Return the plant of the model that is named, and its numbers, scaled."""
+        if self.named is None:
+            return self.plant
+        return self.named.model.simulator, self.named.theta
+
+    @property
     def order(self) -> int:
         """Return poles of the plant."""
-        return self.plant[0].layout.n
+        return self.named_plant[0].layout.n
 
     @property
     def poles(self) -> Any:
         """Return poles of the plant (n) [1/s], complex."""
-        simulator, theta = self.plant
+        simulator, theta = self.named_plant
         with np.errstate(divide="ignore"):
             return np.log(simulator.poles(theta).astype(complex)) / self.case.grid.step
 
     @property
     def gain(self) -> Floats:
         """Return DC gain from each input (m) [y/u]; with integrators, of the rates."""
-        simulator, theta = self.plant
+        simulator, theta = self.named_plant
         gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
         return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
@@ -200,12 +227,14 @@ def to_answer(case: Case, found: Found) -> Answer:
     doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
     if doubt:
         verdict = decide("undecided", *found.verdict.reasons, doubt)
-        found = found._replace(element=None, verdict=verdict)
+        found = found._replace(element=None, verdict=verdict, odds={})
     if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
         found = found._replace(odds={})
-    chosen, data = case.chosen, case.data
+    named, data = named_fit(case, found), case.data
+    chosen = _check_held_out(case, found, named)
+    found = _withhold_poor_fit(found, chosen.share)
     best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
-    widths = find_widths(chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
+    widths = find_widths(case.chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
     edges = widths.right.value, widths.left.value
     answer = Answer(
         verdict=found.verdict.word,
@@ -215,24 +244,73 @@ def to_answer(case: Case, found: Found) -> Answer:
         loop=Loop(1.0, None),
         case=case,
         found=found,
-        chosen=_check_held_out(case, found),
-        excitation=excitation(data.readings(), chosen.pairs.z, *edges, data.silent_zeros),
+        chosen=chosen,
+        excitation=excitation(data.readings(), case.chosen.pairs.z, *edges, data.silent_zeros),
         widths=widths,
+        named=named,
     )
     answer = _in_loop(answer)
     if found.element is not None:
         remarks = [*found.element.remarks, *_late(answer)]
         return _showing(answer, found.element.widths, remarks)
+    if answer.verdict == "input_play" and named is not None:
+        return _with_gap_ahead(answer, gap_of_input(named))
     if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jumps):
         return _with_edges(answer)
     return answer
 
 
-def _check_held_out(case: Case, found: Found) -> OrderFit:
+def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
+    """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
+    width = gap.scale_interval(float(answer.case.data.u_scale[0]))
+    doubt = _not_wide({"width": width})
+    if doubt:
+        found = answer.found._replace(odds={})
+        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
+    return answer._replace(width=width)
+
+
+OF_THEIR_OWN = (
+    "friction",
+    "saturation",
+    "other",
+    *CHAINED,
+)  # words of models with a plant of their own
+
+
+def named_fit(case: Case, found: Found) -> Fitted[Any] | None:
+    """Return the model that is named, where neither an element nor a sensor's zone stands for it.
+
+    Args:
+        case: the log.
+        found: with a verdict.
+    """
+    word = found.verdict.word
+    if found.element is not None or word not in OF_THEIR_OWN or word not in found.odds:
+        return None
+    is_likeliest = word == next(iter(found.odds)) or word != "other"
+    return fit_of(case, found, word) if is_likeliest else None
+
+
+def _withhold_poor_fit(found: Found, share: float) -> Found:
+    """What is found, without a name that explains less than half of what it was not fitted to."""
+    word = found.verdict.word
+    if word not in MODELS or share >= LEAST_SHARE:
+        return found
+    reason = (
+        f"{MODELS[word]} is the likeliest, but fitted to a part of the log it explains"
+        f" {100 * max(share, 0.0):.0f} % of the other readings: nothing is named{UNEXPLAINED}"
+    )
+    return found._replace(verdict=decide("unclear", reason), element=None, odds={})
+
+
+def _check_held_out(case: Case, found: Found, named: Fitted[Any] | None) -> OrderFit:
     """Return the chosen order with the check on held-out data of what was found in the end."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
         chosen = chosen._replace(**held_out_error(found.element, held_out)._asdict())
+    elif named is not None:
+        chosen = chosen._replace(**held_out_error_of_fit(named, held_out)._asdict())
     if found.kalman:
         chosen = chosen._replace(white=_white_after_filter(found.kalman[0], held_out))
     return chosen
@@ -246,7 +324,8 @@ def _with_edges(answer: Answer) -> Answer:
     remarks += _hardly_passed(answer, shown)
     doubt = _not_wide(shown) or _unfound_widths(answer, shown)
     if doubt:
-        return answer._replace(verdict="undecided", reasons=[doubt])
+        found = answer.found._replace(odds={})  # the likeliest model's own test denies it
+        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
     word = "unreached" if answer.case.unreached else answer.verdict
     return _showing(answer, shown, remarks)._replace(verdict=word)
 
@@ -301,7 +380,8 @@ def _in_loop(answer: Answer) -> Answer:
     holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
         loop = loop._replace(chance=servo.log.loop)
-        holds = "The gap holds in it: each error is that of one prediction"
+        what = "gap" if answer.verdict == "play" else "friction"
+        holds = f"The {what} holds in it: each error is that of one prediction"
     is_closed = loop.is_closed or (servo is not None and servo.log.has_feedback)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []

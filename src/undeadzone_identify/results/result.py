@@ -26,6 +26,13 @@ from undeadzone_identify.results.words import in_words, numbers
 
 WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
 
+UNWRITTEN = {
+    "filtered_zone": "what a filter behind the zone smooths no observer holds; record with it off",
+    "input_curve": "a curve of the input has no widths, and no inverse is written for it",
+    "input_play": "play ahead of the plant is no element of a scenario; its gap is in units of the"
+    " input",
+}
+
 
 class States(NamedTuple):
     """Hidden signals along the log.
@@ -151,6 +158,8 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
+        if self.verdict in UNWRITTEN:
+            raise InputError(f"scenario: {UNWRITTEN[self.verdict]}")
         if not (self.answer.zone or self.answer.case.jumps or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)

@@ -21,6 +21,7 @@ from undeadzone_identify.selection.location import levels_of
 from undeadzone_identify.selection.odds import behind
 from undeadzone_identify.servo.likelihood import At
 
+WITHOUT_GAP = ("none", "friction")  # words of a servo whose gap is excluded
 PRINTED = 4  # crossings on the terminal
 SIDES = {1: "right", -1: "left"}
 
@@ -32,7 +33,7 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         answer: what a log says.
     """
     servo = answer.servo
-    if servo is None:
+    if servo is None or answer.verdict in WITHOUT_GAP:
         return None
     log, one = servo.log, servo.servo
     theta, parts = one.theta, one.structure.parts
@@ -74,7 +75,7 @@ def joints(answer: Answer) -> list[Joint]:
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
     """Return the crossings of a servo's gap column by column; empty where there is no servo."""
     servo = answer.servo
-    if servo is None:
+    if servo is None or answer.verdict in WITHOUT_GAP:
         return {}
     crossings = servo.crossings
     return {
@@ -90,7 +91,7 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
 def crossings_in_words(answer: Answer, unit: str) -> list[str]:
     """Return the first crossings, and what all of them say."""
     columns, servo = crossing_columns(answer), answer.servo
-    if servo is None or not columns["t"].size:
+    if servo is None or not columns or not columns["t"].size:
         return []
     lines = []
     for k in range(min(PRINTED, columns["t"].size)):
@@ -120,6 +121,9 @@ HEADS = {
     "friction": "NO: friction in the plant",
     "input_zone": "NO: a zone of the input",
     "two_zones": "yes, and not alone: the input has one too",
+    "input_curve": "NO: a curve of the input",
+    "input_play": "NO: play ahead of the plant",
+    "filtered_zone": "yes, with a filter behind it",
     "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
     "undecided": "undecided",
@@ -131,6 +135,9 @@ SHORT = {
     "both": "play and sensor",
     "zone_and_friction": "sensor and friction",
     "two_zones": "sensor and input",
+    "input_curve": "curve of the input",
+    "input_play": "play ahead",
+    "filtered_zone": "sensor and filter",
 }
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
@@ -170,6 +177,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
         "odds": answer.found.odds,
         "alternatives": behind(answer.found.models),
         "levels": _levels(answer),
+        "friction": _as_triple(answer.found.friction),
         "servo": servo_numbers(answer),
         "held_out": {
             "error": chosen.error * answer.scale,
@@ -265,6 +273,9 @@ def in_words(answer: Answer) -> dict[str, Any]:
         lines["odds"] = odds_in_words(answer)
     unit = _unit(answer.case.grid.output_unit)
     lines |= _widths(answer)
+    if answer.found.friction is not None:
+        of_input = _unit(answer.case.grid.input_unit)
+        lines["friction"] = f"{_in_words(answer.found.friction, of_input)}, of the motor"
     crossings = crossings_in_words(answer, unit)
     if crossings:
         lines["crossings"] = crossings
@@ -281,6 +292,8 @@ def _widths(answer: Answer) -> dict[str, str]:
     """
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", _unit(grid.output_unit)
+    if answer.verdict == "input_play":
+        letter, unit = "c", _unit(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
         if element.kind == "input_zone":

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import plant
+from undeadzone_identify.models.chain import ChainFit
 from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
@@ -36,12 +37,17 @@ from undeadzone_identify.models.place import (
 )
 from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
 from undeadzone_identify.models.zone_fit import Fit, reduce_record
+from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
+    CANNOT_TELL,
+    CHAINED,
     MEMORY,
+    MODELS,
     UNLIKELY,
     Case,
     Verdict,
     classify,
+    decide,
     detect_feedback,
 )
 from undeadzone_identify.selection.delays import GLITCH, RARE
@@ -54,6 +60,8 @@ LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
+LONGEST = 25  # steps of a climb that checks any other fit
+TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
 LAST = {
     "play": 25,
     "both": 25,
@@ -66,7 +74,7 @@ class Element(NamedTuple):
     """An element that is no dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both, input_zone or two_zones.
+        kind: play, both, input_zone, two_zones; none or friction of a servo without a gap.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
@@ -132,8 +140,11 @@ class Found(NamedTuple):
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty where that was not asked.
+        chains: models of the input's curve or play, and of a filter, by word.
+        denied: words of larger models that simulate held-out data no better.
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
+        friction: level of a motor's friction [u]; None where no servo measured it.
     """
 
     verdict: Verdict
@@ -143,14 +154,18 @@ class Found(NamedTuple):
     offsets: Offsets | None = None
     plays: Plays | None = None
     places: dict[str, PlaceFit] = {}
+    chains: dict[str, ChainFit] = {}
+    denied: frozenset[str] = frozenset()
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
+    friction: Interval | None = None
 
     def judge_again(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
         """What is found with more models, and perhaps without some words."""
         every = (*self.models, *models)
-        odds = odds_of(every, {*without, *excluded_words(case)})
-        fits = self.places | ({} if self.plays is None else self.plays.fits)
+        odds = odds_of(every, {*without, *self.denied, *excluded_words(case)})
+        plays = {} if self.plays is None else self.plays.fits
+        fits = dict(self.places) | dict(self.chains) | dict(plays)
         return self._replace(models=every, odds=odds, verdict=classify(case, odds, every, fits))
 
 
@@ -166,6 +181,7 @@ def excluded_words(case: Case) -> Collection[str]:
     loud = white_noise(fit.objective.residuals(fit.theta), speaks, case.data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
+        out |= {"input_curve", "input_play"}
     return out
 
 
@@ -444,6 +460,88 @@ def _zone_of(
     return widths, least
 
 
+# --- Whether what explains the log best leaves nothing known
+
+
+def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
+    """Return the best fit of a word's models, by BIC per reading; None where there is none.
+
+    Args:
+        case: with static maps.
+        found: with all other models.
+        word: the verdict's, as the odds have it.
+    """
+    plays = {} if found.plays is None else found.plays.fits
+    there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
+    fits: list[Fitted[Any]] = [one for one in there if one is not None]
+    return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
+
+
+def has_a_model(case: Case, found: Found) -> bool:
+    """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
+    of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
+    word, top = found.verdict.word, next(iter(found.odds), "")
+    is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
+    reason = next(iter(found.verdict.reasons), "")
+    is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
+    return bool(top) and not (is_said or of_servo or case.jumps)
+
+
+def with_adequacy(case: Case, found: Found) -> Found:
+    """What is found, unless what the likeliest model leaves depends on something known.
+
+    Args:
+        case: the log.
+        found: with odds.
+    """
+    word = found.verdict.word
+    if word not in found.odds or word in TOP_OF_ODDS:
+        word = next(iter(found.odds))
+    fit = fit_of(case, found, word)
+    remainder = None if fit is None else largest_remainder(fit, word)
+    if remainder is None:
+        return found if word not in found.chains else _in_numbers(case, found)
+    return found._replace(
+        verdict=decide("unclear", *remainder.in_words(MODELS[word])), element=None
+    )
+
+
+def _in_numbers(case: Case, found: Found) -> Found:
+    """What is found, with the numbers of a chain that is named."""
+    word, verdict, data = found.verdict.word, found.verdict, case.data
+    if word not in CHAINED:
+        return found
+    one = found.chains[word]
+    said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    return found._replace(verdict=verdict._replace(reasons=[said]))
+
+
+def without_needless(case: Case, found: Found) -> Found:
+    """What is found, unless the sensor's zone alone leaves no more of held-out data.
+
+    A larger model must simulate them better, too: one-step errors alone are decided by the colour
+    of what disturbs the plant.
+
+    Args:
+        case: the log.
+        found: with a word of a model that holds a sensor's zone and more.
+    """
+    larger = fit_of(case, found, found.verdict.word)
+    models = (found.places.get("dead_zone"), case.maps.get("dead_zone"))
+    if larger is None or not any(models):
+        return found
+    size = larger.squares.data.y.size
+    smaller = next((one for one in models if one and one.squares.data.y.size == size), None)
+    if smaller is None:
+        return found
+    held_out = case.options.held_out
+    errors = [held_out_error_of_fit(one, held_out).error for one in (smaller, larger)]
+    if errors[1] < errors[0]:
+        return found
+    denied = found.denied | {found.verdict.word}
+    return found._replace(denied=denied).judge_again(case)
+
+
 # --- How it does on data that had no part in its fit
 
 
@@ -456,10 +554,21 @@ def held_out_error(element: Element, held_out: float) -> HeldOut:
     """
     if isinstance(element.fit, ServoGap):
         return _held_out_error_of_servo(element, element.fit, held_out)
-    fit, data = element.fit, element.fit.squares.data
+    return held_out_error_of_fit(element.fit, held_out, LAST[element.kind])
+
+
+def held_out_error_of_fit(fit: Fitted[Any], held_out: float, last: int = LONGEST) -> HeldOut:
+    """Return the same of any model that simulates the readings.
+
+    Args:
+        fit: the model.
+        held_out: share of the samples that checks.
+        last: steps of the climb to the others.
+    """
+    data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_top(trained, [fit.theta], fit.model.first, LAST[element.kind])
+    top = best_top(trained, [fit.theta], fit.model.first, last)
     theta = fit.theta if top is None else top.theta
     test = data.ok & ~train
     e = fit.squares.residual(theta)

@@ -14,8 +14,9 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.logs.prepare import JumpEdge
 from undeadzone_identify.models import least_squares
+from undeadzone_identify.models.elements import MapModel
 from undeadzone_identify.models.estimates import long_run_covariance, quantile
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, Fitted
 from undeadzone_identify.models.plant import Data
 from undeadzone_identify.models.zone_fit import Fit, fit_linear
 from undeadzone_identify.selection import orders
@@ -36,11 +37,12 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 # what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
+CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
-    "dead_zone": ("zone_and_friction", "two_zones", "both"),
+    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone"),
     "friction": ("zone_and_friction",),
     "input_zone": ("two_zones",),
     "play": ("both",),
@@ -60,6 +62,12 @@ UNSETTLED = (
     " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
+CANNOT_TELL = "this record cannot tell"
+TOO_SHORT = (
+    "the plant does not settle within a record: the log is shorter than about six of its time"
+    " constants, and a slow pole beside an integrator looks like any curve; record for"
+    " longer"
+)
 MODELS = {
     "dead_zone": "a dead zone of the sensor",
     "none": "a plant without any zone",
@@ -72,6 +80,9 @@ MODELS = {
     "input_zone": "a zone of the input",
     "zone_and_friction": "friction beside a dead zone of the sensor",
     "two_zones": "a zone of the input beside one of the sensor",
+    "input_curve": "a smooth curve of the input",
+    "input_play": "play between input and plant",
+    "filtered_zone": "a dead zone of the sensor with a filter behind it",
 }
 
 
@@ -87,7 +98,7 @@ class Case(NamedTuple):
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
         residuals: residual by z^.
-        rivals: static rivals, each behind the plant that suits it.
+        maps: static rivals, each behind the plant that suits it.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
         servo: what the predictor of a servo, asked first, withheld; None: it was not asked.
@@ -101,7 +112,7 @@ class Case(NamedTuple):
     chosen: orders.OrderFit
     no_zone: orders.NoZone
     residuals: orders.ResidualMap
-    rivals: dict[str, Density]
+    maps: dict[str, Fitted[MapModel]]
     suited: orders.OrderFit
     advance: Callable[[int], None]
     servo: ServoGap | None = None
@@ -110,6 +121,11 @@ class Case(NamedTuple):
     def data(self) -> Data:
         """Return the records as they were fitted."""
         return self.fitted.prepared.data
+
+    @property
+    def rivals(self) -> dict[str, Density]:
+        """Return the densities of static rivals, by the verdict's words."""
+        return {name: one.density for name, one in self.maps.items()}
 
     @property
     def quantum(self) -> float:
@@ -199,6 +215,8 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
     word = _likeliest_word(odds)
     if case.jumps:
         return _by_jump(case, odds, models)
+    if not case.fitted.prepared.settles:
+        return decide("unclear", TOO_SHORT)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
     if as_linear and _within_steps(case):
         unclear = _unclear(case, "none", best_of("none", models), fits)
@@ -232,7 +250,7 @@ def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
     stick = f"readings stick at the ends of the range {ends}"
     if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
         return decide("saturation", f"{stick}; the odds are those of what lies between")
-    if mostly and word in MEMORY:
+    if mostly and word in (*MEMORY, *CHAINED):
         return decide("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
     return None
 
@@ -270,7 +288,7 @@ def best_of(word: str, models: Sequence[Family]) -> Density:
 def _describe_undecided(odds: dict[str, float]) -> Verdict:
     """That no name is likely enough, with what could be there."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
-    apart = f"this record cannot tell {' from '.join(MODELS[word] for word in likely)}"
+    apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
     return decide("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
 
@@ -282,7 +300,8 @@ def _within_steps(case: Case) -> bool:
 def _without_zone(case: Case) -> Verdict:
     """Return the verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
-    if np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0:
+    is_aside = np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0
+    if is_aside and not case.options.integrators:  # whose z has no zero of its own
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
         return decide("operating_point", f"{point}; --zero {about}, or take it off")
@@ -376,9 +395,10 @@ def offset_inside(fit: Fit) -> float | None:
     """Return the mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
 
     Args:
-        fit: plant and zone; with noise behind the zone, else silence is exactly 0.
+        fit: plant and zone; with noise behind the zone, else silence is exactly 0. z of an
+            integrating plant has no zero that an offset could move.
     """
-    if fit.objective.kind != "behind":
+    if fit.objective.kind != "behind" or fit.objective.layout.integrators:
         return None
     z, margin = fit.z, WELL_INSIDE * fit.s
     inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)

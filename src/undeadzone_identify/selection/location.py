@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.chain import VANISHING
 from undeadzone_identify.models.elements import best_of_each
 from undeadzone_identify.models.place import WIDTHS, PlaceFit, PlaceStarts, Shape, fit_place
 from undeadzone_identify.models.zone_fit import Fit
 
+WORDS = {  # by the parts of a model that do not vanish
+    (): "none",
+    ("sensor",): "dead_zone",
+    ("input",): "input_zone",
+    ("inner",): "friction",
+    ("sensor", "input"): "two_zones",
+    ("sensor", "inner"): "zone_and_friction",
+}
 STEPS = 1.5  # quanta of rounded readings, below which a zone may be their own
 
 
@@ -18,7 +27,18 @@ def find_places(fit: Fit, quantum: float) -> dict[str, PlaceFit]:
         quantum: of the readings, scaled.
     """
     fits = filter(lambda one: not _is_of_steps(one, quantum), _fit_all(fit).values())
-    return best_of_each((one.model.shape.word, one.density.bic, one) for one in fits)
+    return best_of_each((_word_of(one), one.density.bic, one) for one in fits)
+
+
+def _word_of(one: PlaceFit) -> str:
+    """Return the verdict's word for what is there: an element that vanishes is not."""
+    model, theta = one.model, one.theta
+    shape = model.shape
+    sensor = shape.sensor and model.part(theta, "sensor").sum() > VANISHING
+    driven = shape.input and model.part(theta, "input").sum() > VANISHING
+    rubs = shape.inner and sum(_friction_levels(one)) > VANISHING
+    words = {"sensor": sensor, "input": driven, "inner": rubs}
+    return WORDS[tuple(name for name, is_there in words.items() if is_there)]
 
 
 def _is_of_steps(one: PlaceFit, quantum: float) -> bool:
@@ -87,11 +107,17 @@ def levels_of(fits: dict[str, PlaceFit]) -> dict[str, tuple[float, float]]:
     for word, one in fits.items():
         model, theta = one.model, one.theta
         if word == "friction":
-            b = theta[model.n : 2 * model.n]
-            force = abs(b.sum()) / max(abs(1 + model.c(theta).sum()), 1e-9)
-            right, left = model.part(theta, "inner") / max(force, 1e-9)
-            levels[word] = (float(right), float(left))
+            levels[word] = _friction_levels(one)
         if model.shape.input:
             right, left = model.part(theta, "input")
             levels[word] = (float(right), float(left))
     return levels
+
+
+def _friction_levels(one: PlaceFit) -> tuple[float, float]:
+    """Return friction right and left, in units of the input, scaled."""
+    model, theta = one.model, one.theta
+    b = theta[model.n : 2 * model.n]
+    force = abs(b.sum()) / max(abs(1 + model.c(theta).sum()), 1e-9)
+    right, left = model.part(theta, "inner") / max(force, 1e-9)
+    return float(right), float(left)

@@ -14,17 +14,26 @@ import msgspec
 import numpy as np
 from scipy.stats import t as student
 
+from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats, later
+from undeadzone.util.text import bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.estimates import Interval, quantile
 from undeadzone_identify.models.least_squares import Density
-from undeadzone_identify.selection.alternatives import EVEN, Element, Found, excluded_words
+from undeadzone_identify.selection.alternatives import (
+    EVEN,
+    LEAST_GAP,
+    Element,
+    Found,
+    excluded_words,
+)
 from undeadzone_identify.selection.decision import (
     LEAST,
     LIKELY,
     MEMORY,
+    UNLIKELY,
     Case,
     Verdict,
     best_of,
@@ -37,12 +46,19 @@ from undeadzone_identify.servo.observations import Observations, noise_of, read_
 from undeadzone_identify.servo.predictor import DEGREES
 
 DENYING = ("none", "friction")  # words by which there is no play
-STATIC = ("saturation", "input_zone")  # words of what has no memory, beside the sensor's own zone
+STATIC = (
+    "saturation",
+    "input_zone",
+    "input_curve",
+    "filtered_zone",
+)  # words of what has no memory, beside the sensor's own zone
 NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
 EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 1.6  # times the count of any other reading: of 886 random servos 5 have more
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
+WIDER, FREEDOM = 1.25, 60  # of a friction's interval, as of a gap's
+LEVEL = 0.004  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -117,7 +133,7 @@ def may_be_servo(case: Case, found: Found) -> bool:
     if found.element is not None or case.jumps is not None or case.unreached:
         return False
     word = found.verdict.word
-    if _is_likely(case.servo, word):
+    if _is_likely(case.servo, _likeliest_word(found)):
         return True
     log = observations_of(case.grid, case.options)
     explained, unlike = word in EXPLAINED, not case.chosen.white
@@ -128,6 +144,12 @@ def may_be_servo(case: Case, found: Found) -> bool:
     fit = case.chosen.pairs
     slow = fit.objective.simulator.settles(fit.theta) < SETTLES  # as an integrator does
     return word in (*EXPLAINED, *NAMELESS) and (left or (unlike and slow))
+
+
+def _likeliest_word(found: Found) -> str:
+    """Return the verdict's word, or that of the largest odds where these are of static models."""
+    word, top = found.verdict.word, next(iter(found.odds), "")
+    return top if word == "undecided" and top in STATIC else word
 
 
 def _is_likely(servo: ServoGap | None, word: str) -> bool:
@@ -150,6 +172,8 @@ def with_servo(case: Case, found: Found) -> Found:
     servo = case.servo or servo_gap(observations_of(case.grid, case.options))
     if servo is None:
         return found
+    if has_no_gap(servo):
+        return without_gap(case, servo, found)
     if not servo.log.ticks:
         return _likelier(case, servo, found)
     word = found.verdict.word
@@ -158,7 +182,7 @@ def with_servo(case: Case, found: Found) -> Found:
     if servo.is_given:
         return found if explained and not integrates else name_servo(case, servo, found)
     denied = servo.integrates and servo.odds > LIKELY and word in DENYING
-    if denied or _is_likely(servo, word):
+    if denied or _is_likely(servo, _likeliest_word(found)):
         return _withhold_servo(servo, found, in_words(servo))
     if explained:
         return found
@@ -166,6 +190,77 @@ def with_servo(case: Case, found: Found) -> Found:
         return _withhold_servo(servo, found)
     of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
     return found if of_another else _withhold_servo(servo, found)
+
+
+# --- A servo without a gap
+
+
+def has_no_gap(servo: ServoGap) -> bool:
+    """Return whether an integrating servo holds the log, and a gap that matters is excluded.
+
+    Args:
+        servo: whose gap is not given.
+    """
+    alone = len(servo.reasons) == 1 and servo.gap.low <= 0
+    is_small = servo.gap.high < LEAST_GAP * servo.log.y_scale
+    is_below_steps = servo.gap.high < servo.log.quantum * servo.log.y_scale
+    excluded = servo.odds < UNLIKELY or is_below_steps
+    return alone and is_small and servo.integrates and excluded
+
+
+def friction_of(servo: ServoGap) -> Interval | None:
+    """Return the friction of a servo's motor [u]; None where it may be 0.
+
+    Args:
+        servo: with or without a gap.
+    """
+    free = list(servo.servo.structure.free(servo.log.ticks, False))
+    if "friction" not in servo.servo.structure.parts or At.FRICTION not in free:
+        return None
+    place, value = free.index(At.FRICTION), float(servo.servo.theta[At.FRICTION])
+    error = math.sqrt(max(float(servo.covariance[place, place]), 0.0))
+    degrees = float(np.clip(servo.reversals - 1, 2, FREEDOM))
+    half = math.hypot(WIDER * quantile(degrees) * error, LEVEL * value)
+    friction = Interval.around(value, half)
+    return friction.scale_interval(servo.log.u_scale) if friction.low > 0 else None
+
+
+def without_gap(case: Case, servo: ServoGap, found: Found) -> Found:
+    """What is found of a servo whose gap is excluded: friction with its level, or nothing.
+
+    Args:
+        case: the log.
+        servo: that explains it without a gap.
+        found: so far.
+    """
+    friction = friction_of(servo)
+    word = "none" if friction is None else "friction"
+    models, odds = found.models, {word: 1.0}
+    if servo.odds < UNLIKELY:  # else the gap is below the steps of the encoder, whatever its odds
+        odds = {word: 1 - servo.odds, "play": servo.odds}
+    if not servo.log.ticks:  # whose densities compare with those of other models
+        density = _family(case, servo)["play"]
+        models = (*models, {"none": case.rivals["none"], word: density._replace(name=word)})
+        odds = odds_of(models, excluded_words(case))
+        if odds.get(word, 0.0) <= LIKELY:
+            return found
+    is_small = f"a gap between motor and encoder, if there is one, is below {servo.gap.high:.3g}"
+    holds = "a motor explains the readings without friction"
+    if friction is not None:
+        level = bracket_interval(friction.value, friction.low, friction.high, ".4g")
+        holds = f"a motor with friction explains the readings: {level} of the input"
+    return found._replace(
+        verdict=decide(word, holds, is_small),
+        models=models,
+        odds=odds,
+        plays=None,
+        friction=friction,
+        element=element_of(case, servo)._replace(kind=word, widths=dict.fromkeys(DIRECTIONS)),
+        delay=late_of(case.options, servo),
+    )
+
+
+# --- A servo with a gap
 
 
 def _likelier(case: Case, servo: ServoGap, found: Found) -> Found:
@@ -179,7 +274,7 @@ def _likelier(case: Case, servo: ServoGap, found: Found) -> Found:
         return name_servo(case, servo, found)._replace(models=models, odds=odds)
     if found.verdict.word in MEMORY:  # whose gap may be known otherwise
         return found
-    return _withhold_servo(servo, found)._replace(models=models, odds=odds)
+    return _withhold_servo(servo, found)
 
 
 def _family(case: Case, servo: ServoGap) -> Family:
@@ -201,9 +296,9 @@ def _family(case: Case, servo: ServoGap) -> Family:
 
 
 def _withhold_servo(servo: ServoGap, found: Found, *named: str) -> Found:
-    """What is found where a servo's gap is not given, with the reasons of that."""
+    """What is found where a servo's gap is not given, with the reasons of that; it has no odds."""
     verdict = decide("undecided", *named, *servo.reasons)
-    return found._replace(verdict=verdict, odds=odds_of_gap(servo), plays=None)
+    return found._replace(verdict=verdict, odds={}, plays=None)
 
 
 def odds_of_gap(servo: ServoGap) -> dict[str, float]:

@@ -1,0 +1,257 @@
+"""Logs of truths that `identify` was not built for, and of a few that it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter, medfilt
+
+from undeadzone.util.arrays import Floats
+
+STEP = 0.01
+SIZE = 1200
+WIDTHS = (0.5, 0.35)  # of the sensor's zones
+
+
+class Strange(NamedTuple):
+    """A log whose truth may be none of the candidates.
+
+    Attributes:
+        u, y: input and reading (N).
+        options: of `identify`.
+        width: of what the right words name; None where no width is asked.
+    """
+
+    u: Floats
+    y: Floats
+    options: dict[str, Any] = {}
+    width: float | None = None
+
+
+class Kind(NamedTuple):
+    """A truth.
+
+    Attributes:
+        make: a log of it.
+        right: the verdict's words that are right; where none is, only a withheld one is.
+    """
+
+    make: Callable[[np.random.Generator], Strange]
+    right: tuple[str, ...]
+
+
+def walk(rng: np.random.Generator, size: int = SIZE, hold: float = 8.0) -> Floats:
+    """Coloured noise of rms 1."""
+    u = lfilter([1.0], [1.0, -np.exp(-1 / hold)], rng.standard_normal(size))
+    return np.asarray(u / u.std())
+
+
+def lags(u: Floats, samples: float = 12.0, order: int = 2) -> Floats:
+    """A plant of equal time constants, its output of rms 1."""
+    keep = np.exp(-1 / samples)
+    for _ in range(order):
+        u = lfilter([0.0, 1 - keep], [1.0, -keep], u)
+    return np.asarray(u / u.std())
+
+
+def zone(v: Floats, right: float = WIDTHS[0], left: float = WIDTHS[1]) -> Floats:
+    """Dz(v)."""
+    return np.asarray(np.maximum(v - right, 0.0) + np.minimum(v + left, 0.0))
+
+
+def dragged(u: Floats, gap: float) -> Floats:
+    """What a play of that gap passes on."""
+    v, at = np.empty(u.size), float(u[0])
+    for k, value in enumerate(u):
+        at = min(max(at, value - gap / 2), value + gap / 2)
+        v[k] = at
+    return v
+
+
+def noisy(rng: np.random.Generator, y: Floats, rms: float = 0.02) -> Floats:
+    """With white noise."""
+    return np.asarray(y + rms * rng.standard_normal(y.size))
+
+
+def curved(curve: Callable[[Floats], Floats]) -> Callable[[np.random.Generator], Strange]:
+    """A plant behind a curve of its input."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng)
+        return Strange(u, noisy(rng, lags(curve(u))))
+
+    return make
+
+
+def sensed(
+    read: Callable[[Floats], Floats], width: float | None = None
+) -> Callable[[np.random.Generator], Strange]:
+    """A plant behind a sensor."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng)
+        return Strange(u, noisy(rng, read(lags(u)), 0.01), {}, width)
+
+    return make
+
+
+def play_ahead(gap: float, samples: float) -> Callable[[np.random.Generator], Strange]:
+    """Play between input and plant."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        u = walk(rng, 2000, 30.0)
+        return Strange(u, noisy(rng, lags(dragged(u, gap), samples, 1)), {}, gap)
+
+    return make
+
+
+def sticking(rng: np.random.Generator) -> Strange:
+    """A valve that sticks, and slips by half as much when it moves."""
+    u, v, at = walk(rng, 2000, 30.0), np.empty(2000), 0.0
+    for k, value in enumerate(u):
+        if abs(value - at) > 0.5:
+            at = value - np.sign(value - at) * 0.25
+        v[k] = at
+    return Strange(u, noisy(rng, lags(v, 12.0, 1)))
+
+
+def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
+    """A joint's position by its torque, with Coulomb friction and no gap."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        size, tau, gain, h = 2500, 0.1, 2.0, STEP / 40
+        u = np.repeat(rng.uniform(-1, 1, size // 30 + 1), 30)[:size]
+        y, x, v = np.empty(size), 0.0, 0.0
+        for k in range(size):
+            y[k] = x
+            for _ in range(40):
+                a, f = (gain * u[k] - v) / tau, gain * friction / tau
+                if v == 0 and abs(a) <= f:
+                    continue
+                w = v + h * (a - np.sign(v or a) * f)
+                w = 0.0 if w * v < 0 else w
+                x, v = x + h * (v + w) / 2, w
+        return Strange(u, np.round(y / 2e-4) * 2e-4, {"integrators": 1})
+
+    return make
+
+
+def motor(samples: float) -> Callable[[np.random.Generator], Strange]:
+    """A linear motor's position; its time constant is so many samples."""
+
+    def make(rng: np.random.Generator) -> Strange:
+        n, phases = 2000, rng.uniform(0, 6, 3)
+        t = np.arange(n) / samples
+        tones = zip((1, 0.7, 0.5), (0.7, 1.9, 4.1), phases, strict=True)
+        u = sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(n))
+        keep = np.exp(-1 / samples)
+        v = lfilter([0.0, 1 - keep], [1.0, -keep], u)
+        y = np.cumsum(np.append(0.0, v[:-1]))
+        return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
+
+    return make
+
+
+def drifting(rng: np.random.Generator) -> Strange:
+    """A gain that falls by half along the log, ahead of a zone."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, zone(lags(u) * np.linspace(1.4, 0.7, u.size)), 0.01))
+
+
+def of_fifth_order(rng: np.random.Generator) -> Strange:
+    """A linear plant of more poles than are tried."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(u, 5.0, 5)))
+
+
+def averaged(rng: np.random.Generator) -> Strange:
+    """A linear plant whose readings are means of five."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lfilter(np.ones(5) / 5, [1.0], lags(u)), 0.01))
+
+
+def of_two_inputs(rng: np.random.Generator) -> Strange:
+    """A linear plant, half of whose output another input makes, which was not recorded."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(u) + 0.7 * lags(walk(rng), 30.0, 1)))
+
+
+def softening(rng: np.random.Generator) -> Strange:
+    """A mass on a spring that bends."""
+    u = walk(rng)
+    y, x, v = np.empty(u.size), 0.0, 0.0
+    for k, value in enumerate(u):
+        y[k] = x
+        for _ in range(4):
+            v += 0.25 * (0.02 * (2.0 * value - x - 0.5 * x**3) - 0.15 * v)
+            x += 0.25 * v
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def tank(rng: np.random.Generator) -> Strange:
+    """The level of a tank with a free outlet, less its mean."""
+    u, y, x = walk(rng, SIZE, 30.0), np.empty(SIZE), 1.0
+    for k, value in enumerate(u):
+        y[k] = x
+        x = max(x + 0.03 * (1 + 0.3 * value - np.sqrt(x)), 0.0)
+    return Strange(u, noisy(rng, (y - y.mean()) / y.std()))
+
+
+def by_pulses(rng: np.random.Generator) -> Strange:
+    """A speed by pulses about 1500 us, with a zone of +- 25 of 100 about it."""
+    u = walk(rng)
+    return Strange(1500 + 100 * u, noisy(rng, lags(zone(u, 0.27, 0.22))), {}, 49.0)
+
+
+def slow_rate(v: Floats) -> Floats:
+    """Changes limited to so much a sample."""
+    out, at = np.empty(v.size), float(v[0])
+    for k, value in enumerate(v):
+        at += min(max(float(value) - at, -0.06), 0.06)
+        out[k] = at
+    return out
+
+
+def slopes_apart(v: Floats) -> Floats:
+    """A zone whose sides have other slopes."""
+    through = zone(v)
+    return np.where(through > 0, through, 0.6 * through)
+
+
+ZONE = ("dead_zone", "filtered_zone")
+BOTH = sum(WIDTHS)
+KINDS = {
+    "fan": Kind(curved(lambda u: u * np.abs(u)), ("input_curve",)),
+    "exponential valve": Kind(curved(np.expm1), ("input_curve",)),
+    "soft limit of the input": Kind(curved(lambda u: np.tanh(2 * u)), ("input_curve",)),
+    "cubic input": Kind(curved(lambda u: u + 0.4 * u**3), ("input_curve",)),
+    "root of the input": Kind(curved(lambda u: np.sign(u) * np.sqrt(np.abs(u))), ("input_curve",)),
+    "limit of the input": Kind(curved(lambda u: np.clip(u, -0.9, 1.1)), ()),
+    "play ahead, 12": Kind(play_ahead(0.5, 12.0), ("input_play",)),
+    "play ahead, 2": Kind(play_ahead(0.9, 2.0), ("input_play",)),
+    "valve that sticks and slips": Kind(sticking, ("input_play",)),
+    "rate limit of the input": Kind(curved(slow_rate), ()),
+    "pulses about 1500": Kind(by_pulses, ("input_zone",)),
+    "zone, mean of 4": Kind(sensed(lambda z: lfilter(np.ones(4) / 4, [1.0], zone(z)), BOTH), ZONE),
+    "zone, lag of 3": Kind(sensed(lambda z: lfilter([0.3], [1.0, -0.7], zone(z)), BOTH), ZONE),
+    "zone, median of 5": Kind(sensed(lambda z: medfilt(zone(z), 5), BOTH), ZONE),
+    "zone of two slopes": Kind(sensed(slopes_apart), (*ZONE, "other")),
+    "zone that ends": Kind(sensed(lambda z: np.clip(zone(z), -0.6, 0.8)), (*ZONE, "saturation")),
+    "zone behind a drifting gain": Kind(drifting, ZONE),
+    "rate limit of the sensor": Kind(sensed(slow_rate), ()),
+    "soft sensor": Kind(sensed(lambda z: np.tanh(1.5 * z)), ("other", "saturation")),
+    "joint, friction .3": Kind(joint(0.3), ("friction",)),
+    "joint": Kind(joint(0.0), ("none", "operating_point")),
+    "motor of 5": Kind(motor(5.0), ("none", "operating_point")),
+    "motor of 50": Kind(motor(50.0), ("none", "operating_point")),
+    "motor of 500": Kind(motor(500.0), ("none", "operating_point")),
+    "fifth order": Kind(of_fifth_order, ("none", "operating_point")),
+    "mean of 5": Kind(averaged, ("none", "operating_point")),
+    "an input that nobody recorded": Kind(of_two_inputs, ("none", "operating_point")),
+    "spring that bends": Kind(softening, ()),
+    "tank": Kind(tank, ()),
+    "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
+    "line": Kind(sensed(lambda z: z), ("none", "operating_point")),
+}

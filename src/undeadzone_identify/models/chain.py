@@ -1,0 +1,345 @@
+"""A plant between elements: a curve or a play of its input, a zone and a filter behind it.
+
+y = F(q) Dz(G(q) g(u; p)) + level. What an element of the input passes is known for every p, so a
+scan of p with a linear plant behind each finds where a climb begins. These are everyday truths
+beside a dead zone: a fan's torque goes by u |u|, a damper's linkage plays, a load cell's converter
+averages. A curve has neither widths nor an inverse.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from undeadzone.nonlinearities.play import levels
+from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.models.elements import best_of_each
+from undeadzone_identify.models.estimates import Interval, latest, weighing
+from undeadzone_identify.models.least_squares import Fitted, LeastSquares
+from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.place import PlaceFit, PlaceStarts
+from undeadzone_identify.models.plant import Data, Simulator
+from undeadzone_identify.models.zone_fit import Fit, fit_linear
+
+TAPS = 4  # of a filter behind the zone, beside the first
+WIDEST = 6.0  # rms of z, that an edge is away at most
+VANISHING = 0.01  # rms of its signal, below which an element counts for none
+STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts for none
+FINEST = 2e-4  # rms of u: no interval of a gap is narrower
+STEP = 1e-5  # of a number, for differences
+
+
+class InputElement(NamedTuple):
+    """An element of the input.
+
+    Attributes:
+        passes: what it makes of u (N) and its numbers.
+        low, high: bounds of the numbers.
+        scanned: numbers that are tried first, a linear plant behind each.
+        words: how it reads with its numbers.
+    """
+
+    passes: Callable[[Floats, Floats], Floats]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    scanned: tuple[tuple[float, ...], ...]
+    words: str
+
+
+def power_of_input(u: Floats, p: Floats) -> Floats:
+    """Return sign(u) |u|^p."""
+    return np.asarray(np.sign(u) * np.abs(u) ** p[0])
+
+
+def cubic_of_input(u: Floats, p: Floats) -> Floats:
+    """Return u + p_0 u^2 + p_1 u^3."""
+    return u + p[0] * u * u + p[1] * u**3
+
+
+def exponential_of_input(u: Floats, p: Floats) -> Floats:
+    """Return (exp(p u) - 1) / p."""
+    rate = p[0] if abs(p[0]) > 1e-6 else 1e-6
+    return np.asarray(np.expm1(np.clip(rate * u, -50.0, 50.0)) / rate)
+
+
+def play_of_input(u: Floats, p: Floats) -> Floats:
+    """What a play of gap p passes on of u, at first without touching."""
+    half = p[:1] / 2
+    return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
+
+
+INPUTS = {
+    "power": InputElement(
+        power_of_input, (0.2,), (4.0,), ((0.5,), (1.5,), (2.0,), (3.0,)), "sign(u) |u|^{0:.2g}"
+    ),
+    "cubic": InputElement(
+        cubic_of_input,
+        (-3.0, -3.0),
+        (3.0, 3.0),
+        ((0.0, 0.1), (0.0, 0.5), (0.3, 0.1), (-0.3, 0.1)),
+        "u {0:+.2g} u^2 {1:+.2g} u^3",
+    ),
+    "exponential": InputElement(
+        exponential_of_input, (-3.0,), (3.0,), ((0.4,), (1.0,), (-0.4,), (-1.0,)), "exp({0:.2g} u)"
+    ),
+    "play": InputElement(
+        play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
+    ),
+}
+PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
+CURVES = ("power", "cubic", "exponential")
+
+
+class ChainModel:
+    """y on F(q) Dz(G(q) g(u; p)), with differences.
+
+    theta = [a, b, x0, p, d_r, d_l, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
+
+    Args:
+        simulator: the plant, of one input, with its data.
+        element: of the input, of `INPUTS`; None: there is none.
+        zone: whether there is a zone of the sensor.
+        taps: how many f there are.
+        lags: whether F is a lag of first order instead, and f_1 its pole.
+    """
+
+    first, last, gain, has_level = 8, 30, 1e-3, True
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        element: str | None = None,
+        zone: bool = False,
+        taps: int = 0,
+        lags: bool = False,
+    ) -> None:
+        self.simulator, self.element, self.zone, self.lags = simulator, element, zone, lags
+        self.taps = 1 if lags else taps
+        self.name = element or ("filtered zone" if zone else "filtered")
+        self.base = simulator.layout.right
+        own = INPUTS[element] if element is not None else None
+        low, high = (own.low, own.high) if own is not None else ((), ())
+        self.inputs = slice(self.base, self.base + len(low))
+        self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
+        self.filter = slice(self.edges.stop, self.edges.stop + self.taps)
+        self.low = np.array([*low, *([0.0] * 2 * zone), *([-0.9] * self.taps)])
+        self.high = np.array([*high, *([WIDEST] * 2 * zone), *([0.98] * self.taps)])
+        self.free: Integers = np.arange(self.filter.stop)
+
+    def along(self, data: Data) -> ChainModel:
+        """Return the same model of other records."""
+        own = self.simulator.along(data)
+        return ChainModel(own, self.element, self.zone, 0 if self.lags else self.taps, self.lags)
+
+    def project(self, theta: Floats) -> Floats:
+        """Return numbers of the elements within their bounds."""
+        theta[self.base :] = np.clip(theta[self.base :], self.low, self.high)
+        return theta
+
+    @latest
+    def output(self, theta: Floats) -> Floats:
+        """Return z, the output of the plant (N)."""
+        return self._simulate(theta)
+
+    def _simulate(self, theta: Floats) -> Floats:
+        """Return z of any numbers (N)."""
+        layout, u = self.simulator.layout, self.simulator.data.u[:, 0]
+        numerator = np.append(0.0, theta[layout.b])
+        denominator = layout.denominator(theta[layout.a])
+        starts = theta[layout.x0].reshape(layout.records, layout.n)
+        z = np.empty(u.size)
+        for part, start in zip(self.simulator.data.records(), starts, strict=True):
+            v = u[part]
+            if self.element is not None:
+                v = INPUTS[self.element].passes(v, theta[self.inputs])
+            driven = lfilter(numerator, [1.0], v)
+            driven[: layout.n] += start[: driven.size]
+            z[part] = lfilter([1.0], denominator, driven)
+        return z
+
+    def readings(self, z: Floats, theta: Floats) -> Floats:
+        """What is read of z without noise (N)."""
+        y = dead_zone(z, *theta[self.edges]) if self.zone else z
+        if not self.taps:
+            return np.asarray(y)
+        f, out = theta[self.filter], np.empty(y.size)
+        for part in self.simulator.data.records():
+            if self.lags:
+                keep = float(f[0])
+                out[part] = lfilter([1 - keep], [1.0, -keep], y[part], zi=[keep * y[part][0]])[0]
+            else:
+                longer = np.append(np.full(self.taps, y[part][0]), y[part])
+                out[part] = lfilter(np.append(1 - f.sum(), f), [1.0], longer)[self.taps :]
+        return out
+
+    def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
+        y = self.readings(self.output(theta), theta)
+        rows = np.empty((y.size, theta.size))
+        for place in self.free:
+            step = STEP * max(abs(theta[place]), 0.02)
+            more, less = theta.copy(), theta.copy()
+            more[place] += step
+            less[place] -= step
+            apart = self.readings(self._simulate(more), more)
+            rows[:, place] = (apart - self.readings(self._simulate(less), less)) / (2 * step)
+        return y, rows
+
+    def word(self, theta: Floats) -> str:
+        """Return the verdict's word for what is there: an element that vanishes is not.
+
+        Args:
+            theta: its numbers.
+        """
+        if self.element in CURVES:
+            return "none" if self._bend(theta) < STRAIGHT else "input_curve"
+        if self.element == "play":
+            return "none" if theta[self.inputs][0] < VANISHING else "input_play"
+        is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
+        return "filtered_zone" if is_there else "none"
+
+    def _bend(self, theta: Floats) -> float:
+        """Return what a line leaves of the curve along the log, in the curve's rms."""
+        u = self.simulator.data.u[:, 0]
+        curve = INPUTS[str(self.element)].passes(u, theta[self.inputs])
+        line = np.polyval(np.polyfit(u, curve, 1), u)
+        return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
+
+    def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
+        """Return what the model is, with its numbers.
+
+        Args:
+            theta: its numbers.
+            u_scale: rms of u [u].
+            y_scale: rms of y [y].
+        """
+        if self.element in CURVES:
+            shape = INPUTS[str(self.element)].words.format(*theta[self.inputs])
+            of = "" if self.element == "power" else f", u over {u_scale:.4g}"
+            return f"the input acts by a smooth curve ({shape} fits{of}); no zone is needed"
+        if self.element == "play":
+            gap = theta[self.inputs][0] * u_scale
+            return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
+        right, left = theta[self.edges] * y_scale
+        f = theta[self.filter]
+        late = f[0] / (1 - f[0]) if self.lags else float(f @ np.arange(1, self.taps + 1))
+        return (
+            f"a dead zone of about {right:.3g} and {left:.3g}, and behind it a filter late by"
+            f" {late:.2g} samples; record with the filter off, and the widths are measured"
+        )
+
+
+ChainFit = Fitted[ChainModel]
+
+
+def fit_chains(
+    fit: Fit, places: dict[str, PlaceFit], recorded: Data, orders: Sequence[int]
+) -> dict[str, ChainFit]:
+    """Return the best chain of each word.
+
+    Args:
+        fit: plant and sensor zone of one record.
+        places: other models of the same record.
+        recorded: the same readings with the input as it was recorded: a delay that the zone's plant
+            asked for may be that of an element.
+        orders: that the log is long enough for; of the fit's and the next ones the best is taken.
+    """
+    starts = PlaceStarts(fit)
+    layout, data = starts.simulator.layout, starts.simulator.data
+    if layout.m > 1:
+        return {}
+    kinds = [(data, n) for n in (layout.n, layout.n + 1)]
+    same = recorded.y.size == data.y.size and np.array_equal(recorded.y, data.y)
+    if same and not np.array_equal(recorded.u, data.u):
+        kinds += [(recorded, n) for n in range(layout.n, layout.n + 3)]
+    plants = [
+        Simulator(one, n, layout.integrators) for one, n in kinds if n in orders or n == layout.n
+    ]
+    fits: list[ChainFit | None] = []
+    for name, element in INPUTS.items():
+        scanned = [scan_input(plant, element) for plant in plants]
+        fits.append(_best_order(plants, scanned, partial(_model_of, name)))
+    plain = [scan_input(plant, PLAIN) for plant in plants]
+    taps = [np.array(one) for one in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
+    longer = [
+        [Begun(one.cost, np.append(one.theta, f)) for one in row for f in taps] for row in plain
+    ]
+    fits.append(_best_order(plants, longer, lambda one: ChainModel(one, taps=TAPS)))
+    zoned, widths = starts.plant, starts.widths
+    if "dead_zone" in places:
+        known = places["dead_zone"]
+        zoned, widths = known.theta[: layout.right], known.model.part(known.theta, "sensor")
+    lag = ChainModel(starts.simulator, zone=True, lags=True)
+    begun = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
+    fits.append(LeastSquares(lag).best(begun))
+    filtered = ChainModel(starts.simulator, zone=True, taps=TAPS)
+    fits.append(LeastSquares(filtered).best([np.concatenate([zoned, widths, f]) for f in taps]))
+    there = [one for one in fits if one is not None]
+    return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
+
+
+def _model_of(name: str, simulator: Simulator) -> ChainModel:
+    """Return a plant behind an element of the input."""
+    return ChainModel(simulator, name)
+
+
+class Begun(NamedTuple):
+    """Where a climb begins, and BIC of the linear plant there."""
+
+    cost: float
+    theta: Floats
+
+
+def _best_order(
+    plants: Sequence[Simulator],
+    scanned: Sequence[Sequence[Begun]],
+    model: Callable[[Simulator], ChainModel],
+) -> ChainFit | None:
+    """Return the fit behind the plant whose scan leaves least."""
+    there = [(min(one.cost for one in row), k) for k, row in enumerate(scanned) if row]
+    if not there:
+        return None
+    best = min(there)[1]
+    return LeastSquares(model(plants[best])).best([one.theta for one in scanned[best]])
+
+
+def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> list[Begun]:
+    """Return where climbs begin: the best numbers of a scan, with the linear plant behind each.
+
+    Args:
+        simulator: the plant, with its data.
+        element: of the input.
+        most: how many.
+    """
+    layout, data, found = simulator.layout, simulator.data, list[Begun]()
+    for numbers in element.scanned:
+        v = element.passes(data.u[:, 0], np.array(numbers))
+        scale = float(v.std())
+        if not 1e-6 < scale < math.inf:
+            continue
+        passed = data._replace(u=(v / scale)[:, None], climbs=None)
+        fit = fit_linear(Simulator(passed, layout.n, layout.integrators), data.ok)
+        theta = fit.theta[: layout.right].copy()
+        theta[layout.b] /= scale
+        found.append(Begun(fit.bic, np.append(theta, numbers)))
+    return sorted(found, key=lambda one: one.cost)[:most]
+
+
+def gap_of_input(fit: ChainFit) -> Interval:
+    """Return the gap of a play of the input with its 95 % interval, scaled.
+
+    Args:
+        fit: of such a play.
+    """
+    later, place = fit.predicting, fit.model.inputs.start
+    value, first = float(later.theta[place]), float(fit.theta[place])
+    row = weighing(fit.model.free, fit.theta.size, place, (1.0,))
+    halves: Sequence[float] = [
+        one.squares.spread(one.theta).half_and_degrees(row)[0] for one in (fit, later)
+    ]
+    return Interval.around(value, math.hypot(max(halves), value - first, FINEST))

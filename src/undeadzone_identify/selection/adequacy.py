@@ -1,0 +1,200 @@
+"""Does the likeliest model hold what the log shows? Score tests of what it leaves.
+
+Odds compare models with each other: the best of them may still be wrong. A right model's
+innovations depend on nothing that is known. So they are regressed on what a wrong model would
+leave, after whatever a change of the model's own numbers explains is taken out (Rao 1948; White
+1982). One regression a direction and no fit is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from undeadzone.util.arrays import Floats
+from undeadzone_identify.models import least_squares
+from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, Fitted
+
+SHARE = 0.05  # of the innovations' variance, from which a direction is real
+SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
+BEGIN = 12  # samples of a record whose innovations lack a past
+AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
+BEHIND = 5  # lags of what is read
+VANISHING = 1e-6  # of a column: one that the model's own numbers explain
+ALIKE = 1e-3  # of the largest singular value: columns that say the same
+DEPENDS = {
+    "input": "the size of the input",
+    "output": "the size of the output",
+    "turns of the input": "the direction in which the input moved last",
+    "turns of the output": "the direction in which the output moved last",
+    "behind": "what was read a few samples before",
+    "spring": "the size of the output as a force on the plant",
+    "time": "the time",
+}
+SEEN = {
+    "input": "the input may act by a curve that is not known here; record steps to several levels"
+    " of it, each held until the readings settle, and the curve can be read off",
+    "output": "the sensor may have a curve that is not known here; record slow ramps through its"
+    " whole range",
+    "turns of the input": "there may be play or sticking between the input and the plant; record"
+    " slow triangles of the input, of several amplitudes",
+    "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
+    " input, of several amplitudes",
+    "behind": "the sensor may smooth its readings; record them with its filter off",
+    "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
+    " record with a smaller input",
+    "time": "the plant or the sensor may drift; identify a shorter part of the log",
+}
+
+
+class Remainder(NamedTuple):
+    """What a model's innovations depend on.
+
+    Attributes:
+        on: the direction, of `DEPENDS`.
+        share: of their variance that it explains.
+        chance: p of that.
+    """
+
+    on: str
+    share: float
+    chance: float
+
+    def is_real(self, least: float = SHARE) -> bool:
+        """Return whether a model that leaves this is wrong.
+
+        Args:
+            least: share from which it is.
+        """
+        return self.share > least and self.chance < CHANCE
+
+    def in_words(self, model: str) -> tuple[str, str]:
+        """Return what was seen, and what that may be and how it is found out.
+
+        Args:
+            model: the model in words.
+        """
+        explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, p < 0.001)"
+        seen = f"what the best one, {model}, leaves depends on {explained}"
+        return f"none of the known models explains this log: {seen}; nothing is named", SEEN[
+            self.on
+        ]
+
+
+def largest_remainder(fit: Fitted[Any], word: str) -> Remainder | None:
+    """Return what a model's innovations depend on most, if that is real; else None.
+
+    Args:
+        fit: the model.
+        word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
+            something, and that of friction by the sample leaves more than others.
+    """
+    if word == "jump":
+        return None
+    least = SHARE_OF_FRICTION if word == "friction" else SHARE
+    real = [one for one in remainders(fit) if one.is_real(least)]
+    return max(real, key=lambda one: one.share, default=None)
+
+
+def remainders(fit: Fitted[Any]) -> list[Remainder]:
+    """Return what a model's innovations depend on, direction by direction.
+
+    Args:
+        fit: the model; one that leaves next to nothing is not wrong.
+    """
+    if not LEAST_ODD < fit.density.rms < math.inf:
+        return []
+    squares = fit.squares.fit_coloured(fit.theta)
+    data = squares.data
+    e, rows = (squares.whiten(one) for one in squares.rows(fit.theta))
+    use = data.ok.copy()
+    for part in data.records():
+        use[part.start : part.start + BEGIN] = False
+    own = np.column_stack([rows, np.ones(len(rows))])[use]
+    if len(own) < 4 * own.shape[1]:
+        return []
+    target = least_squares.unexplained_by(own, e[use])
+    found = []
+    for name, columns in _directions(fit).items():
+        centred = np.where(data.ok[:, None], columns - columns[data.ok].mean(axis=0), 0.0)
+        left = _left_over(own, squares.whiten(centred)[use])
+        if left is not None:
+            share, chance = least_squares.explain_residual(left, target)[2:]
+            found.append(Remainder(name, share, chance))
+    return found
+
+
+def _left_over(own: Floats, columns: Floats) -> Floats | None:
+    """Return what the model's own numbers leave of columns, each with rms 1 and of no other.
+
+    None where they explain all.
+    """
+    left = least_squares.unexplained_by(own, columns)
+    scale = left.std(axis=0)
+    kept = scale > VANISHING * np.maximum(columns.std(axis=0), 1e-12)
+    if not kept.any():
+        return None
+    basis, sizes, _ = np.linalg.svd(left[:, kept] / scale[kept], full_matrices=False)
+    return np.asarray(basis[:, sizes > ALIKE * sizes[0]] * math.sqrt(len(left)))
+
+
+def _directions(fit: Fitted[Any]) -> dict[str, Floats]:
+    """Return what a wrong model would leave, by direction (N x K each)."""
+    model, theta = fit.model, fit.theta
+    data, z = model.simulator.data, model.output(theta)
+    read, u = model.readings(z, theta), data.u[:, 0]
+    turn_u, turn_z = _last_turn(u), _last_turn(z)
+    t = np.linspace(-1.0, 1.0, z.size)
+    directions = {
+        "input": _through_plant(fit, _hats(u, AT_INPUT)),
+        "output": _hats(z, AT_SENSOR),
+        "turns of the input": _through_plant(fit, _by_turn(turn_u, u)),
+        "turns of the output": _by_turn(turn_z, z),
+        "time": read[:, None] * np.column_stack([t, t * t, np.sin(np.pi * t), np.cos(np.pi * t)]),
+    }
+    if float(np.std(read - z)) > 0:  # else these are more poles of the plant
+        lags = [_late(read, k) for k in range(1, BEHIND + 1)]
+        lags += [_late(read - z, k) for k in range(1, 4)]
+        directions["behind"] = np.column_stack(lags)
+    else:  # of a sensor's zone a bent spring is a caution (decision.py)
+        force = z / max(float(np.std(z)), 1e-12)
+        bent = np.column_stack([force**2, force**3, force * np.abs(force)])
+        directions["spring"] = _through_plant(fit, bent)
+    return directions
+
+
+def _hats(values: Floats, count: int) -> Floats:
+    """Return hat functions of a signal (N x K)."""
+    centres = np.unique(np.quantile(values, np.linspace(0.01, 0.99, count)))
+    return least_squares.hats(values, centres)
+
+
+def _by_turn(turn: Floats, signal: Floats) -> Floats:
+    """Return the sign of a signal's last move, alone and times the signal (N x 3)."""
+    return np.column_stack([turn, turn * signal, turn * np.abs(signal)])
+
+
+def _last_turn(signal: Floats) -> Floats:
+    """Return the sign of a signal's last move (N); 0 before it moved."""
+    sign = np.sign(np.diff(signal, prepend=signal[0]))
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
+    return np.asarray(sign[last])
+
+
+def _late(signal: Floats, lag: int) -> Floats:
+    """Return a signal some samples late (N)."""
+    return np.append(np.full(lag, signal[0]), signal[:-lag])
+
+
+def _through_plant(fit: Fitted[Any], columns: Floats) -> Floats:
+    """Return what the plant makes of columns at its first input (N x K)."""
+    layout, theta = fit.model.simulator.layout, fit.theta
+    numerator = np.append(0.0, theta[layout.b][: layout.n])
+    out = np.empty_like(columns)
+    for part in fit.model.simulator.data.records():
+        denominator = layout.denominator(theta[layout.a])
+        out[part] = lfilter(numerator, denominator, columns[part], axis=0)
+    return out
