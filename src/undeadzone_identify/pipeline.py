@@ -354,9 +354,8 @@ def _with_place(case: Case, found: Found) -> Found:
         return found
     recorded = longest_of(case.recorded)
     chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
-    rows = [
-        (word, one.density.bic, one.density) for word, one in [*places.items(), *chains.items()]
-    ]
+    models: dict[str, Any] = {**places, **chains}
+    rows = [(word, one.density.bic, one.density) for word, one in models.items()]
     found = found._replace(places=places, chains=chains)
     return found.judge_again(case, best_of_each(rows))
 

@@ -184,7 +184,8 @@ def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> No
     (tool / "observers" / "held.py").write_text(OWN, encoding="utf-8")
     listed = (tool / "registry.py").read_text(encoding="utf-8")
     first = '        "auto": "undeadzone.observers.auto:Auto",\n'
-    line = '        "held": "undeadzone.observers:held.Held",\n'
+    place = ":".join(["undeadzone.observers.held", "Held"])
+    line = f'        "held": "{place}",\n'
     assert first in listed
     (tool / "registry.py").write_text(listed.replace(first, first + line), encoding="utf-8")
     (tmp_path / "mine.toml").write_text(SCENARIO, encoding="utf-8")

@@ -175,7 +175,7 @@ def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
     """Return the output-error fit without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
     objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
-    theta = np.zeros(objective.layout.size)
+    theta: Floats = np.zeros(objective.layout.size)
     a, b, _ = arx(simulator, None, use)
     theta[objective.layout.a] = stabilise(a)
     theta[objective.layout.b] = b
