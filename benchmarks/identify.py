@@ -23,7 +23,7 @@ import undeadzone as uz
 from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
 from undeadzone.statistics.intervals import proportion
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.zone_fit import refit
+from undeadzone_identify.models.zone_fit import refit_likelihood
 
 KEPT = Path("build/identify.jsonl")
 Outcome = dict[str, Any]
@@ -99,7 +99,7 @@ def triple(interval: Interval | None) -> list[float] | None:
 
 def least_squares(answer: uz.Identified, made: Made) -> list[float]:
     """The edges by least squares through the zone, from where the likelihood ended."""
-    fit = refit(answer.answer.fit, "behind")
+    fit = refit_likelihood(answer.answer.fit, "behind")
     scale = answer.answer.scale
     return [fit.right * scale, fit.left * scale]
 

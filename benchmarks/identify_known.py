@@ -16,11 +16,15 @@ from benchmarks.markdown import head, row
 from undeadzone.statistics.intervals import proportion
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
-from undeadzone_identify.logs.log import Options, log_of_arrays
-from undeadzone_identify.logs.prepare import prepare
-from undeadzone_identify.models.estimates import Spread, quantile, sandwich
-from undeadzone_identify.models.plant import Simulator, delay_inputs
-from undeadzone_identify.models.zone_fit import Fit, fit_zone, polish_fit, refit
+from undeadzone_identify.logs.log import Options, log_from_arrays
+from undeadzone_identify.logs.prepare import prepare_log
+from undeadzone_identify.models.estimates import (
+    EstimateCovariance,
+    sandwich_covariance,
+    student_quantile,
+)
+from undeadzone_identify.models.plant import PlantSimulator, delay_inputs
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone, polish_fit, refit_likelihood
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
 FIRST = 700  # seed
@@ -40,12 +44,12 @@ class Held(NamedTuple):
 def stages(family: str, seed: int) -> tuple[list[Held], Floats]:
     """Whether intervals of (L1) and of (L2) hold, and (L2)'s errors of the edges (2)."""
     made = make(seed, family)
-    prepared = prepare(to_grid([log_of_arrays(made.step, made.u, made.y)]), Options())
+    prepared = prepare_log(to_grid([log_from_arrays(made.step, made.u, made.y)]), Options())
     data = prepared.data
     if family == "late":
         data = delay_inputs(data, lateness(seed))
-    singles = fit_zone(Simulator(data, made.n), "singles", prepared.limits)
-    pairs = refit(singles, "pairs")
+    singles = fit_zone(PlantSimulator(data, made.n), "singles", prepared.limits)
+    pairs = refit_likelihood(singles, "pairs")
     truth = np.array([made.right, made.left, made.right + made.left]) / data.y_scale
     held = [of_fit(polish_fit(fit), truth) for fit in (singles, pairs)]
     error = np.array([pairs.right, pairs.left]) - truth[:2]
@@ -60,22 +64,22 @@ def lateness(seed: int) -> int:
     return int(rng.integers(1, 9))
 
 
-def of_fit(fit: Fit, truth: Floats) -> Held:
+def of_fit(fit: ZoneFit, truth: Floats) -> Held:
     """Whether the truth (3) lies in the intervals of a fit."""
-    spread = fit.objective.spread(fit.theta)
+    spread = fit.objective.robust_covariance(fit.theta)
     values = np.array([fit.right, fit.left, fit.right + fit.left])
-    rows = [fit.objective.direction(right=r, left=le) for r, le in ((1, 0), (0, 1), (1, 1))]
+    rows = [fit.objective.width_weights(right=r, left=le) for r, le in ((1, 0), (0, 1), (1, 1))]
     return held_by(spread, np.array(rows), np.abs(values - truth))
 
 
-def held_by(spread: Spread, rows: Floats, errors: Floats) -> Held:
+def held_by(spread: EstimateCovariance, rows: Floats, errors: Floats) -> Held:
     """Whether errors (M) of the estimates in these directions (M x P) lie in the intervals."""
     naive = np.einsum("ij,jk,ik->i", rows, spread.naive, rows)
     plain = np.einsum("ij,jk,ik->i", rows, spread.V, rows)
     own = [spread.half_width(one) for one in rows]
     return Held(
         1.0 * (errors <= 1.96 * np.sqrt(naive)),
-        1.0 * (errors <= quantile(spread.degrees) * np.sqrt(plain)),
+        1.0 * (errors <= student_quantile(spread.degrees) * np.sqrt(plain)),
         1.0 * (errors <= own),
     )
 
@@ -90,7 +94,7 @@ def regression(rng: np.random.Generator, passages: int) -> Held:
     fitted = np.linalg.lstsq(rows, e, rcond=None)[0]
     e = e - rows @ fitted
     variance = float(np.mean(e**2))
-    spread = sandwich(rows * e[:, None] / variance, rows.T @ rows / variance)
+    spread = sandwich_covariance(rows * e[:, None] / variance, rows.T @ rows / variance)
     return held_by(spread, np.eye(6)[:1], np.abs(fitted[:1]))
 
 

@@ -14,31 +14,31 @@ from benchmarks.loop_logs import LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.names import commit, share
 from undeadzone_identify.logs.grid import to_grid
-from undeadzone_identify.logs.log import Options, log_of_arrays
-from undeadzone_identify.logs.prepare import prepare
-from undeadzone_identify.models.place import fit_at_input, fit_both_ends
-from undeadzone_identify.models.plant import Simulator
+from undeadzone_identify.logs.log import Options, log_from_arrays
+from undeadzone_identify.logs.prepare import prepare_log
+from undeadzone_identify.models.place import fit_input_and_sensor, fit_input_zone
+from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.models.zone_fit import fit_zone
-from undeadzone_identify.selection.location import find_places
+from undeadzone_identify.selection.location import find_zone_locations
 
 
 def errors(log: LoopLog) -> list[tuple[float, float]]:
     """Error and half interval of each width, in shares of it; none where nothing fits."""
-    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
-    prepared = prepare(grid, Options(order=str(log.order)))
+    grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
+    prepared = prepare_log(grid, Options(order=str(log.order)))
     data = prepared.data
     kind = "singles" if data.silent_zeros else "behind"
-    fit = fit_zone(Simulator(data, log.order), kind, prepared.limits)
+    fit = fit_zone(PlantSimulator(data, log.order), kind, prepared.limits)
     truth = log.input / data.u_scale[0]
     if log.sensor.any():
-        places = find_places(fit, prepared.quantum)
+        places = find_zone_locations(fit, prepared.quantum)
         truth = np.append(truth, log.sensor / data.y_scale)
-        zoned = fit_both_ends([fit], places["two_zones"]) if "two_zones" in places else None
+        zoned = fit_input_and_sensor([fit], places["two_zones"]) if "two_zones" in places else None
     else:
-        zoned = fit_at_input([fit])
+        zoned = fit_input_zone([fit])
     if zoned is None:
         return []
-    told = [zoned.width(*weights) for weights in np.eye(truth.size)]
+    told = [zoned.sum_width(*weights) for weights in np.eye(truth.size)]
     pairs = zip(told, truth, strict=True)
     return [((value - width) / width, half / width) for (value, half, _), width in pairs]
 

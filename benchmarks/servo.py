@@ -21,8 +21,8 @@ from benchmarks.names import commit
 from benchmarks.servo_logs import Recorded, random_log, resting_log
 from undeadzone.scenario.reader import parse
 from undeadzone.statistics.intervals import proportion
-from undeadzone_identify.servo.gap import REVERSALS, ServoGap, servo_gap
-from undeadzone_identify.servo.observations import read_observations
+from undeadzone_identify.servo.gap import REVERSALS, ServoGap, identify_servo_gap
+from undeadzone_identify.servo.observations import build_observations
 
 FRESH = 5000  # first seed: those below were used while the method was made
 PER_LOG = 4000  # samples, to which CPU times are scaled
@@ -66,11 +66,11 @@ def outcome_of(log: Recorded) -> Outcome:
     """What the predictor says of a log."""
     begun = time.process_time()
     whole, first = np.ones(log.y.size, bool), np.zeros(1, int)
-    found = servo_gap(read_observations(log.u, log.y, whole, first, log.step))
+    found = identify_servo_gap(build_observations(log.u, log.y, whole, first, log.step))
     spent = (time.process_time() - begun) * PER_LOG / log.y.size
     ticks = log.servo.gap / (log.servo.quantum or log.noise)
     family = "noise" if log.noise else _family(ticks)
-    given = found is not None and found.is_given
+    given = found is not None and found.is_gap_reported
     error, half, held = math.nan, math.nan, False
     if found is not None and given:
         error = found.gap.value / log.servo.gap - 1
@@ -87,7 +87,7 @@ def outcome_of(log: Recorded) -> Outcome:
         half=half,
         few=found is None or found.reversals < REVERSALS,
         reason="" if given else _reason(found),
-        heard_loop=found is not None and found.log.has_feedback,
+        heard_loop=found is not None and found.log.is_closed_loop,
         seconds=spent,
     )
 

@@ -14,18 +14,20 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.which_logs import FAMILIES, KINDS, NOISE, WHERE, closed_loop, open_log
 from undeadzone.statistics.intervals import proportion
-from undeadzone_identify.models.motion import Offsets, Sensing, four_offsets
+from undeadzone_identify.models.motion import FourOffsets, MotionRule, estimate_four_offsets
 
 TWO_SIDED = 1.96
 WINDOW = 20  # readings, a 25th of the reference's period
 
 
-def offsets(kind: str, a0: float, seed: int) -> tuple[Offsets, np.ndarray]:
+def offsets(kind: str, a0: float, seed: int) -> tuple[FourOffsets, np.ndarray]:
     """What the filter finds in a loop, and the true widths."""
     loop = closed_loop(kind, a0, seed)
     whole = np.ones(loop.y.size, bool)
     start = np.zeros(1, int)
-    found = four_offsets(loop.plant, loop.u, loop.y, whole, start, Sensing(NOISE, 0.0, WINDOW))
+    found = estimate_four_offsets(
+        loop.plant, loop.u, loop.y, whole, start, MotionRule(NOISE, 0.0, WINDOW)
+    )
     return found, np.append(loop.widths, 0.0)
 
 
@@ -40,9 +42,9 @@ def known_plant() -> list[str]:
         for kind in KINDS:
             first = 1000 * (KINDS.index(kind) + len(KINDS) * int(a0))  # every loop a fresh one
             answers = [offsets(kind, a0, first + seed) for seed in range(count)]
-            errors = np.array([abs(found.widths - truth) for found, truth in answers])
-            stds = np.array([found.std for found, _ in answers])
-            named = sum(found.name == kind for found, _ in answers)
+            errors = np.array([abs(found.play_and_zone_widths - truth) for found, truth in answers])
+            stds = np.array([found.width_deviations for found, _ in answers])
+            named = sum(found.element_name == kind for found, _ in answers)
             held = errors < TWO_SIDED * stds
             right, hits = right + named, np.vstack([hits, held])
             middle = ", ".join(f"{error:.4f}" for error in np.median(errors, axis=0))

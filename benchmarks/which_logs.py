@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, plant
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.motion import Moving
+from undeadzone_identify.models.motion import MovingPlant
 
 KINDS = ("neither", "dead_zone", "play", "both")
 WHERE = (*KINDS, "input_zone")
@@ -24,7 +24,7 @@ LENGTH = 1500  # samples of a log whose plant is not known
 class Loop(NamedTuple):
     """A log in a loop with its plant; c_r + c_l and d_r + d_l, 0 where there is none."""
 
-    plant: Moving
+    plant: MovingPlant
     u: Floats
     y: Floats
     widths: Floats
@@ -69,7 +69,7 @@ def closed_loop(kind: str, a0: float, seed: int) -> Loop:
         x = F @ x + B * (u[k] + disturbance[k])
     y = through(z, c, d) + NOISE * rng.standard_normal(SAMPLES)
     noise = DISTURBANCE**2 * np.outer(B, B)
-    model = Moving(F, B[:, None], np.array([1.0, 0.0]), noise, 100 * np.eye(2), NOISE)
+    model = MovingPlant(F, B[:, None], np.array([1.0, 0.0]), noise, 100 * np.eye(2), NOISE)
     return Loop(model, u[:, None], y, np.array([c.sum(), d.sum()]))
 
 

@@ -44,7 +44,7 @@ def hidden() -> Figure:
     """The hidden output that `identify` finds in the log of a tutorial."""
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         found = runpy.run_path(str(DOCS / "tutorials/log_to_widths.py"))
-    return figures.figures(found["answer"])["hidden"]
+    return figures.build_figures(found["answer"])["hidden"]
 
 
 def trade() -> Figure:

@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.nonlinearities.actuator import Actuator, resolve_actuator, through_zone
 from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.place import simulate
+from undeadzone_identify.models.place import simulate_friction
 
 FOLDER = Path(__file__).parent / "figures" / "which"
 STYLE = """<style>
@@ -75,7 +75,7 @@ def rubbing(u: Floats) -> Floats:
     level = 0.5 * (1 - pole)
     exogenous = np.column_stack([np.append(0.0, u[:-1]), np.eye(u.size, 1)])
     numbers = np.array([[-pole, 1 - pole, 0.0, 0.0, level, level, 0.3, 0.0, 0.0]])
-    return np.asarray(simulate(1, 1, False, exogenous, numbers)[0])
+    return np.asarray(simulate_friction(1, 1, False, exogenous, numbers)[0])
 
 
 def signatures() -> dict[str, Signature]:

@@ -1,4 +1,4 @@
-"""From a log (t, u, y) of a real plant to its right name and its number, with intervals.
+"""Identification of a real plant and its nonlinearity from a log (t, u, y), with intervals.
 
 What hides the output is asked, fitted and judged: a dead zone, a play, friction, a servo behind
 gears. The public names stand in `__init__.pyi`; `undeadzone` has them, too.

@@ -1,4 +1,4 @@
-"""From the scenario of a log to firmware that has followed the log: `identify --chain DIR`."""
+"""Pipeline from a log's scenario to firmware run along the log: `identify --chain DIR`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from undeadzone_export.code import Code
 
 
-class Chain(NamedTuple):
-    """What became of a log's scenario.
+class FirmwareChain(NamedTuple):
+    """Results of the steps from the scenario of a log to tested firmware.
 
     Attributes:
         words: of each step, what is printed.
@@ -34,8 +34,10 @@ class Chain(NamedTuple):
     passed: bool
 
 
-def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: bool) -> Chain:
-    """Check a scenario, follow its log with it, export it to C, and let the C follow the log.
+def run_firmware_chain(
+    path: Path, log: Path, folder: Path, columns: str | None, strict: bool
+) -> FirmwareChain:
+    """Check a scenario, estimate along its log, export it to C and run the C along the log.
 
     The C is in float, or in double where float is refused.
 
@@ -65,7 +67,7 @@ def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: 
         if firmware.has_passed:
             break
     assert firmware.code is not None
-    hidden, left = compare_with_firmware(scenario, found, firmware.code)
+    hidden, left = firmware_errors(scenario, found, firmware.code)
     numbers = {
         "identifiable": [one.right and one.left for one in known],
         "consistent": found.consistent,
@@ -84,11 +86,11 @@ def run_chain(path: Path, log: Path, folder: Path, columns: str | None, strict: 
         "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",
         "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
-    return Chain(words, finite(numbers), [kept, *firmware.files], firmware.has_passed)
+    return FirmwareChain(words, finite(numbers), [kept, *firmware.files], firmware.has_passed)
 
 
-def compare_with_firmware(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
-    """What the reading hides of z, and what the exported C, run along the log, leaves of it.
+def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:
+    """Return the rms errors of the reading and of the exported C's z^ along the log [z].
 
     The truth is nobody's: z is what the whole log says of it, or the filter where none smooths.
 
@@ -107,9 +109,11 @@ def compare_with_firmware(scenario: Scenario, found: Estimation, code: Code) -> 
     with tempfile.TemporaryDirectory() as scratch:
         outputs = CompiledStep(code, Path(scratch))(np.hstack([found.y, found.u]))
     estimated = outputs[:, field_slices(code.step.outputs)["z"]]
-    return _rms(found.y / np.asarray(scenario.sensor.slope) - z), _rms(estimated - z)
+    return _rms_ignoring_nan(found.y / np.asarray(scenario.sensor.slope) - z), _rms_ignoring_nan(
+        estimated - z
+    )
 
 
-def _rms(values: Floats) -> float:
-    """Return root mean square of what is there."""
+def _rms_ignoring_nan(values: Floats) -> float:
+    """Return the root mean square of the values, NaN left out."""
     return float(np.sqrt(np.nanmean(values**2)))

@@ -1,4 +1,4 @@
-"""undeadzone identify LOG.csv ..."""
+"""Command `undeadzone identify LOG.csv ...`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from undeadzone.util.files import write_text
 from undeadzone.util.progress import on_terminal as progress
 
 if TYPE_CHECKING:
-    from undeadzone_identify.results.next_log import Next
+    from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
     Answers = Identified | IdentifiedOutputs
@@ -88,7 +88,7 @@ def identify(
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own
-    from undeadzone_identify.chain import run_chain
+    from undeadzone_identify.chain import run_firmware_chain
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.result import WRITTEN
 
@@ -110,23 +110,23 @@ def identify(
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
         if is_found or answer.verdict in (*WRITTEN, "jump"):
-            scenario, reason = _scenario(answer, path, force)
+            scenario, reason = _write_scenario_file(answer, path, force)
             written = scenario + written
-        best, why = (None, {}) if further is None else _propose_next_log(answer)
+        best, why = (None, {}) if further is None else _propose_next_input(answer)
         if further is not None and best is not None:
             written.append(write_text(best.table, further))
         if folder is not None and output.figures:
-            written += _pages(answer, folder, first.name, best)
+            written += _write_pages(answer, folder, first.name, best)
     if keep is not None:
         keep.unlink(missing_ok=True)
     why |= {} if reason is None else {"no scenario": reason.removeprefix("scenario: ")}
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
-    follow = {"next": _next(path, logs, options, driven)} if is_written else {}
+    follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):
-            reached = run_chain(path, first, chain, options["columns"], options["strict"])
+            reached = run_firmware_chain(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, more = why | reached.words, {"chain": reached.numbers}
         follow = {"next": f"{cmd('make', '-C', chain / 'firmware')} builds the self-test"}
@@ -141,8 +141,10 @@ def identify(
     return 0 if is_done else 1
 
 
-def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool) -> str:
-    """What to type next, with the scenario that was written; a log is followed as it is.
+def _next_commands(
+    scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], driven: bool
+) -> str:
+    """Return the commands to type next, with the scenario that was written, as text.
 
     Where fewer inputs drive than outputs are read nothing follows a reference.
     """
@@ -155,8 +157,8 @@ def _next(scenario: Path, logs: tuple[Path, ...], options: dict[str, Any], drive
     return f"{words}, or {cmd('undeadzone', 'export', scenario)}" if driven else words
 
 
-def _propose_next_log(answer: Answers) -> tuple[Next | None, dict[str, str]]:
-    """What to record next, and its words; or why nothing is."""
+def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]]:
+    """Return the input to record next and its description, or None and the reason."""
     from undeadzone_identify.results.result import Identified
 
     if not isinstance(answer, Identified):
@@ -168,8 +170,8 @@ def _propose_next_log(answer: Answers) -> tuple[Next | None, dict[str, str]]:
     return best, {"record next": best.words}
 
 
-def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
-    """Return the scenario that was written, or why there is none."""
+def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
+    """Write the scenario; return its path, or no path and the reason."""
     from undeadzone.util.own_files import write_own
 
     try:
@@ -178,15 +180,15 @@ def _scenario(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str
         return [], str(error)
 
 
-def _pages(answer: Answers, folder: Path, source: str, best: Next | None) -> list[Path]:
-    """Return a page with figures for each output, written to a folder."""
+def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | None) -> list[Path]:
+    """Write a page with figures for each output to a folder; return the paths."""
     from undeadzone.results.mjcf import write
     from undeadzone_identify.page import write_identified
     from undeadzone_identify.results.result import Identified
-    from undeadzone_identify.results.words import joints
+    from undeadzone_identify.results.words import servo_joints
 
     if isinstance(answer, Identified):
-        written = write(joints(answer.answer), folder)
+        written = write(servo_joints(answer.answer), folder)
         return written + write_identified(answer, folder, source, origin(None), best)
     written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):

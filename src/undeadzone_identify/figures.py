@@ -10,14 +10,18 @@ import numpy as np
 from undeadzone.report import ink
 from undeadzone.report.style import finish, label, plain, sheet
 from undeadzone.util.text import HALF_95
-from undeadzone_identify.models.kalman_fit import innovations as filtered
+from undeadzone_identify.models.kalman_fit import filter_innovations as filtered
 from undeadzone_identify.models.plant import MANY
 from undeadzone_identify.models.zone_fit import mean_reading
-from undeadzone_identify.results.next_log import Next
+from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
-from undeadzone_identify.selection.orders import correlation, innovations, training_samples
-from undeadzone_identify.selection.widths import profile
+from undeadzone_identify.selection.orders import (
+    known_autocorrelation,
+    one_step_residuals,
+    training_samples,
+)
+from undeadzone_identify.selection.widths import profile_likelihood
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,8 +42,8 @@ SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
 MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
 
 
-def figures(found_log: Identified, further: Next | None = None) -> dict[str, Figure]:
-    """Return the figures that apply.
+def build_figures(found_log: Identified, further: NextLog | None = None) -> dict[str, Figure]:
+    """Build the figures that apply to an answer.
 
     Args:
         found_log: the answer.
@@ -50,105 +54,108 @@ def figures(found_log: Identified, further: Next | None = None) -> dict[str, Fig
         a log that is not long, profiles; of a play, or of an input zone, overview and element, and
         of a servo crossings; next, the input to record.
     """
-    return _of_answer(found_log) | ({} if further is None else {"next": _next(found_log, further)})
+    return _build_answer_figures(found_log) | (
+        {} if further is None else {"next": _plot_next_input(found_log, further)}
+    )
 
 
-def _next(found_log: Identified, further: Next) -> Figure:
-    """Return the input to record next."""
+def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
+    """Plot the input to record next."""
     figure, panels = sheet([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
-    finish(panels["u"], further.words, label("u", unit), _time(found_log))
+    finish(panels["u"], further.words, label("u", unit), _time_label(found_log))
     return figure
 
 
-def _of_answer(found_log: Identified) -> dict[str, Figure]:
-    """Return the figures of the answer itself."""
+def _build_answer_figures(found_log: Identified) -> dict[str, Figure]:
+    """Build the figures of the answer itself, by name."""
     element = found_log.answer.element
     if element is not None:
         shown = {
-            "overview": _over_time(found_log, element),
-            "element": _by_output(found_log, element),
+            "overview": _plot_element_over_time(found_log, element),
+            "element": _plot_element_by_output(found_log, element),
         }
         columns = crossing_columns(found_log.answer)
-        return shown | ({"crossings": _crossings(found_log, columns)} if columns else {})
+        return shown | ({"crossings": _plot_crossings(found_log, columns)} if columns else {})
     drawn = {
         "overview": overview(found_log),
-        "residual_map": _residual_map(found_log),
-        "residual": _residual(found_log),
+        "residual_map": _plot_residual_map(found_log),
+        "residual": _plot_residual_correlation(found_log),
     }
     if found_log.right is not None:
-        drawn["hidden"] = _hidden_output_panel(found_log)
+        drawn["hidden"] = _plot_hidden_output(found_log)
         short = found_log.answer.fit.objective.data.y.size <= MANY
         if found_log.verdict == "dead_zone" and short:  # each point of a profile is a fit
-            drawn["profiles"] = _profiles(found_log)
+            drawn["profiles"] = _plot_profiles(found_log)
     return drawn
 
 
-def _figure_window(found_log: Identified, most: int = MOST) -> slice:
-    """Return the samples of a figure over time."""
+def _time_window(found_log: Identified, most: int = MOST) -> slice:
+    """Return the slice of samples that a figure over time shows: the last `most` samples."""
     size = found_log.answer.case.grid.t.size
     return slice(max(0, size - most), size)
 
 
-def _unit(found_log: Identified) -> str:
+def _unit_of_output(found_log: Identified) -> str:
+    """Return the unit of the output."""
     return found_log.answer.case.grid.output_unit
 
 
-def _time(found_log: Identified) -> str:
-    """Return the label of the axis of time."""
+def _time_label(found_log: Identified) -> str:
+    """Return the label of the time axis, in seconds or samples."""
     return "t [samples]" if found_log.answer.case.grid.counted else "t [s]"
 
 
 def overview(found_log: Identified) -> Figure:
-    """Return z^, y and zone over time, the held-out part shaded; sides below."""
-    data, part = found_log.answer.fit.objective.data, _figure_window(found_log)
+    """Plot z^, y and the zone over time, the held-out parts shaded, with the sides below."""
+    data, part = found_log.answer.fit.objective.data, _time_window(found_log)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
     fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
     behind = fit.objective.kind == "behind"  # readings inside the zone are noise
     whose = "Side of ẑ" if behind else "Side of the readings"
-    side = np.where(data.ok, fit.objective.side(fit.theta), np.nan)[part]
-    _sides(panels["sides"], t, side, "silent")
-    finish(panels["sides"], whose, "", _time(found_log), legend=0)
+    side = np.where(data.ok, fit.objective.branch_sides(fit.theta), np.nan)[part]
+    _plot_sides(panels["sides"], t, side, "silent")
+    finish(panels["sides"], whose, "", _time_label(found_log), legend=0)
     return figure
 
 
-def _sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
-    """A side over time, -1, 0 or 1; middle: what 0 is called."""
+def _plot_sides(axes: Axes, t: Floats, side: Floats | Integers, middle: str) -> None:
+    """Plot a side (-1, 0 or 1) over time; `middle` labels the value 0."""
     axes.plot(t, side, color=ink.TRUTH, linewidth=0.8, drawstyle="steps-post")
     axes.set_yticks([-1, 0, 1], ["left", middle, "right"])
     axes.set_ylim(-1.3, 1.3)
 
 
 def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
-    """z^, y and zone over time, the held-out part shaded; of: name of the output."""
+    """Plot z^, y and the zone over time, the held-out parts shaded; `of` names the output."""
     if found_log.answer.element is None:
-        _zone_bands(axes, found_log)
-    _output(axes, found_log, _figure_window(found_log))
-    _reading(axes, found_log, _figure_window(found_log))
+        _plot_zone_bands(axes, found_log)
+    _plot_output(axes, found_log, _time_window(found_log))
+    _plot_readings(axes, found_log, _time_window(found_log))
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
-    finish(axes, title, label("z, y", _unit(found_log)), "")
+    finish(axes, title, label("z, y", _unit_of_output(found_log)), "")
 
 
-def _output(axes: Axes, found_log: Identified, part: slice) -> None:
-    """The output of the fitted plant over time."""
+def _plot_output(axes: Axes, found_log: Identified, part: slice) -> None:
+    """Plot the output of the fitted plant over time."""
     answer = found_log.answer
     z = (answer.z * answer.scale)[part]
     axes.plot(answer.case.grid.t[part], z, color=ink.ESTIMATE, label="plant's ẑ")
 
 
-def _reading(axes: Axes, found_log: Identified, part: slice) -> None:
-    """The readings over time, with gaps where they are missing."""
+def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:
+    """Plot the readings over time, with gaps at missing samples."""
     grid = found_log.answer.case.grid
     y = np.where(grid.ok, grid.y, np.nan)[part]
     axes.plot(grid.t[part], y, color=ink.READING, linewidth=1.0, label="reading y")
 
 
 def of_outputs(result: IdentifiedOutputs) -> Figure:
-    """Return the log and the fit of each output, one below the other."""
+    """Plot the log and the fit of each output in separate panels."""
     figure, panels = sheet([[name] for name in result.names], "The log and its fits")
     for name, one in zip(result.names, result.outputs, strict=True):
         signals(panels[name], one, f" {plain(name)}")
@@ -156,13 +163,13 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
 
 
 def first(axes: Axes, result: IdentifiedOutputs) -> None:
-    """The log and the fit of the first output."""
+    """Plot the log and the fit of the first output."""
     signals(axes, result.outputs[0])
 
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:
-    """Shade what had no part in the fit that checks."""
-    answer, part = found_log.answer, _figure_window(found_log)
+    """Mark the held-out samples by a shaded background."""
+    answer, part = found_log.answer, _time_window(found_log)
     held_out = ~training_samples(answer.fit.objective.data, answer.case.options.held_out)
     axes.fill_between(
         answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
@@ -170,8 +177,8 @@ def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     )  # fmt: skip
 
 
-def _zone_bands(axes: Axes, found_log: Identified) -> None:
-    """The zone, and the intervals of its edges."""
+def _plot_zone_bands(axes: Axes, found_log: Identified) -> None:
+    """Plot the breakpoints of the zone with their 95 % intervals."""
     words: str | None = "edges, 95 %"
     for interval, sign in ((found_log.right, 1), (found_log.left, -1)):
         if interval is None or not math.isfinite(interval.high):
@@ -184,24 +191,24 @@ def _zone_bands(axes: Axes, found_log: Identified) -> None:
         words = None
 
 
-def _hidden_output_panel(found_log: Identified) -> Figure:
-    """Return the hidden output with its band against the reading, of the last part of the log."""
+def _plot_hidden_output(found_log: Identified) -> Figure:
+    """Plot the hidden output with its 95 % band against the reading, for the end of the log."""
     states = found_log.states()
-    part = _figure_window(found_log, MOST_AT_END)
+    part = _time_window(found_log, MOST_AT_END)
     figure, panels = sheet([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
     t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
-    _zone_bands(axes, found_log)
+    _plot_zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
-    _reading(axes, found_log, part)
-    finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit(found_log)),
-           _time(found_log))  # fmt: skip
+    _plot_readings(axes, found_log, part)
+    finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit_of_output(found_log)),
+           _time_label(found_log))  # fmt: skip
     return figure
 
 
-def _residual_map(found_log: Identified) -> Figure:
-    """Return the residual by z^."""
+def _plot_residual_map(found_log: Identified) -> Figure:
+    """Plot the residual and the readings by z^."""
     answer = found_log.answer
     residuals, scale = answer.case.residuals, answer.scale
     fit = answer.chosen.singles
@@ -209,25 +216,25 @@ def _residual_map(found_log: Identified) -> Figure:
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
-    _dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
+    _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     x, curve = residuals.centres * scale, residuals.curve * scale
     band = HALF_95 * residuals.std * scale
     axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
     axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
-    unit = _unit(found_log)
+    unit = _unit_of_output(found_log)
     finish(axes, "Residual by ẑ", label("y - E[y | ẑ]", unit), label("ẑ", unit))
     axes = panels["static"]
-    _dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
-    z, expected = _sensor_map(found_log)
+    _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
+    z, expected = _sensor_characteristic(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
     finish(axes, "Reading by ẑ", label("y", unit), label("ẑ", unit))
     return figure
 
 
-def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
-    """Return z in order, and the reading that the fitted sensor gives there."""
+def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
+    """Return z in ascending order and the reading of the fitted sensor there (N, N) [y]."""
     answer = found_log.answer
-    fit, jumps = answer.chosen.singles, answer.case.jumps
+    fit, jumps = answer.chosen.singles, answer.case.jump_edges
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
         return z, np.sort(mean_reading(fit)) * answer.scale
@@ -235,39 +242,39 @@ def _sensor_map(found_log: Identified) -> tuple[Floats, Floats]:
     return z, np.where((z > right) | (z < -left), z, 0.0)
 
 
-def _residual(found_log: Identified) -> Figure:
-    """Return correlation of the one-step residual with itself and with the input."""
+def _plot_residual_correlation(found_log: Identified) -> Figure:
+    """Plot the correlation of the one-step residual with itself and with the input."""
     fit = found_log.answer.fit
     data = fit.objective.data
     kalman = found_log.answer.found.kalman
     if kalman:
         value, use = filtered(kalman[0]), data.ok & (data.side != 0)
     else:
-        value, use = innovations(fit, data.ok)
+        value, use = one_step_residuals(fit, data.ok)
     figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
     band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
     lags = np.arange(1, LAGS + 1)
-    _stems(panels["auto"], lags, correlation(value, use, LAGS), band)
+    _plot_stems(panels["auto"], lags, known_autocorrelation(value, use, LAGS), band)
     finish(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
     u = data.u[:, 0] - data.u[:, 0].mean()
     centred = (value - value[use].mean()) * use
     power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
     cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
-    _stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
+    _plot_stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
     finish(panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0)
     return figure
 
 
-def _stems(axes: Axes, lags: object, values: object, band: float) -> None:
-    """Correlations as stems over the band of white noise."""
+def _plot_stems(axes: Axes, lags: object, values: object, band: float) -> None:
+    """Plot correlations as stems over the 95 % band of white noise."""
     axes.axhspan(-band, band, color=ink.ZONE, alpha=0.25, linewidth=0)
     axes.vlines(lags, 0, values, color=ink.ESTIMATE)  # type: ignore[arg-type]
     axes.plot(lags, values, "o", color=ink.ESTIMATE, markersize=3)  # type: ignore[arg-type]
     axes.set_xlim(0, LAGS + 1)
 
 
-def _profiles(found_log: Identified) -> Figure:
-    """Profile likelihoods of both widths."""
+def _plot_profiles(found_log: Identified) -> Figure:
+    """Plot the profile likelihoods of both widths."""
     answer = found_log.answer
     figure, panels = sheet([["right", "left"]], "Profile likelihoods", height=2.8)
     for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
@@ -277,45 +284,43 @@ def _profiles(found_log: Identified) -> Figure:
             own = answer.fit.right if name == "right" else answer.fit.left
             reach = 1.5 * interval.half / answer.scale
             values = own + np.linspace(-reach, reach, POINTS)
-            fall = profile(answer.fit, name, values)
+            fall = profile_likelihood(answer.fit, name, values)
             axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
             axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
             good = np.isfinite(fall)
             axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
         finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
-               label(f"$d_{name[0]}$", _unit(found_log)), legend=0)  # fmt: skip
+               label(f"$d_{name[0]}$", _unit_of_output(found_log)), legend=0)  # fmt: skip
     return figure
 
 
-def _over_time(found_log: Identified, element: Element) -> Figure:
-    """Return z^, what is read of it, and the readings; contacts or sides below."""
-    grid, part = found_log.answer.case.grid, _figure_window(found_log, MOST_AT_END)
+def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
+    """Plot z^, its noise-free reading and the readings over time, contacts or sides below."""
+    grid, part = found_log.answer.case.grid, _time_window(found_log, MOST_AT_END)
     figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
     axes, t = panels["signals"], grid.t[part]
-    _output(axes, found_log, part)
-    _reading(axes, found_log, part)
+    _plot_output(axes, found_log, part)
+    _plot_readings(axes, found_log, part)
     if element.kind != "input_zone":
         expected = (element.readings * found_log.answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
     finish(axes, "The end of the log", label("z, y", grid.output_unit), "")
-    _sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
+    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
     title = SIDES.get(element.kind, "Contact")
-    finish(panels["sides"], title, "", _time(found_log), legend=0)
+    finish(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
 
 
-def _by_output(found_log: Identified, element: Element) -> Figure:
-    """Return readings by z^ with the path of what is expected; by u where the input has the
-    zone.
-    """
+def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
+    """Plot readings by z^ with the expected path, and the residual (by u for an input zone)."""
     answer = found_log.answer
-    grid, scale, unit = answer.case.grid, answer.scale, _unit(found_log)
+    grid, scale, unit = answer.case.grid, answer.scale, _unit_of_output(found_log)
     figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
     axes, z, title = panels["map"], element.z * scale, "Reading by z^"
     x, x_label, of_input = z, label("ẑ", unit), element.kind == "input_zone"
-    _dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
+    _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
-        part, title = _figure_window(found_log, MOST_AT_END), f"{title}, and its path"
+        part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
         path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
     finish(axes, title, label("y", unit), x_label)
@@ -323,18 +328,16 @@ def _by_output(found_log: Identified, element: Element) -> Figure:
     if of_input:
         x, x_label, title = grid.u[:, 0], label("u", grid.input_unit), f"{title}, by the input"
     residual = (answer.fit.objective.data.y - element.readings) * scale
-    _dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
+    _plot_dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
     finish(axes, title, label("y - E[y]", unit), x_label)
     return figure
 
 
-def _crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
-    """Return the gap at each crossing, by time, by y and by duration; the printed interval is
-    shaded.
-    """
-    unit, width = _unit(found_log), found_log.width
+def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
+    """Plot the gap at each crossing by time, y and duration, with the printed interval shaded."""
+    unit, width = _unit_of_output(found_log), found_log.width
     figure, panels = sheet([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
-    places = {"t": _time(found_log), "y": label("y", unit), "duration": "duration [s]"}
+    places = {"t": _time_label(found_log), "y": label("y", unit), "duration": "duration [s]"}
     middle = float(np.median(columns["gap"]))
     reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
     for name, x_label in places.items():
@@ -350,6 +353,6 @@ def _crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
     return figure
 
 
-def _dots(axes: Axes, x: Floats, y: Floats, colour: str, name: str | None = None) -> None:
-    """Single readings, or what is left of them."""
+def _plot_dots(axes: Axes, x: Floats, y: Floats, colour: str, name: str | None = None) -> None:
+    """Plot single readings or residuals as dots."""
     axes.plot(x, y, ".", color=colour, markersize=1.5, alpha=0.5, label=name, rasterized=True)

@@ -1,4 +1,4 @@
-"""The page of an identified log: the answer, what it rests on, and what else was tried."""
+"""HTML page of an identified log: the answer, its evidence, and the rival models."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from undeadzone.report import html
 from undeadzone.util.text import HALF_95, label, with_interval
-from undeadzone_identify.figures import figures
-from undeadzone_identify.results.next_log import Next
+from undeadzone_identify.figures import build_figures
+from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
-from undeadzone_identify.results.words import HEADS, crossing_columns, rivals_in_words
-from undeadzone_identify.selection.orders import OrderFit, at_limit
+from undeadzone_identify.results.words import HEADS, crossing_columns, describe_rivals
+from undeadzone_identify.selection.orders import OrderFit, is_fit_at_limit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -51,7 +51,7 @@ def write_identified(
     folder: Path,
     source: str,
     origin: html.Origin | None = None,
-    further: Next | None = None,
+    further: NextLog | None = None,
 ) -> list[Path]:
     """Write figures as SVG and report.html to a folder.
 
@@ -69,17 +69,17 @@ def write_identified(
         FileError: a file cannot be written.
     """
 
-    text = partial(identify_page, found_log, source=source, origin=origin)
-    return html.write_page(figures(found_log, further), folder, text)
+    text = partial(build_identified_page, found_log, source=source, origin=origin)
+    return html.write_page(build_figures(found_log, further), folder, text)
 
 
-def identify_page(
+def build_identified_page(
     found_log: Identified,
     images: Mapping[str, bytes],
     source: str,
     origin: html.Origin | None = None,
 ) -> str:
-    """Return the page of an answer.
+    """Build the HTML page of an answer.
 
     Args:
         found_log: the answer.
@@ -112,21 +112,21 @@ def identify_page(
         ),
         html.section("Hidden output", *html.pick(shown, "hidden")),
         html.section("What it is", *html.pick(shown, "element")),
-        *_crossings(found_log, shown),
+        *_crossings_section(found_log, shown),
         *([html.section("What to record next", shown["next"])] if "next" in shown else []),
         html.section(
             "How it was decided",
             html.table(("what", "value"), rest),
-            *_rivals(found_log),
+            *_rivals_table(found_log),
             *html.pick(shown, "residual_map"),
         ),
-        *_fits(found_log, shown),
+        *_fit_sections(found_log, shown),
         origin=origin,
     )
 
 
-def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Return every crossing of a servo's gap; nothing without a servo."""
+def _crossings_section(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
+    """Return the section with every crossing of a servo's gap; empty without a servo."""
     columns = crossing_columns(found_log.answer)
     if not columns:
         return []
@@ -140,20 +140,22 @@ def _crossings(found_log: Identified, shown: dict[str, html.Html]) -> list[html.
     ]
 
 
-def _fits(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
-    """Return stages and orders of the fit with a zone of the sensor; none beside another
-    element.
+def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[html.Html]:
+    """Return the sections on stages and orders of the sensor-zone fit; empty for other
+    elements.
     """
     if found_log.answer.element is not None:
         return []
     return [
-        html.section("How sure are the widths?", _stages(found_log), *html.pick(shown, "profiles")),
-        html.section("Order and residual", _orders(found_log), *html.pick(shown, "residual")),
+        html.section(
+            "How sure are the widths?", _stages_table(found_log), *html.pick(shown, "profiles")
+        ),
+        html.section("Order and residual", _orders_table(found_log), *html.pick(shown, "residual")),
     ]
 
 
-def _rivals(found_log: Identified) -> list[html.Html]:
-    """Return every model with its odds, and the residual map in numbers."""
+def _rivals_table(found_log: Identified) -> list[html.Html]:
+    """Return the table of all models with their probabilities, and the residual test in words."""
     answer = found_log.answer
     residuals = answer.case.residuals
     words = (
@@ -163,17 +165,17 @@ def _rivals(found_log: Identified) -> list[html.Html]:
         " A dead zone alone leaves 1 % or less. Test of no zone at all:"
         f" p = {answer.case.no_zone.chance:.2g}."
     )
-    rivals = rivals_in_words(answer)
+    rivals = describe_rivals(answer)
     return [
         html.table(("what may be there", "odds", "behind, nats a reading"), rivals),
         html.paragraph(words),
     ]
 
 
-def _stages(found_log: Identified) -> html.Html:
-    """Return widths by stage of the fit."""
+def _stages_table(found_log: Identified) -> html.Html:
+    """Return the table of widths by stage of the fit."""
     answer = found_log.answer
-    if answer.case.jumps is not None:
+    if answer.case.jump_edges is not None:
         return html.paragraph(
             "The edges of a jump sensor come from the least readings of their passages; plant and"
             " likelihoods take them as known."
@@ -196,8 +198,8 @@ def _stages(found_log: Identified) -> html.Html:
     return html.table(("likelihood of", *heads), rows)
 
 
-def _orders(found_log: Identified) -> html.Html:
-    """Orders tried."""
+def _orders_table(found_log: Identified) -> html.Html:
+    """Return the table of the orders that were tried."""
     answer = found_log.answer
     least = min(one.pairs.bic for one in answer.case.fitted.fits)
     rows = []
@@ -209,14 +211,14 @@ def _orders(found_log: Identified) -> html.Html:
                 one.error * answer.scale,
                 one.pairs.right * answer.scale,
                 one.pairs.left * answer.scale,
-                _standing(found_log, one),
+                _order_remark(found_log, one),
             )
         )
     return html.table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
 
 
-def _standing(found_log: Identified, one: OrderFit) -> str:
-    """Return whether an order was chosen, or could not be."""
+def _order_remark(found_log: Identified, one: OrderFit) -> str:
+    """Return a remark on an order: chosen, or too slow for the log; empty otherwise."""
     if one.n == found_log.order:
         return "chosen"
-    return "a pole does not settle within the log" if at_limit(one.pairs) else ""
+    return "a pole does not settle within the log" if is_fit_at_limit(one.pairs) else ""

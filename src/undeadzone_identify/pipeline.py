@@ -19,43 +19,48 @@ from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.progress import in_notebook
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
-from undeadzone_identify.logs.log import Log, Options, log_of_arrays, read_log
-from undeadzone_identify.logs.prepare import Prepared, prepare
+from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
+from undeadzone_identify.logs.prepare import PreparedLog, prepare_log
 from undeadzone_identify.models.chain import fit_chains
 from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
-from undeadzone_identify.models.estimates import KeptClimbs, digest
+from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.plant import longest_of
-from undeadzone_identify.models.zone_fit import Fit, longest_record, polish_fit, reduce_record
+from undeadzone_identify.models.plant import longest_record_of
+from undeadzone_identify.models.zone_fit import (
+    ZoneFit,
+    polish_fit,
+    refit_busiest_part,
+    refit_longest_record,
+)
 from undeadzone_identify.results.assemble import to_answer
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
-    Found,
-    at_input,
+    Findings,
+    add_play,
+    add_play_gap,
+    build_input_element,
     has_a_model,
     with_adequacy,
-    with_gap,
-    with_play,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
     LARGER,
     MEMORY,
     Case,
-    decide,
-    name_missing_model,
+    add_unmodelled,
+    build_verdict,
 )
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
-from undeadzone_identify.selection.location import find_places
+from undeadzone_identify.selection.location import find_zone_locations
 from undeadzone_identify.selection.servo import (
+    add_servo,
+    add_servo_element,
     has_no_gap,
-    may_be_servo,
-    name_servo,
-    servo_of_ticks,
-    with_servo,
-    with_servo_options,
+    identify_tick_servo,
+    needs_servo_test,
+    to_servo_options,
     without_gap,
 )
 from undeadzone_identify.servo.gap import ServoGap
@@ -139,67 +144,70 @@ def identify(
         threshold=threshold,
         resample=resample,
         integrators=int(integrators),
-    ).require_options()
+    ).require_usable()
     logs = [
-        one._replace(y=one.y - options.zero) for one in _logs(log, (t, u, y, r), columns, strict)
+        one._replace(y=one.y - options.zero)
+        for one in _collect_logs(log, (t, u, y, r), columns, strict)
     ]
     with in_notebook(progress, "identifying", None) as advance:
         if keep is None:
-            return _identify_outputs(logs, options, advance)
-        return _identify_and_store(logs, options, advance, keep, resume)
+            return _identify_logs(logs, options, advance)
+        return _identify_with_cache(logs, options, advance, keep, resume)
 
 
-def _identify_and_store(
+def _identify_with_cache(
     logs: list[Log],
     options: Options,
     advance: Callable[[int], None],
     keep: Path,
     resume: bool,
 ) -> Identified | IdentifiedOutputs:
-    """Return the answer; what was fitted is kept in a file. Raises InputError."""
-    answers = Answers(keep, _problem(logs, options), "fits", resume)
-    climbs = KeptClimbs(answers)
+    """Return the answer, with the fits cached in a file meanwhile. Raise InputError."""
+    answers = Answers(keep, _cache_key(logs, options), "fits", resume)
+    climbs = CachedMaxima(answers)
     with answers.hold_file():
         try:
-            return _identify_outputs(logs, options, advance, climbs)
+            return _identify_logs(logs, options, advance, climbs)
         except InputError as error:  # nothing was stopped
             refused = error
         finally:
-            climbs.close()
+            climbs.stop_caching()
     answers.drop()
     raise refused
 
 
-def _problem(logs: list[Log], options: Options) -> dict[str, Any]:
-    """Return everything that a fit depends on."""
-    digests = [[digest(part) for part in (log.t, log.u, log.y)] for log in logs]
+def _cache_key(logs: list[Log], options: Options) -> dict[str, Any]:
+    """Return the data and options that a fit depends on, arrays as digests."""
+    digests = [[array_digest(part) for part in (log.t, log.u, log.y)] for log in logs]
     return {"logs": digests, "options": msgspec.to_builtins(options)}
 
 
-def _identify_outputs(
+def _identify_logs(
     logs: list[Log],
     options: Options,
     advance: Callable[[int], None],
-    climbs: KeptClimbs | None = None,
+    climbs: CachedMaxima | None = None,
 ) -> Identified | IdentifiedOutputs:
-    """Return the answer of one output, or of each of several. Raises InputError."""
+    """Return the answer for a single output, or the answers for several. Raise InputError."""
     names = logs[0].outputs
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
-    apart = ([log.of_output(k) for log in logs] for k in range(len(names)))
+    apart = ([log.select_output(k) for log in logs] for k in range(len(names)))
     grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
     answers = [identify_output(grid, options, advance) for grid in grids]
     return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
 
 
-def _logs(log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool) -> list[Log]:
-    """Return the logs that a user gave as files, frames or arrays t, u, y, r. Raises InputError."""
+def _collect_logs(
+    log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool
+) -> list[Log]:
+    """Read the logs that a user gave as files, frames or arrays t, u, y, r. Raise InputError."""
     given = [value is not None for value in arrays]
     if log is None:
         if not all(given[:3]):
             raise InputError("identify: give a log, or t, u and y")
-        return [log_of_arrays(*arrays)]
+        return [log_from_arrays(*arrays)]
     if any(given):
         raise InputError("identify: give a log, or t, u and y, not both")
     sources = log if isinstance(log, list | tuple) else [log]
@@ -211,8 +219,8 @@ def _logs(log: Any, arrays: tuple[Any, ...], columns: str | None, strict: bool) 
 # --- One output
 
 
-class Question(NamedTuple):
-    """A nonlinearity that a log may show, beside what was found so far.
+class Hypothesis(NamedTuple):
+    """Hypothesis of a nonlinearity in a log, tested after the previous findings.
 
     Attributes:
         name: what it is.
@@ -221,12 +229,12 @@ class Question(NamedTuple):
     """
 
     name: str
-    is_asked: Callable[[Case, Found], bool]
-    found: Callable[[Case, Found], Found]
+    is_asked: Callable[[Case, Findings], bool]
+    found: Callable[[Case, Findings], Findings]
 
 
 def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:
-    """Find plant and zone from records of one output on a regular grid.
+    """Find plant and zone from records of a single output on a regular grid.
 
     Args:
         grid: the records.
@@ -239,15 +247,17 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     Raises:
         InputError: nothing can be learnt.
     """
-    servo = servo_of_ticks(grid, options)
+    servo = identify_tick_servo(grid, options)
     is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
-    if servo is not None and (servo.is_given or is_plain):
+    if servo is not None and (servo.is_gap_reported or is_plain):
         advance(1)
-        return _of_servo(grid, options, advance, servo)
-    case = _fit_log(shorten_log(grid, options.integrators), options, advance)
+        return _identify_servo(grid, options, advance, servo)
+    case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
-    found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
-    if found.verdict.word == "jump" and _shows_edges(case):
+    found = Findings(build_verdict("unclear"), case.fitted.delay, (), {}).add_models(
+        case, case.rivals
+    )
+    if found.verdict.word == "jump" and _has_unread_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance)
     for question in QUESTIONS:
@@ -257,30 +267,32 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     return Identified(to_answer(case, found))
 
 
-def _of_servo(
+def _identify_servo(
     grid: Grid, options: Options, advance: Callable[[int], None], servo: ServoGap
 ) -> Identified:
-    """Return the answer of a servo, beside a fit of its order. Raises InputError."""
-    case = _fit_log(grid, with_servo_options(options, servo), advance)
+    """Return the answer for a servo behind a play, with a fit of its order. Raise InputError."""
+    case = _fit_zone_and_maps(grid, to_servo_options(options, servo), advance)
     case = case._replace(options=options)
-    found = Found(decide("unclear"), case.fitted.delay, (), {}).judge_again(case, case.rivals)
-    named = name_servo if servo.is_given else without_gap
+    found = Findings(build_verdict("unclear"), case.fitted.delay, (), {}).add_models(
+        case, case.rivals
+    )
+    named = add_servo_element if servo.is_gap_reported else without_gap
     return Identified(to_answer(case, named(case, servo, found)))
 
 
-def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
-    """Return the log, fitted with a zone of the sensor and with static maps. Raises InputError."""
-    prepared, unreached = drop_unvisited_edges(prepare(grid, options))
+def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], None]) -> Case:
+    """Fit the log with a zone of the sensor and with static maps. Raise InputError."""
+    prepared, unreached = drop_unvisited_edges(prepare_log(grid, options))
     fitted = fit_with_delay(prepared, advance)
-    chosen = _polish_order(orders.order_to_write(fitted.fits))
-    no_zone = orders.judge_no_zone(chosen.pairs)
+    chosen = _polish_order(orders.order_to_report(fitted.fits))
+    no_zone = orders.compare_with_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
-    residuals = orders.residual_map(chosen.singles)
+    residuals = orders.fit_residual_map(chosen.singles)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
-        maps[n] = fit_maps(_of_readings(fitted.prepared, reduce_record(one.singles)))
+        maps[n] = fit_maps(_fit_of_raw_readings(fitted.prepared, refit_busiest_part(one.singles)))
     suited = min(maps, key=lambda n: min(one.density.bic for one in maps[n].values()))
     advance(1)
     return Case(
@@ -299,107 +311,105 @@ def _fit_log(grid: Grid, options: Options, advance: Callable[[int], None]) -> Ca
 
 
 def _polish_order(chosen: orders.OrderFit) -> orders.OrderFit:
-    """Return the chosen order at the very top of both likelihoods."""
+    """Return the chosen order with both likelihoods polished to their maxima."""
     pairs = polish_fit(chosen.pairs)
     singles = pairs if chosen.pairs is chosen.singles else polish_fit(chosen.singles)
     return chosen._replace(singles=singles, pairs=pairs)
 
 
-def _of_readings(prepared: Prepared, fit: Fit) -> Fit:
-    """Return the fit with the readings of a jump sensor as they are, not less its edges."""
+def _fit_of_raw_readings(prepared: PreparedLog, fit: ZoneFit) -> ZoneFit:
+    """Return the fit with the raw readings of a jump sensor, the edges not subtracted."""
     if prepared.jumps is None:
         return fit
     data = fit.objective.data
     shift = zone_offset(data.side, *[edge.value for edge in prepared.jumps])
     whole = data._replace(y=np.where(data.ok, data.y + shift, 0.0))
-    return fit._replace(objective=fit.objective.along(whole))
+    return fit._replace(objective=fit.objective.objective_along(whole))
 
 
-def _shows_edges(case: Case) -> bool:
-    """Return whether the edges of a jump sensor can be read off, and were not."""
-    asked = case.options.kind == "auto" and case.jumps is None
+def _has_unread_edges(case: Case) -> bool:
+    """Return whether the edges of a jump sensor can be read off but were not."""
+    asked = case.options.kind == "auto" and case.jump_edges is None
     return asked and case.data.silent_zeros and not case.options.integrators
 
 
 # --- What is asked, one after the other
 
 
-def _without_jump(case: Case, found: Found) -> bool:
-    """Return whether the log was not taken for that of a jump sensor."""
-    return case.jumps is None
+def _has_no_jump(case: Case, found: Findings) -> bool:
+    """Return whether the log was not treated as that of a jump sensor."""
+    return case.jump_edges is None
 
 
-def _falls_silent(case: Case, found: Found) -> bool:
-    """Return whether there is a zone of the sensor in which noise falls silent."""
-    has_zone = found.verdict.word == ("jump" if case.jumps else "dead_zone")
+def _has_zone_with_zeros(case: Case, found: Findings) -> bool:
+    """Return whether the sensor has a zone with exact zeros inside, so that (L3) applies."""
+    has_zone = found.verdict.word == ("jump" if case.jump_edges else "dead_zone")
     return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
 
 
-def _with_filter(case: Case, found: Found) -> Found:
-    """Return the third likelihood, and the disturbance that it makes out."""
+def _add_kalman_fit(case: Case, found: Findings) -> Findings:
+    """Add the Kalman-filter likelihood (L3) and the disturbance that it separates."""
     return found._replace(kalman=fit_kalman(case.chosen.pairs))
 
 
-def _has_a_place(case: Case, found: Found) -> bool:
-    """Return whether the place of the zone is asked."""
-    known = case.options.place == "sensor" or case.jumps
+def _needs_zone_location(case: Case, found: Findings) -> bool:
+    """Return whether the location of the zone is unknown and can be tested."""
+    known = case.options.place == "sensor" or case.jump_edges
     return not (known or case.unreached or case.options.integrators)
 
 
-def _with_place(case: Case, found: Found) -> Found:
-    """With models of friction, of a zone, a curve or a play of the input, and of two zones."""
-    fit = longest_record(case.suited.pairs)
-    places = find_places(fit, case.quantum)
+def _add_zone_locations(case: Case, found: Findings) -> Findings:
+    """Add models of friction, of a zone of the input, and of two zones."""
+    fit = refit_longest_record(case.suited.pairs)
+    places = find_zone_locations(fit, case.quantum)
     if "none" not in places:  # no plant alone settles within the record: nothing to compare with
         return found
-    recorded = longest_of(case.recorded)
+    recorded = longest_record_of(case.recorded)
     chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
     models: dict[str, Any] = {**places, **chains}
     rows = [(word, one.density.bic, one.density) for word, one in models.items()]
     found = found._replace(places=places, chains=chains)
-    return found.judge_again(case, best_of_each(rows))
+    return found.add_models(case, best_of_each(rows))
 
 
-def _holds_more(case: Case, found: Found) -> bool:
+def _holds_more(case: Case, found: Findings) -> bool:
     """Return whether a model is named that holds that of a sensor's zone, and more."""
     return found.verdict.word in LARGER["dead_zone"]
 
 
-def _is_a_play(case: Case, found: Found) -> bool:
-    """Return whether a play, or a play and a dead zone, is named."""
+def _has_play_verdict(case: Case, found: Findings) -> bool:
+    """Return whether the verdict is a play, or a play with a dead zone."""
     return found.element is None and found.verdict.word in MEMORY and found.plays is not None
 
 
-def _may_lack_something(case: Case, found: Found) -> bool:
-    """Return whether a linear plant and a zone may not be all."""
+def _needs_remainder_test(case: Case, found: Findings) -> bool:
+    """Return whether a linear plant with a zone may be an incomplete model."""
     return found.verdict.word in ("dead_zone", "other", "unclear")
 
 
-def _with_remainder(case: Case, found: Found) -> Found:
-    """What a linear plant and a zone do not hold, by name."""
-    return found._replace(verdict=name_missing_model(found.verdict, case.chosen.pairs))
+def _add_remainder(case: Case, found: Findings) -> Findings:
+    """Add effects that a linear plant with a zone does not contain, by name."""
+    return found._replace(verdict=add_unmodelled(found.verdict, case.chosen.pairs))
 
 
-def _is_at_input(case: Case, found: Found) -> bool:
-    """Return whether there is a zone of the actuator."""
+def _has_actuator_zone(case: Case, found: Findings) -> bool:
+    """Return whether the verdict contains a zone of the actuator."""
     return found.verdict.word in ("input_zone", "two_zones")
 
 
-def _with_actuator(case: Case, found: Found) -> Found:
-    """Return the widths of the actuator's zone, and of the sensor's if it has one, and the
-    plant.
-    """
-    return found._replace(element=at_input(case, found))
+def _add_actuator_zone(case: Case, found: Findings) -> Findings:
+    """Add the widths of the actuator's zone, of the sensor's if present, and the plant."""
+    return found._replace(element=build_input_element(case, found))
 
 
 QUESTIONS = (
-    Question("friction, or a zone of the input", _has_a_place, _with_place),
-    Question("a play, or a play and a dead zone", _without_jump, with_play),
-    Question("a servo behind a play", may_be_servo, with_servo),
-    Question("if a larger model simulates better", _holds_more, without_needless),
-    Question("the widths of a play", _is_a_play, with_gap),
-    Question("noise that falls silent in the zone", _falls_silent, _with_filter),
-    Question("a spring that bends, or an offset", _may_lack_something, _with_remainder),
-    Question("a dead zone of the actuator", _is_at_input, _with_actuator),
-    Question("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
+    Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
+    Hypothesis("a servo behind a play", needs_servo_test, add_servo),
+    Hypothesis("if a larger model simulates better", _holds_more, without_needless),
+    Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
+    Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
+    Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
+    Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
+    Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
 )

@@ -31,7 +31,7 @@ from undeadzone.util.answers import Answers
 from undeadzone.util.own_files import write_own
 from undeadzone_arena.contest.contest import run_contest
 from undeadzone_identify.pipeline import identify
-from undeadzone_identify.selection.widths import profile
+from undeadzone_identify.selection.widths import profile_likelihood
 
 PROBLEM = {"a": 1}
 FORK = multiprocessing.get_context("fork")
@@ -239,10 +239,12 @@ def test_an_identification_that_is_killed_again_and_again_finds_the_same(tmp_pat
 def test_what_is_asked_of_the_answer_later_is_computed(tmp_path: Path) -> None:
     path = tmp_path / "identify.json.partial"
     found = identify(**logged(), order=1, keep=path)
-    fall = profile(found.answer.fit, "right", np.array([found.answer.fit.right + 0.02]))
+    fall = profile_likelihood(found.answer.fit, "right", np.array([found.answer.fit.right + 0.02]))
     assert fall[0] < 0
     again = identify(**logged(), order=1)
-    assert fall == profile(again.answer.fit, "right", np.array([again.answer.fit.right + 0.02]))
+    assert fall == profile_likelihood(
+        again.answer.fit, "right", np.array([again.answer.fit.right + 0.02])
+    )
 
 
 def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:

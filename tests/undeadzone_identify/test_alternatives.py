@@ -24,19 +24,19 @@ from undeadzone_identify.models.least_squares import LeastSquares
 from undeadzone_identify.models.motion import (
     NAMES,
     WIDTHS,
-    Moving,
-    Sensing,
-    classes,
-    four_offsets,
-    name_of_widths,
-    previous_motion,
-    sensing,
-    sides,
-    white_noise,
+    MotionRule,
+    MovingPlant,
+    detect_motion_rule,
+    estimate_four_offsets,
+    motion_sides,
+    name_by_widths,
+    offset_classes,
+    preceding_move,
+    white_noise_rms,
 )
-from undeadzone_identify.models.plant import Data, Simulator, disturbance_ahead
-from undeadzone_identify.models.play_gap import find_gap
-from undeadzone_identify.results.words import rivals_in_words
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, find_input_disturbance
+from undeadzone_identify.models.play_gap import find_play_gap
+from undeadzone_identify.results.words import describe_rivals
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 STEP = 0.05
@@ -67,13 +67,13 @@ def disturbed(rng: np.random.Generator, rms: float, size: int = 1000) -> Floats:
     return np.asarray(rms * w / w.std())
 
 
-def logged(u: Floats, y: Floats) -> Data:
+def logged(u: Floats, y: Floats) -> RecordData:
     """A record as it is, without scales."""
     side = np.sign(y).astype(int)
-    return Data(u[:, None], y, np.ones(y.size, bool), START, side, False, np.ones(1), 1.0)
+    return RecordData(u[:, None], y, np.ones(y.size, bool), START, side, False, np.ones(1), 1.0)
 
 
-def loop(kind: str, a0: float, seed: int) -> tuple[Moving, Floats, Floats, Floats]:
+def loop(kind: str, a0: float, seed: int) -> tuple[MovingPlant, Floats, Floats, Floats]:
     """z'' = -a0 z - 2 z' + u on a sine: the model, u, y and true c_r + c_l, d_r + d_l, 0."""
     rng = np.random.default_rng(seed)
     step, size = 0.01, 3000
@@ -92,7 +92,7 @@ def loop(kind: str, a0: float, seed: int) -> tuple[Moving, Floats, Floats, Float
         x = F @ x + gain * (u[k] + 0.5 * rng.standard_normal())
     y = through(z, tuple(c), tuple(d)) + 0.01 * rng.standard_normal(size)
     Q = 0.25 * np.outer(gain, gain)
-    model = Moving(F, gain[:, None], np.array([1.0, 0.0]), Q, 100 * np.eye(2), 0.01)
+    model = MovingPlant(F, gain[:, None], np.array([1.0, 0.0]), Q, 100 * np.eye(2), 0.01)
     return model, u[:, None], y, np.array([c.sum(), d.sum(), 0.0])
 
 
@@ -102,60 +102,60 @@ def test_four_offsets_name_what_is_there(kind: str, a0: float) -> None:
     for seed in (1, 2):
         model, u, y, truth = loop(kind, a0, seed)
         whole = np.ones(y.size, bool)
-        found = four_offsets(model, u, y, whole, START, Sensing(0.01, 0.0, 20))
-        assert found.name == kind
-        assert np.all(np.abs(found.widths - truth) < 4 * found.std)
-        assert np.all(found.std < 0.01)
+        found = estimate_four_offsets(model, u, y, whole, START, MotionRule(0.01, 0.0, 20))
+        assert found.element_name == kind
+        assert np.all(np.abs(found.play_and_zone_widths - truth) < 4 * found.width_deviations)
+        assert np.all(found.width_deviations < 0.01)
 
 
 def test_offsets_make_widths() -> None:
     c, d = np.array([0.4, 0.3]), np.array([0.2, 0.6])
     y = np.array([1.0, 1.0, -1.0, -1.0, 1e-3])
     side = np.array([1, -1, 1, -1, 1])
-    assert classes(y, side, 0.01).tolist() == [0, 1, 2, 3, -1]
-    assert classes(y, 0 * side, 0.01).tolist() == [-1] * 5
+    assert offset_classes(y, side, 0.01).tolist() == [0, 1, 2, 3, -1]
+    assert offset_classes(y, 0 * side, 0.01).tolist() == [-1] * 5
     beta = np.array([-c[0] - d[0], c[1] - d[0], -c[0] + d[1], c[1] + d[1]])  # (O1)
     assert WIDTHS @ beta == pytest.approx([c.sum(), d.sum(), 0.0])
     assert WIDTHS @ (beta + 0.7) == pytest.approx([c.sum(), d.sum(), 0.0])  # an offset is no width
-    assert name_of_widths(np.array([0.5, 0.01]), np.array([0.2, 0.001]), 1.0) == "neither"
-    assert name_of_widths(np.array([0.5, 0.3]), np.array([0.01, 0.01]), 1.0) == "both"
+    assert name_by_widths(np.array([0.5, 0.01]), np.array([0.2, 0.001]), 1.0) == "neither"
+    assert name_by_widths(np.array([0.5, 0.3]), np.array([0.01, 0.01]), 1.0) == "both"
 
 
 def test_noise_alone_moves_to_no_side() -> None:
     rng = np.random.default_rng(0)
     y = 0.1 * rng.standard_normal(200_000)
     whole = np.ones(y.size, bool)
-    assert white_noise(y, whole, START) == pytest.approx(0.1, rel=0.02)
+    assert white_noise_rms(y, whole, START) == pytest.approx(0.1, rel=0.02)
     for window in (4, 16):
-        assert not sides(y, whole, START, Sensing(0.1, 0.0, window)).any()
+        assert not motion_sides(y, whole, START, MotionRule(0.1, 0.0, window)).any()
     ramp = 0.05 * np.arange(y.size) + y
-    share = sides(ramp, whole, START, Sensing(0.1, 0.0, 32)).mean()
+    share = motion_sides(ramp, whole, START, MotionRule(0.1, 0.0, 32)).mean()
     assert share > 0.99
 
 
 def test_motion_is_that_of_the_readings_before() -> None:
     y = np.concatenate([np.zeros(10), np.arange(10.0), np.full(10, 9.0)])
     whole = np.ones(30, bool)
-    moved = previous_motion(y, whole, START, 4)
+    moved = preceding_move(y, whole, START, 4)
     assert moved[14:21] == pytest.approx(np.full(7, 4.0))  # readings 10 to 19 rise by 1 each
     assert not moved[:11].any()
     assert not moved[24:].any()
-    assert not previous_motion(y, whole, np.array([0, 15]), 4)[15:19].any()  # a record begins anew
+    assert not preceding_move(y, whole, np.array([0, 15]), 4)[15:19].any()  # a record begins anew
     whole[16] = False
-    assert not previous_motion(y, whole, START, 4)[17:21].any()
+    assert not preceding_move(y, whole, START, 4)[17:21].any()
 
 
 def test_how_readings_show_motion() -> None:
     rng, _, z = driven(3)
     whole = np.ones(z.size, bool)
     exact = through(z, (0.3, 0.2), (0.0, 0.0))
-    assert sensing(exact, whole, START, 0.0) == Sensing(0.0, 0.0, 1)
+    assert detect_motion_rule(exact, whole, START, 0.0) == MotionRule(0.0, 0.0, 1)
     ticks = 0.05 * np.round(exact / 0.05)
-    assert sensing(ticks, whole, START, 0.05) == Sensing(0.0, 0.05, 1)
+    assert detect_motion_rule(ticks, whole, START, 0.05) == MotionRule(0.0, 0.05, 1)
     noisy = exact + 0.02 * rng.standard_normal(z.size)
-    assert sensing(noisy, whole, START, 0.0).noise == pytest.approx(0.02, rel=0.3)
+    assert detect_motion_rule(noisy, whole, START, 0.0).noise == pytest.approx(0.02, rel=0.3)
     chattering = 0.05 * np.round((exact + 0.05 * rng.standard_normal(z.size)) / 0.05)
-    assert sensing(chattering, whole, START, 0.05).noise > 0.02
+    assert detect_motion_rule(chattering, whole, START, 0.05).noise > 0.02
 
 
 @pytest.mark.parametrize("zone", [False, True])
@@ -164,37 +164,40 @@ def test_gradients_of_a_play(zone: bool, integrators: int) -> None:
     rng, u, z = driven(4, 300)
     y = through(z, (0.3, 0.2), (0.1, 0.2)) + 0.02 * rng.standard_normal(z.size)
     ok = rng.random(y.size) > 0.1
-    data = Data(
+    data = RecordData(
         u[:, None], y, ok, np.array([0, 150]), np.sign(y).astype(int), False, np.ones(1), 1.0
     )
-    model = PlayModel(Simulator(data, 2, integrators), zone)
+    model = PlayModel(PlantSimulator(data, 2, integrators), zone)
     a = A if not integrators else np.array([-0.68])
     theta = np.concatenate([a, B, [0.1, 0.05, -0.1, 0.02], [0.31, 0.23, 0.12, 0.15]])
-    theta = model.project(theta)
+    theta = model.project_to_bounds(theta)
     squares = LeastSquares(model)
-    _, rows = squares.rows(theta)
+    _, rows = squares.residual_and_slopes(theta)
     for column, index in enumerate(model.free):
         step = np.zeros(theta.size)
         step[index] = 1e-6
         if model.tied and index == model.base:
             step[index + 1] = 1e-6
-        slope = (squares.residual(theta - step) - squares.residual(theta + step)) / 2e-6
+        slope = (
+            squares.reading_residual(theta - step) - squares.reading_residual(theta + step)
+        ) / 2e-6
         smooth = np.abs(slope - rows[:, column]) < 1e-5 * (1 + np.abs(slope))
         assert smooth.mean() > 0.99  # but where a contact begins
 
 
 def test_a_disturbance_is_told_from_noise() -> None:
     rng, u, z = driven(5, 4000)
-    layout = Simulator(
-        Data(u[:, None], z, np.ones(z.size, bool), START, 0 * START, False, np.ones(1), 1.0), 2
+    layout = PlantSimulator(
+        RecordData(u[:, None], z, np.ones(z.size, bool), START, 0 * START, False, np.ones(1), 1.0),
+        2,
     ).layout
     plant = np.concatenate([A, B, np.zeros(2), np.zeros(4)])
     noise = 0.05 * rng.standard_normal(z.size)
     whole = np.ones(z.size, bool)
-    found = disturbance_ahead(layout, plant, disturbed(rng, 0.1, 4000) + noise, whole)
+    found = find_input_disturbance(layout, plant, disturbed(rng, 0.1, 4000) + noise, whole)
     assert found.rms == pytest.approx(0.1, rel=0.15)
     assert 0.6 < found.phi < 0.95
-    assert disturbance_ahead(layout, plant, noise, whole).rms < 0.02
+    assert find_input_disturbance(layout, plant, noise, whole).rms < 0.02
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -222,8 +225,8 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
     rng, u, z = driven(52)
     level = through(z + disturbed(rng, 0.08), (0.3, 0.25), (0.0, 0.0))
     data = logged(u, quantum * np.round(level / quantum) if quantum else level)
-    assert sensing(data.y, data.ok, data.start, quantum).window == 1
-    gap = find_gap(fit_play(data, [2], 0), quantum).intervals["width"]
+    assert detect_motion_rule(data.y, data.ok, data.start, quantum).window == 1
+    gap = find_play_gap(fit_play(data, [2], 0), quantum).intervals["width"]
     assert gap.low <= 0.55 <= gap.high
     assert gap.half < 0.1
 
@@ -231,7 +234,7 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
 def test_noisy_readings_have_no_ticks() -> None:
     noisy = np.random.default_rng(0).standard_normal(400)
     data = logged(noisy, noisy)
-    assert sensing(data.y, data.ok, data.start, 0.0).window > 1
+    assert detect_motion_rule(data.y, data.ok, data.start, 0.0).window > 1
 
 
 def test_what_has_no_play_is_given_none() -> None:
@@ -443,4 +446,4 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert "--integrators 1" in answer.answer.reasons[-1]
         assert answer.numbers()["odds"] == {}  # no model explains the readings
         assert "odds" not in answer.summary()
-        assert {share for _, share, _ in rivals_in_words(answer.answer)} == {"-"}
+        assert {share for _, share, _ in describe_rivals(answer.answer)} == {"-"}

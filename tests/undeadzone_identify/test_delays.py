@@ -9,10 +9,15 @@ import pytest
 from scipy.signal import lfilter
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone_identify.models.plant import Data, delay_inputs
-from undeadzone_identify.models.zone import Limits
-from undeadzone_identify.selection.delays import _late, alike, better_delay, refine_delay
-from undeadzone_identify.selection.orders import OrderFit, fit_orders, order_to_write
+from undeadzone_identify.models.plant import RecordData, delay_inputs
+from undeadzone_identify.models.zone import WidthLimits
+from undeadzone_identify.selection.delays import (
+    _refit_with_delay,
+    find_equivalents,
+    is_delay_better,
+    refine_delay,
+)
+from undeadzone_identify.selection.orders import OrderFit, fit_orders, order_to_report
 from undeadzone_identify.selection.widths import find_widths
 
 LATE = 6
@@ -20,7 +25,7 @@ POLES = np.array([0.86 + 0.19j, 0.86 - 0.19j, 0.71])
 
 
 @pytest.fixture(scope="module")
-def data() -> Data:
+def data() -> RecordData:
     """A plant of third order whose input acts `LATE` samples late."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(90), 12)
@@ -28,15 +33,15 @@ def data() -> Data:
     e = 2 * z + 0.05 * rng.standard_normal(u.size)
     y = np.maximum(e - 0.5, 0.0) + np.minimum(e + 0.4, 0.0)
     ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return Data(u[:, None], y, ok, np.zeros(1, int), side, True, np.ones(1), 1.0)
+    return RecordData(u[:, None], y, ok, np.zeros(1, int), side, True, np.ones(1), 1.0)
 
 
-def fitted(data: Data, samples: int, orders: list[int]) -> list[OrderFit]:
-    return fit_orders(delay_inputs(data, samples), orders, Limits(), 0.3, lambda _: None)
+def fitted(data: RecordData, samples: int, orders: list[int]) -> list[OrderFit]:
+    return fit_orders(delay_inputs(data, samples), orders, WidthLimits(), 0.3, lambda _: None)
 
 
 @pytest.fixture(scope="module")
-def beyond(data: Data) -> list[OrderFit]:
+def beyond(data: RecordData) -> list[OrderFit]:
     """Fits two samples later than the input acts."""
     return fitted(data, LATE + 2, [2, 3])
 
@@ -51,33 +56,33 @@ def test_of_orders_that_predict_alike_one_that_can_be_written_is_chosen() -> Non
 
     one, two = fit(1, 900.0, 0.3, [0.9]), fit(2, 110.0, 0.101, [0.9, 0.8])
     best, none = fit(3, 100.0, 0.1, [0.9, 0.8, -0.3]), fit(4, 90.0, 0.1, [0.9, 0.8, 0.5, 0.01])
-    assert order_to_write([one, two, best]) is two
-    assert order_to_write([one, best]) is best
-    assert order_to_write([one, two, best, none]) is two
-    assert order_to_write([one, two]) is two
+    assert order_to_report([one, two, best]) is two
+    assert order_to_report([one, best]) is best
+    assert order_to_report([one, two, best, none]) is two
+    assert order_to_report([one, two]) is two
 
 
 @pytest.mark.parametrize("off", [2, -2])
-def test_a_delay_is_refined_to_where_the_input_acts(data: Data, off: int) -> None:
+def test_a_delay_is_refined_to_where_the_input_acts(data: RecordData, off: int) -> None:
     late = fitted(data, LATE + off, [2, 3])
     assert abs(refine_delay(late, LATE + off) - LATE) <= 1  # a zero may take a sample
 
 
 @pytest.mark.parametrize("samples", [-2, -1, 1])
 def test_climbs_at_the_next_delay_end_where_those_from_scratch_do(
-    data: Data, beyond: list[OrderFit], samples: int
+    data: RecordData, beyond: list[OrderFit], samples: int
 ) -> None:
-    moved = _late(beyond[-1].pairs, samples)
+    moved = _refit_with_delay(beyond[-1].pairs, samples)
     scratch = fitted(data, LATE + 2 + samples, [3])[0].pairs
     assert moved.bic < scratch.bic + 40  # of -2900; the plant two samples off has -2600
 
 
-def test_intervals_reach_over_a_delay_that_is_not_excluded(data: Data) -> None:
+def test_intervals_reach_over_a_delay_that_is_not_excluded(data: RecordData) -> None:
     none = fitted(data, 0, [3])
     near = fitted(data, LATE, [3])
-    assert better_delay(none, near)
-    assert alike(near, none) == []
-    assert len(alike(none, near)) == 1
+    assert is_delay_better(none, near)
+    assert find_equivalents(near, none) == []
+    assert len(find_equivalents(none, near)) == 1
     chosen, other = near[-1], none[-1]
     alone = find_widths(chosen, [chosen], [], None, 0.0, 0.0)
     both = find_widths(chosen, [chosen], [other], None, 0.0, 0.0)

@@ -18,7 +18,7 @@ from undeadzone.cli import group
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read
 from undeadzone_identify.logs.grid import find_quantum, shorten_log, to_grid
-from undeadzone_identify.logs.log import log_of_arrays, read_log
+from undeadzone_identify.logs.log import log_from_arrays, read_log
 
 ROWS = np.column_stack([0.5 * np.arange(5), [1, 2, 3, 4, 5.5], [0, 0, -0.25, 1, 2]])
 
@@ -184,7 +184,7 @@ def test_a_frame_with_times_of_day() -> None:
 
 def test_gaps_become_missing_readings_and_long_ones_new_records() -> None:
     t = np.array([0, 1, 2, 5, 6, 7, 100, 101, 102.0]) * 0.1
-    grid = to_grid([log_of_arrays(t, np.arange(9.0), np.arange(9.0) + 1)])
+    grid = to_grid([log_from_arrays(t, np.arange(9.0), np.arange(9.0) + 1)])
     assert grid.step == pytest.approx(0.1)
     assert grid.ok.sum() == 9
     assert grid.t.size == 11
@@ -194,7 +194,7 @@ def test_gaps_become_missing_readings_and_long_ones_new_records() -> None:
 
 def test_printed_times_with_few_digits_are_regular() -> None:
     t = np.round(np.arange(500) / 60, 3)
-    grid = to_grid([log_of_arrays(t, np.arange(500.0), np.arange(500.0))])
+    grid = to_grid([log_from_arrays(t, np.arange(500.0), np.arange(500.0))])
     assert grid.step == pytest.approx(1 / 60, rel=1e-4)
     assert grid.ok.all()
 
@@ -202,7 +202,7 @@ def test_printed_times_with_few_digits_are_regular() -> None:
 def test_resampling_keeps_readings_near_the_grid_alone() -> None:
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.uniform(0.5, 1.5, 400))
-    log = log_of_arrays(t, np.arange(400.0), np.arange(400.0))
+    log = log_from_arrays(t, np.arange(400.0), np.arange(400.0))
     with pytest.raises(FileError, match=r"irregular step.*--resample"):
         to_grid([log])
     grid = to_grid([log], 1.0)
@@ -216,7 +216,7 @@ def test_quantum_and_long_logs() -> None:
     y = np.round(np.random.default_rng(0).standard_normal(4000) / 0.1) * 0.1
     assert find_quantum(y) == pytest.approx(0.1)
     assert find_quantum(np.random.default_rng(0).standard_normal(4000)) == 0.0
-    grid = to_grid([log_of_arrays(0.1, np.arange(250000.0), np.arange(250000.0))])
+    grid = to_grid([log_from_arrays(0.1, np.arange(250000.0), np.arange(250000.0))])
     short = shorten_log(grid)
     assert short.t.size == 100_000
     assert short.start.tolist() == [0, 20_000, 40_000, 60_000, 80_000]

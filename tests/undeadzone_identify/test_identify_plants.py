@@ -16,10 +16,10 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
-from undeadzone_identify.logs.prepare import edge_of
-from undeadzone_identify.models.plant import Data, Simulator, delay_inputs
-from undeadzone_identify.models.zone import Limits, Objective
-from undeadzone_identify.results.to_continuous import continuous
+from undeadzone_identify.logs.prepare import jump_edge_below
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, delay_inputs
+from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
+from undeadzone_identify.results.to_continuous import to_continuous_plant
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
@@ -37,13 +37,13 @@ def driven(seed: int = 1, size: int = 900, late: int = 0) -> tuple[np.ndarray, n
     return u, z + 0.03 * rng.standard_normal(size)
 
 
-def small_data(integrators: int = 0) -> Data:
+def small_data(integrators: int = 0) -> RecordData:
     rng = np.random.default_rng(3)
     u = steps(rng, 200)
     y = dead_zone(0.5 * rng.standard_normal(200).cumsum() / 4, 0.2, 0.3)
     side = np.sign(y).astype(int)
     starts = np.array([0, 90])
-    return Data(u[:, None], y, np.ones(200, bool), starts, side, True, np.ones(1), 1.0)
+    return RecordData(u[:, None], y, np.ones(200, bool), starts, side, True, np.ones(1), 1.0)
 
 
 # --- integrators
@@ -52,36 +52,38 @@ def small_data(integrators: int = 0) -> Data:
 @pytest.mark.parametrize("integrators", [1, 2])
 def test_an_integrating_plant_is_its_difference_equation(integrators: int) -> None:
     data = small_data()
-    simulator = Simulator(data, 3, integrators)
+    simulator = PlantSimulator(data, 3, integrators)
     layout = simulator.layout
     theta = np.zeros(layout.size)
     theta[layout.a] = [-0.5, 0.06][: layout.a.stop]
     theta[layout.b] = [0.1, 0.2, -0.05]
     theta[layout.x0.start] = 0.7
-    z = simulator.z(theta)[:90]
+    z = simulator.simulate_z(theta)[:90]
     whole = np.convolve(np.append(1.0, theta[layout.a]), np.poly(np.ones(integrators)))
     direct = lfilter(np.r_[0.0, 0.1, 0.2, -0.05], whole, data.u[:90, 0])
     direct += lfilter([0.7], whole, np.eye(90, 1)[:, 0])
     assert z == pytest.approx(direct)
-    assert np.sum(np.abs(simulator.poles(theta) - 1) < 1e-12) == integrators
+    assert np.sum(np.abs(simulator.plant_poles(theta) - 1) < 1e-12) == integrators
 
 
 @pytest.mark.parametrize("kind", ["singles", "pairs"])
 def test_scores_of_tied_widths_are_differences(kind: str) -> None:
-    simulator = Simulator(small_data(), 2, 1)
-    objective = Objective(simulator, kind, Limits(tied=True))
+    simulator = PlantSimulator(small_data(), 2, 1)
+    objective = ZoneObjective(simulator, kind, WidthLimits(tied=True))
     layout = objective.layout
     theta = np.zeros(layout.size)
     theta[layout.a], theta[layout.b] = -0.6, [0.05, 0.03]
     theta[layout.right : layout.right + 2] = 0.3
     theta[layout.right + 2 :] = [-1.0, 0.4 if kind == "pairs" else 0.0]
-    score = objective.score(theta)
+    score = objective.total_score(theta)
     for index in objective.free:
         ahead, back = theta.copy(), theta.copy()
         for moved, step in ((ahead, 1e-6), (back, -1e-6)):
             moved[index] += step
             moved[layout.right + 1] = moved[layout.right]
-        slope = (objective.value(ahead) - objective.value(back)) / 2e-6
+        slope = (
+            objective.total_log_likelihood(ahead) - objective.total_log_likelihood(back)
+        ) / 2e-6
         assert score[index] == pytest.approx(slope, rel=2e-5, abs=2e-5)
 
 
@@ -127,9 +129,9 @@ def test_a_pole_that_no_plant_in_continuous_time_has_is_one_pole() -> None:
 
 
 def test_an_integrator_in_continuous_time_is_exact() -> None:
-    layout = Simulator(small_data(), 2, 1).layout
+    layout = PlantSimulator(small_data(), 2, 1).layout
     a, b = np.array([-0.8]), np.array([0.02, 0.015])
-    plant = continuous(a, b, layout, 0.1)
+    plant = to_continuous_plant(a, b, layout, 0.1)
     assert np.min(np.abs(np.linalg.eigvals(plant.A))) == 0.0
     A, B, _ = zoh(plant, 0.1)
     u = np.random.default_rng(0).standard_normal(50)
@@ -168,7 +170,7 @@ def test_the_interval_of_a_jump_holds_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     held, off = [], []
     for _ in range(2000):
-        edge = edge_of(np.sort(0.7 + rng.random(60)))
+        edge = jump_edge_below(np.sort(0.7 + rng.random(60)))
         held.append(edge.low <= 0.7 <= edge.high)
         off.append(edge.value - 0.7)
     assert 0.935 <= np.mean(held) <= 0.965

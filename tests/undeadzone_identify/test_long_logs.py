@@ -8,14 +8,19 @@ from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.plant import Data, Simulator, part_of, select_samples
-from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.plant import (
+    PlantSimulator,
+    RecordData,
+    busiest_stretches,
+    select_samples,
+)
+from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import (
     fit_zone,
-    longest_record,
-    move_records,
-    reduce_record,
-    refit,
+    refit_along,
+    refit_busiest_part,
+    refit_likelihood,
+    refit_longest_record,
 )
 
 
@@ -29,9 +34,9 @@ def log(size: int = 1600, late: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return u, np.maximum(e - 0.5, 0.0) + np.minimum(e + 0.3, 0.0)
 
 
-def data_of(u: np.ndarray, y: np.ndarray, starts: tuple[int, ...] = (0,)) -> Data:
+def data_of(u: np.ndarray, y: np.ndarray, starts: tuple[int, ...] = (0,)) -> RecordData:
     ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return Data(u[:, None], y, ok, np.array(starts), side, True, np.ones(1), 1.0)
+    return RecordData(u[:, None], y, ok, np.array(starts), side, True, np.ones(1), 1.0)
 
 
 @pytest.fixture
@@ -43,7 +48,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_part_is_where_both_edges_are_passed(short: None) -> None:
     u, y = log()
     data = data_of(u, y)
-    part = part_of(data, 400)
+    part = busiest_stretches(data, 400)
     assert part.y.size == 800
     assert part.start.tolist() == [0, 400]
     passed = [np.count_nonzero(np.diff(part.side[k : k + 400])) for k in (0, 400)]
@@ -51,42 +56,42 @@ def test_the_part_is_where_both_edges_are_passed(short: None) -> None:
     resting = y[400:800]
     assert not any(np.array_equal(part.y[k : k + 400], resting) for k in (0, 400))
     quiet = data_of(u[:700], y[:700])
-    assert part_of(quiet) is quiet
+    assert busiest_stretches(quiet) is quiet
 
 
 def test_stretches_stay_within_records(short: None) -> None:
     u, y = log()
     data = data_of(u, y, (0, 500, 620))
-    part = part_of(data, 300)
+    part = busiest_stretches(data, 300)
     kept = {tuple(y[a:b]) for a, b in ((0, 250), (250, 500), (500, 620))}
     kept |= {
         tuple(y[a:b]) for a, b in zip((620, 865, 1110, 1355), (865, 1110, 1355, 1600), strict=True)
     }
-    assert {tuple(part.y[one]) for one in part.records()} <= kept
+    assert {tuple(part.y[one]) for one in part.record_slices()} <= kept
     assert part.y.size <= 800
 
 
 def test_a_fit_that_was_moved_to_all_ends_where_one_from_scratch_does(short: None) -> None:
     data = data_of(*log())
-    part = part_of(data)
-    small = refit(fit_zone(Simulator(part, 2), "singles", Limits()), "pairs")
-    all_ = refit(fit_zone(Simulator(data, 2), "singles", Limits()), "pairs")
-    carried = move_records(small, data)
+    part = busiest_stretches(data)
+    small = refit_likelihood(fit_zone(PlantSimulator(part, 2), "singles", WidthLimits()), "pairs")
+    all_ = refit_likelihood(fit_zone(PlantSimulator(data, 2), "singles", WidthLimits()), "pairs")
+    carried = refit_along(small, data)
     assert carried.value == pytest.approx(all_.value, abs=1e-2)
     assert (carried.right, carried.left) == pytest.approx((all_.right, all_.left), abs=1e-4)
-    back = reduce_record(all_)
+    back = refit_busiest_part(all_)
     assert back.value == pytest.approx(small.value, abs=1e-2)
-    assert longest_record(all_).objective.data.y.size == 800
+    assert refit_longest_record(all_).objective.data.y.size == 800
 
 
 def test_the_longest_of_several_records_is_taken_alone() -> None:
     u, y = log()
     data = data_of(u, y, (0, 500, 620))
-    fit = refit(fit_zone(Simulator(data, 2), "singles", Limits()), "pairs")
-    one = longest_record(fit)
+    fit = refit_likelihood(fit_zone(PlantSimulator(data, 2), "singles", WidthLimits()), "pairs")
+    one = refit_longest_record(fit)
     assert np.array_equal(one.objective.data.y, y[620:])
     alone = select_samples(data, [slice(620, 1600)])
-    assert one.value == pytest.approx(move_records(fit, alone).value)
+    assert one.value == pytest.approx(refit_along(fit, alone).value)
 
 
 def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -> None:

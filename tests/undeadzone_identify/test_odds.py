@@ -18,24 +18,30 @@ from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
-from undeadzone_identify.logs.log import Options, log_of_arrays
-from undeadzone_identify.logs.prepare import usable
-from undeadzone_identify.models.elements import BREAKS, MapModel, cubic, linear, static_rivals
+from undeadzone_identify.logs.log import Options, log_from_arrays
+from undeadzone_identify.logs.prepare import usable_readings
+from undeadzone_identify.models.elements import (
+    BREAKS,
+    MapModel,
+    cubic_map,
+    fit_static_rivals,
+    identity_map,
+)
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density, LeastSquares
-from undeadzone_identify.models.place import Shape, fit_place
-from undeadzone_identify.models.plant import Data, Simulator
-from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.place import PlaceShape, fit_place
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
-from undeadzone_identify.page import identify_page
-from undeadzone_identify.results.assemble import _of_reference, to_answer
+from undeadzone_identify.page import build_identified_page
+from undeadzone_identify.results.assemble import _reference_remarks, to_answer
 from undeadzone_identify.selection import servo
-from undeadzone_identify.selection.decision import _likeliest_word, detect_feedback
-from undeadzone_identify.selection.odds import behind, odds_of
-from undeadzone_identify.selection.orders import explained_by_readings, training_samples
-from undeadzone_identify.selection.servo import observations_of, servo_of_ticks
-from undeadzone_identify.servo.gap import ServoGap, servo_gap
-from undeadzone_identify.servo.observations import Observations, read_observations
+from undeadzone_identify.selection.decision import _most_probable_word, detect_feedback
+from undeadzone_identify.selection.odds import model_probabilities, nats_behind_best
+from undeadzone_identify.selection.orders import feedback_share, training_samples
+from undeadzone_identify.selection.servo import identify_tick_servo, to_observations
+from undeadzone_identify.servo.gap import ServoGap, identify_servo_gap
+from undeadzone_identify.servo.observations import Observations, build_observations
 
 DENOMINATOR = [1.0, -1.6, 0.68]
 STEP = 0.05
@@ -52,10 +58,10 @@ def driven(seed: int, size: int = 700) -> tuple[np.random.Generator, Floats, Flo
     return rng, u, lfilter([0.0, 0.05, 0.03], DENOMINATOR, u)
 
 
-def logged(u: Floats, y: Floats) -> Data:
+def logged(u: Floats, y: Floats) -> RecordData:
     """A record as it is, without scales."""
     ok, side = np.ones(y.size, bool), np.sign(y).astype(int)
-    return Data(u[:, None], y, ok, np.zeros(1, int), side, False, np.ones(1), 1.0)
+    return RecordData(u[:, None], y, ok, np.zeros(1, int), side, False, np.ones(1), 1.0)
 
 
 def found(u: Floats, y: Floats, **more: object) -> uz.Identified:
@@ -84,7 +90,7 @@ def densities(rng: np.random.Generator, lead: float, scatter: float, size: int =
 
 
 def test_odds_of_models_that_differ_little_are_those_of_their_densities() -> None:
-    odds = odds_of([densities(np.random.default_rng(0), 2.0, 1e-6)])
+    odds = model_probabilities([densities(np.random.default_rng(0), 2.0, 1e-6)])
     assert list(odds) == ["saturation", "none"]
     assert odds["saturation"] == pytest.approx(1 / (1 + np.exp(-2.0)), rel=1e-3)
     assert sum(odds.values()) == pytest.approx(1.0)
@@ -92,9 +98,9 @@ def test_odds_of_models_that_differ_little_are_those_of_their_densities() -> Non
 
 def test_a_lead_that_may_be_chance_is_none() -> None:
     """30 nats would be all odds, but logs scatter by as much."""
-    odds = odds_of([densities(np.random.default_rng(1), 30.0, 30.0)])
+    odds = model_probabilities([densities(np.random.default_rng(1), 30.0, 30.0)])
     assert 0.75 < odds["saturation"] < 0.92
-    sure = odds_of([densities(np.random.default_rng(1), 30.0, 5.0)])
+    sure = model_probabilities([densities(np.random.default_rng(1), 30.0, 5.0)])
     assert sure["saturation"] > 0.999
 
 
@@ -103,7 +109,7 @@ def test_odds_of_two_equal_models_are_even_over_logs() -> None:
     rng, first = np.random.default_rng(2), []
     for _ in range(200):
         lead = 20 * rng.standard_normal()
-        first.append(odds_of([densities(rng, lead, 20.0)])["saturation"])
+        first.append(model_probabilities([densities(rng, lead, 20.0)])["saturation"])
     assert abs(np.mean(first) - 0.5) < 0.06
     assert np.mean(np.abs(np.array(first) - 0.5) > 0.45) < 0.2
 
@@ -111,28 +117,30 @@ def test_odds_of_two_equal_models_are_even_over_logs() -> None:
 def test_numbers_cost_and_words_are_left_out() -> None:
     family = densities(np.random.default_rng(3), 0.0, 1e-6)
     more = family["saturation"]._replace(numbers=6)
-    odds = odds_of([family | {"other": more}])
+    odds = model_probabilities([family | {"other": more}])
     assert odds["other"] / odds["saturation"] == pytest.approx(1 / 800, rel=1e-2)
     assert odds["none"] == pytest.approx(2 * odds["saturation"], rel=1e-2)  # two things may be
-    assert set(odds_of([family], {"saturation"})) == {"none"}
-    assert behind([family])["none"] == pytest.approx(0.0, abs=1e-12)
+    assert set(model_probabilities([family], {"saturation"})) == {"none"}
+    assert nats_behind_best([family])["none"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_families_of_other_readings_are_compared_by_what_they_gain() -> None:
     rng = np.random.default_rng(4)
     long, short = densities(rng, 400.0, 5.0), densities(rng, 40.0, 2.0, 400)
     places = {"none": short["none"], "friction": short["saturation"]}
-    odds = odds_of([long, places])
+    odds = model_probabilities([long, places])
     assert odds["saturation"] > 0.999  # half a nat a reading against a tenth
 
 
 def test_which_models_hold_which() -> None:
-    sensor = Shape("sensor", "dead_zone", sensor=True)
-    both = Shape("both", "zone_and_friction", sensor=True, inner=True, free=1)
-    assert both.holds(sensor)
-    assert both.holds(Shape("none", "none"))
-    assert not sensor.holds(both)
-    assert not both.holds(Shape("at a position", "friction", inner=True, position=True))
+    sensor = PlaceShape("sensor", "dead_zone", sensor=True)
+    both = PlaceShape("both", "zone_and_friction", sensor=True, inner=True, free=1)
+    assert both.contains_shape(sensor)
+    assert both.contains_shape(PlaceShape("none", "none"))
+    assert not sensor.contains_shape(both)
+    assert not both.contains_shape(
+        PlaceShape("at a position", "friction", inner=True, position=True)
+    )
 
 
 # --- levels
@@ -141,27 +149,29 @@ def test_which_models_hold_which() -> None:
 def test_a_level_is_fitted_beside_every_map() -> None:
     rng, u, z = driven(1)
     y = 5.0 + z + 0.02 * rng.standard_normal(z.size)
-    simulator = Simulator(logged(u, y), 2)
+    simulator = PlantSimulator(logged(u, y), 2)
     plain = fit_linear(simulator)
     assert plain.right == pytest.approx(-5.0, abs=0.01)
-    squares = LeastSquares(MapModel(simulator, "none", linear))
-    fitted = squares.best([plain.theta[: squares.model.base + 2]])
+    squares = LeastSquares(MapModel(simulator, "none", identity_map))
+    fitted = squares.fit_from_starts([plain.theta[: squares.model.base + 2]])
     assert fitted is not None
     assert fitted.density.rms == pytest.approx(0.02, rel=0.1)
-    assert abs(float(squares.residual(fitted.theta).mean())) < 1e-12
+    assert abs(float(squares.reading_residual(fitted.theta).mean())) < 1e-12
     assert fitted.density.numbers == squares.free.size + 3
 
 
-@pytest.mark.parametrize("shape", [linear, cubic])
+@pytest.mark.parametrize("shape", [identity_map, cubic_map])
 def test_derivatives_beside_a_level_and_without_correlation(shape) -> None:
     _, u, z = driven(2, 200)
     data = logged(u, 3.0 + z)._replace(ok=np.arange(200) % 7 > 0)
-    squares = LeastSquares(MapModel(Simulator(data, 2), "map", shape), [0.6])
+    squares = LeastSquares(MapModel(PlantSimulator(data, 2), "map", shape), [0.6])
     theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.0, 0.05, 0.1])
-    _, score, _ = squares.quadratic(theta)
+    _, score, _ = squares.quadratic_model(theta)
     for place, index in enumerate(squares.free):
         step = 1e-6 * np.eye(theta.size)[index]
-        slope = (squares.value(theta + step) - squares.value(theta - step)) / 2e-6
+        slope = (
+            squares.total_log_likelihood(theta + step) - squares.total_log_likelihood(theta - step)
+        ) / 2e-6
         assert score[place] == pytest.approx(slope, rel=1e-4, abs=1e-4)
 
 
@@ -176,8 +186,8 @@ def test_no_zone_is_not_said_against_the_test_of_one() -> None:
 def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
     rng, u, z = driven(3)
     data = logged(u, z + 0.05 * rng.standard_normal(z.size))
-    fit = fit_zone(Simulator(data, 2), "behind", Limits())
-    rivals = static_rivals(fit)
+    fit = fit_zone(PlantSimulator(data, 2), "behind", WidthLimits())
+    rivals = fit_static_rivals(fit)
     assert rivals["saturation"].numbers - rivals["none"].numbers == 2 + BREAKS
 
 
@@ -217,7 +227,7 @@ def test_a_zone_at_both_ends_is_not_sold_as_the_sensors() -> None:
             assert low <= width <= high
             assert abs(value - width) < 0.03
     assert "b_right" in str(answer.summary())
-    first = identify_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
+    first = build_identified_page(answer, {}, "log.csv").split("How it was decided</h2>")[0]
     assert [
         name for name in answer.summary() if name.startswith(("d_", "b_")) and name in first
     ] == ["d_right", "d_left", "b_right", "b_left"]
@@ -308,11 +318,11 @@ def test_a_play_with_a_zone_is_no_servo() -> None:
 def test_a_play_with_a_zone_is_not_heard_as_a_servo_when_that_is_asked_late() -> None:
     """A lag behind a play, asked once no other plant settled, had odds of 1 in its place."""
     log = make(8003, "play and zone")
-    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
-    assert read_observations(
+    grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
+    assert build_observations(
         log.u, log.y, grid.ok, grid.start, log.step
     ).ticks  # but for its silence
-    assert observations_of(grid, Options()) is None
+    assert to_observations(grid, Options()) is None
 
 
 @pytest.mark.parametrize(("seed", "order"), [(30131, 3), (30172, 1)])
@@ -339,12 +349,12 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
     servos = []
 
     def kept(log: Observations | None) -> ServoGap | None:
-        servos.append(servo_gap(log))
+        servos.append(identify_servo_gap(log))
         return servos[-1]
 
     monkeypatch.setattr(servo, "servo_gap", kept)
     assert asked(make(25007, "play and zone"), order=2, delay=0).verdict == "both"
-    assert [one.is_given for one in servos] == [True]
+    assert [one.is_gap_reported for one in servos] == [True]
 
 
 def test_a_play_that_looks_like_friction_beside_a_zone_is_asked(
@@ -378,8 +388,8 @@ def test_an_encoder_about_an_operating_point_is_told_so_though_its_steps_hide_a_
 def test_a_short_log_whose_encoder_passes_0_slowly_is_not_asked_for_a_servo() -> None:
     """As many readings stand at a hold of the play; a motor behind a play had odds beyond .99."""
     log = make(4001, "play and zone")
-    grid = to_grid([log_of_arrays(log.step, log.u, log.y)])
-    assert servo_of_ticks(grid, Options()) is None
+    grid = to_grid([log_from_arrays(log.step, log.u, log.y)])
+    assert identify_tick_servo(grid, Options()) is None
 
 
 @pytest.mark.parametrize("seed", [26, 60], ids=["encoder", "noise"])
@@ -535,7 +545,7 @@ def loop() -> loop_logs.LoopLog:
 
 def said(u: Floats, y: Floats, r: Floats) -> float:
     start = np.array([0])
-    return explained_by_readings(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
+    return feedback_share(u[:, None], y, np.ones(y.size, bool), r[:, None], start)[0]
 
 
 def test_beside_its_reference_readings_make_all_of_a_loops_input(loop: loop_logs.LoopLog) -> None:
@@ -555,40 +565,42 @@ def test_prediction_errors_know_the_actuators_zone_better_in_a_loop() -> None:
     halves, errors = {False: [], True: []}, {False: [], True: []}
     for seed in range(4):
         log = loop_logs.make(seed, "input zone", 0.2)
-        plain = fit_linear(Simulator(logged(log.u, log.y), log.order))
+        plain = fit_linear(PlantSimulator(logged(log.u, log.y), log.order))
         truth = np.zeros(7)
         truth[5:] = log.input
         begun = np.concatenate([plain.theta[: plain.objective.layout.right], truth])
         begun = np.append(begun, np.zeros(log.order))
-        shape = Shape("input", "input_zone", input=True)
+        shape = PlaceShape("input", "input_zone", input=True)
         fit = fit_place(plain.objective.simulator, shape, [begun])
         assert fit is not None
-        for predicts, one in ((False, fit), (True, fit.predicting)):
+        for predicts, one in ((False, fit), (True, fit.prediction_fit)):
             for k in (5, 6):
                 row = 1.0 * (one.model.free == one.model.base + k)
-                halves[predicts].append(one.squares.spread(one.theta).half_width(row))
+                halves[predicts].append(one.squares.robust_covariance(one.theta).half_width(row))
                 errors[predicts].append(one.theta[one.model.base + k] - log.input[k - 5])
     assert np.median(halves[True]) < 0.75 * np.median(halves[False])
     assert np.mean(np.abs(errors[True]) < halves[True]) > 0.7
 
 
 def test_the_gradient_of_a_plant_behind_an_inputs_zone_is_right(loop: loop_logs.LoopLog) -> None:
-    simulator = Simulator(logged(loop.u, loop.y), 2, zoned=True)
+    simulator = PlantSimulator(logged(loop.u, loop.y), 2, zoned=True)
     theta = np.array([-1.5, 0.6, 0.06, 0.02, 0.1, 0.2, 0.4, 0.3, 0.0, 0.0, 0.0, 0.0])
-    slopes = simulator.gradient(theta, simulator.z(theta).copy())
+    slopes = simulator.z_gradient(theta, simulator.simulate_z(theta).copy())
     for index in range(8):
         step = 1e-6 * np.eye(theta.size)[index]
-        slope = (simulator.z(theta + step).copy() - simulator.z(theta - step)) / 2e-6
+        slope = (
+            simulator.simulate_z(theta + step).copy() - simulator.simulate_z(theta - step)
+        ) / 2e-6
         assert slopes[:, index] == pytest.approx(slope, abs=1e-5)
 
 
 def test_a_larger_model_that_leads_keeps_its_word() -> None:
     """Its widths are others; friction beside a zone, or a small play, leaves its place to it."""
-    assert _likeliest_word({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
-    assert _likeliest_word({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
-    assert _likeliest_word({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
-    assert _likeliest_word({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
-    assert _likeliest_word({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
+    assert _most_probable_word({"two_zones": 0.6, "dead_zone": 0.4}) == "two_zones"
+    assert _most_probable_word({"dead_zone": 0.6, "two_zones": 0.4}) == "dead_zone"
+    assert _most_probable_word({"zone_and_friction": 0.6, "dead_zone": 0.4}) == "dead_zone"
+    assert _most_probable_word({"both": 0.75, "dead_zone": 0.25}) == "dead_zone"
+    assert _most_probable_word({"zone_and_friction": 0.5, "none": 0.5}) == "zone_and_friction"
 
 
 def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
@@ -603,11 +615,11 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
     assert detect_feedback(still).answered is None
-    assert _of_reference(still.grid, case.data.ok, detect_feedback(still)) == [
+    assert _reference_remarks(still.grid, case.data.ok, detect_feedback(still)) == [
         "the reference never moves: it is not used"
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
-    assert "exchanged" in " ".join(_of_reference(swapped, case.data.ok, detect_feedback(case)))
+    assert "exchanged" in " ".join(_reference_remarks(swapped, case.data.ok, detect_feedback(case)))
 
 
 def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> None:
@@ -615,15 +627,15 @@ def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> N
     y, r = loop.y.copy(), loop.r.copy()
     y[400], r[700] = 1e4, 1e6
     records = [slice(0, 420), slice(430, None)]
-    logs = [log_of_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records]
+    logs = [log_from_arrays(loop.step, loop.u[i], y[i], r[i]) for i in records]
     grid = to_grid(logs)
-    ok, _ = usable(grid, [])
+    ok, _ = usable_readings(grid, [])
     assert np.flatnonzero(grid.ok & ~ok).tolist() == [400]
     assert np.flatnonzero(np.isnan(grid.r)).tolist() == [690]  # ten samples are in neither
     without = to_grid([logs[0], logs[1]._replace(r=logs[1].r[:, :0])])
     assert without.r.shape[1] == 0
     assert "not every log has a reference: it is not used" in without.remarks
-    assert explained_by_readings(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
+    assert feedback_share(grid.u, grid.y, ok, grid.r, grid.start)[0] > 0.999
 
 
 def test_a_log_with_a_setpoint_ends_in_a_scenario(

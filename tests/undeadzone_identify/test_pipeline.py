@@ -16,27 +16,33 @@ import undeadzone as uz
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import (
-    Spread,
+    EstimateCovariance,
     long_run_covariance,
-    quantile,
-    sandwich,
+    sandwich_covariance,
+    student_quantile,
 )
-from undeadzone_identify.models.kalman import KalmanObjective, matrices
-from undeadzone_identify.models.kalman_fit import KalmanFit, innovations, smooth
+from undeadzone_identify.models.kalman import KalmanObjective, observer_form_matrices
+from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations, smooth_states
 from undeadzone_identify.models.likelihood import (
-    Noise,
     Readings,
-    behind,
-    log_difference,
-    log_rectangle,
-    pairs,
-    singles,
+    ZoneNoise,
+    densities_behind,
+    log_cdf_difference,
+    log_rectangle_mass,
+    pair_densities,
+    single_densities,
 )
-from undeadzone_identify.models.place import simulate
-from undeadzone_identify.models.plant import Data, Layout, Simulator
-from undeadzone_identify.models.zone import Limits, Objective
-from undeadzone_identify.models.zone_fit import Fit, fit_zone, less_odd, polish_fit, refit
-from undeadzone_identify.selection.widths import profile
+from undeadzone_identify.models.place import simulate_friction
+from undeadzone_identify.models.plant import Layout, PlantSimulator, RecordData
+from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
+from undeadzone_identify.models.zone_fit import (
+    ZoneFit,
+    fit_zone,
+    polish_fit,
+    refit_likelihood,
+    remove_odd_poles,
+)
+from undeadzone_identify.selection.widths import profile_likelihood
 
 A, B = np.array([-1.6, 0.68]), np.array([0.05, 0.03])
 
@@ -65,7 +71,9 @@ def data_of(u, y):
     ok = np.ones(y.size, bool)
     side = np.sign(y).astype(int)
     start = np.zeros(1, int)
-    return Data(u[:, None] / u.std(), y / scale, ok, start, side, True, np.array([u.std()]), scale)
+    return RecordData(
+        u[:, None] / u.std(), y / scale, ok, start, side, True, np.array([u.std()]), scale
+    )
 
 
 def some_readings(seed=1, size=300):
@@ -81,14 +89,14 @@ def some_readings(seed=1, size=300):
 
 
 def test_log_difference_neither_cancels_nor_underflows() -> None:
-    assert log_difference(np.array([1.0]), np.array([-1.0]))[0] == pytest.approx(
+    assert log_cdf_difference(np.array([1.0]), np.array([-1.0]))[0] == pytest.approx(
         math.log(ndtr(1.0) - ndtr(-1.0)), rel=1e-13
     )
-    far = log_difference(np.array([-40.0]), np.array([-41.0]))[0]
+    far = log_cdf_difference(np.array([-40.0]), np.array([-41.0]))[0]
     assert far == pytest.approx(log_ndtr(-40.0), rel=1e-12)
-    mirrored = log_difference(np.array([41.0]), np.array([40.0]))[0]
+    mirrored = log_cdf_difference(np.array([41.0]), np.array([40.0]))[0]
     assert mirrored == pytest.approx(far, rel=1e-14)
-    narrow = log_difference(np.array([2.0 + 1e-9]), np.array([2.0]))[0]
+    narrow = log_cdf_difference(np.array([2.0 + 1e-9]), np.array([2.0]))[0]
     assert narrow == pytest.approx(math.log(1e-9) - 2.0 - 0.5 * math.log(2 * math.pi), rel=1e-6)
 
 
@@ -122,7 +130,7 @@ def test_two_silent_samples_agree_with_brute_force(rho: float) -> None:
         z1 = z0 + 0.5 * rng.standard_normal()
         width = rng.uniform(0.1, 6)
         limits = (width - z0, -width / 2 - z0, width - z1, -width / 2 - z1)
-        value = log_rectangle(*[np.array([limit]) for limit in limits], rho)[0]
+        value = log_rectangle_mass(*[np.array([limit]) for limit in limits], rho)[0]
         expected = brute_rectangle(*limits, rho)
         assert abs(value - expected) < 1e-9 * max(1.0, abs(expected))
 
@@ -132,18 +140,18 @@ def test_two_silent_samples_agree_with_brute_force(rho: float) -> None:
 def test_however_far_two_samples_are_hardly_silent_together(far: float, rho: float) -> None:
     """More than one of them was, where both were 1400 deviations off: such a fit looked perfect."""
     limits = np.array([[-far], [-far - 100.0]])
-    both = log_rectangle(*limits, *(1.01 * limits), rho)[0]
+    both = log_rectangle_mass(*limits, *(1.01 * limits), rho)[0]
     inverse = np.linalg.inv([[1.0, rho], [rho, 1.0]])
     corner = np.array([-far, -1.01 * far])
     gain = inverse @ corner  # the density falls from the corner, or from its edge, on
     nearest = 0.5 * corner @ inverse @ corner if (gain < 0).all() else 0.5 * (1.01 * far) ** 2
     assert both == pytest.approx(-nearest, rel=0.01)
-    assert both < log_difference(*(1.01 * limits))[0]
+    assert both < log_cdf_difference(*(1.01 * limits))[0]
 
 
 def test_a_pair_is_a_density_of_the_second_sample() -> None:
     """Over every reading that may follow, speaking or silent, the densities sum to 1."""
-    noise = Noise(0.4, 0.2, 0.5, 0.6)
+    noise = ZoneNoise(0.4, 0.2, 0.5, 0.6)
     for first in (0.7, -0.3, 0.0):
 
         def density(y, first=first):
@@ -153,7 +161,7 @@ def test_a_pair_is_a_density_of_the_second_sample() -> None:
                 np.ones(2, bool),
                 np.array([False, True]),
             )
-            return math.exp(pairs(readings, np.array([0.1, 0.2]), noise).value[1])
+            return math.exp(pair_densities(readings, np.array([0.1, 0.2]), noise).value[1])
 
         right = quad(density, 1e-12, 6, epsabs=1e-11)[0]
         left = quad(density, -6, -1e-12, epsabs=1e-11)[0]
@@ -162,10 +170,12 @@ def test_a_pair_is_a_density_of_the_second_sample() -> None:
 
 def test_pairs_without_correlation_are_singles() -> None:
     readings, z = some_readings()
-    noise = Noise(0.7, 0.4, 0.35, 0.0)
-    assert np.array_equal(pairs(readings, z, noise).value, singles(readings, z, noise).value)
-    weak = pairs(readings, z, noise._replace(rho=1e-9)).value
-    assert weak == pytest.approx(singles(readings, z, noise).value, abs=1e-7)
+    noise = ZoneNoise(0.7, 0.4, 0.35, 0.0)
+    assert np.array_equal(
+        pair_densities(readings, z, noise).value, single_densities(readings, z, noise).value
+    )
+    weak = pair_densities(readings, z, noise._replace(rho=1e-9)).value
+    assert weak == pytest.approx(single_densities(readings, z, noise).value, abs=1e-7)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.4, 0.9, -0.5])
@@ -180,8 +190,8 @@ def test_derivatives_of_the_densities(rho: float, kind: str) -> None:
             numbers[shift] += amount
         else:
             moved = z + amount * np.cos(np.arange(z.size))
-        noise = Noise(numbers[0], numbers[1], math.exp(numbers[2]), math.tanh(numbers[3]))
-        compute = pairs if kind == "pairs" else behind
+        noise = ZoneNoise(numbers[0], numbers[1], math.exp(numbers[2]), math.tanh(numbers[3]))
+        compute = pair_densities if kind == "pairs" else densities_behind
         return compute(readings, moved, noise)
 
     slopes = value(0, 0.0).slopes
@@ -198,14 +208,17 @@ def test_derivatives_of_the_densities(rho: float, kind: str) -> None:
 def test_score_of_all_numbers_of_two_records() -> None:
     _, u, y, _ = record(size=300)
     data = data_of(u, y)._replace(start=np.array([0, 140]))
-    simulator = Simulator(data, 2)
-    objective = Objective(simulator, "pairs")
+    simulator = PlantSimulator(data, 2)
+    objective = ZoneObjective(simulator, "pairs")
     theta = np.array([*A, 0.3, 0.2, 0.1, 0.05, -0.1, 0.2, 0.6, 0.5, -1.5, 0.4])
-    exact = objective.score(theta)
+    exact = objective.total_score(theta)
     for index in range(theta.size):
         step = np.zeros(theta.size)
         step[index] = 1e-6
-        difference = (objective.value(theta + step) - objective.value(theta - step)) / 2e-6
+        difference = (
+            objective.total_log_likelihood(theta + step)
+            - objective.total_log_likelihood(theta - step)
+        ) / 2e-6
         assert difference == pytest.approx(exact[index], rel=2e-5, abs=1e-4)
 
 
@@ -213,40 +226,40 @@ def test_score_of_all_numbers_of_two_records() -> None:
 
 
 @pytest.fixture(scope="module")
-def fitted() -> Fit:
+def fitted() -> ZoneFit:
     _, u, y, _ = record(noise=0.05)
-    singles_fit = fit_zone(Simulator(data_of(u, y), 2), "singles", Limits())
-    return polish_fit(refit(singles_fit, "pairs"))
+    singles_fit = fit_zone(PlantSimulator(data_of(u, y), 2), "singles", WidthLimits())
+    return polish_fit(refit_likelihood(singles_fit, "pairs"))
 
 
-def test_the_fit_ends_at_a_top(fitted: Fit) -> None:
-    score = fitted.objective.score(fitted.theta)[fitted.objective.free]
-    spread = fitted.objective.spread(fitted.theta)
+def test_the_fit_ends_at_a_top(fitted: ZoneFit) -> None:
+    score = fitted.objective.total_score(fitted.theta)[fitted.objective.free]
+    spread = fitted.objective.robust_covariance(fitted.theta)
     assert float(score @ spread.naive @ score) < 1e-4
     scale = fitted.objective.data.y_scale
     assert abs(fitted.right * scale - 0.5) < 0.02
     assert abs(fitted.left * scale - 0.3) < 0.02
 
 
-def test_a_pole_that_a_zero_cancels_is_left_out(fitted: Fit) -> None:
+def test_a_pole_that_a_zero_cancels_is_left_out(fitted: ZoneFit) -> None:
     """What is left makes the same z, with the zone and the noise of before."""
     objective = fitted.objective
-    wide = Objective(Simulator(objective.data, 3), objective.kind, objective.limits)
+    wide = ZoneObjective(PlantSimulator(objective.data, 3), objective.kind, objective.limits)
     old, layout = objective.layout, wide.layout
     theta = np.zeros(layout.size)
     theta[layout.a] = np.convolve([1.0, *fitted.theta[old.a]], [1.0, 0.4])[1:]
     theta[layout.b] = np.convolve(fitted.theta[old.b], [1.0, 0.4])
     theta[layout.x0] = np.convolve(fitted.theta[old.x0], [1.0, 0.4])
     theta[layout.right :] = fitted.theta[old.right :]
-    wider = Fit(wide, theta, wide.value(theta))
+    wider = ZoneFit(wide, theta, wide.total_log_likelihood(theta))
     assert wider.z == pytest.approx(fitted.z, abs=1e-12)
-    left = less_odd(wider, objective.simulator)
+    left = remove_odd_poles(wider, objective.simulator)
     assert left == pytest.approx(fitted.theta, abs=1e-6)
 
 
-def test_a_profile_falls_on_both_sides(fitted: Fit) -> None:
+def test_a_profile_falls_on_both_sides(fitted: ZoneFit) -> None:
     values = fitted.right + np.array([-0.05, 0.0, 0.05])
-    fall = profile(fitted, "right", values)
+    fall = profile_likelihood(fitted, "right", values)
     assert abs(fall[1]) < 1e-3
     assert fall[0] < -1
     assert fall[2] < -1
@@ -259,14 +272,14 @@ def test_intervals_of_a_mean_hold_under_first_order_noise() -> None:
     for _ in range(300):
         e = lfilter([1.0], [1.0, -0.8], rng.standard_normal(700))[100:]
         mean = e.mean()
-        spread = sandwich((e - mean)[:, None], np.array([[e.size]], float))
+        spread = sandwich_covariance((e - mean)[:, None], np.array([[e.size]], float))
         robust += abs(mean) <= spread.half_width(np.ones(1))
         naive += abs(mean) <= 1.96 * e.std() / math.sqrt(e.size)
     assert 0.91 <= robust / 300 <= 0.985
     assert naive / 300 < 0.7
 
 
-def of_a_regression(rng: np.random.Generator, passages: int) -> tuple[float, Spread]:
+def of_a_regression(rng: np.random.Generator, passages: int) -> tuple[float, EstimateCovariance]:
     """The estimate of a coefficient that is 0, of a regressor that is on in stretches of 15."""
     rows = lfilter([1.0], [1.0, -0.8], rng.standard_normal((1500, 6)), axis=0)
     rows[:, 0] = 0.0
@@ -276,7 +289,9 @@ def of_a_regression(rng: np.random.Generator, passages: int) -> tuple[float, Spr
     fitted = np.linalg.lstsq(rows, e, rcond=None)[0]
     e -= rows @ fitted
     variance = float(np.mean(e**2))
-    return float(fitted[0]), sandwich(rows * e[:, None] / variance, rows.T @ rows / variance)
+    return float(fitted[0]), sandwich_covariance(
+        rows * e[:, None] / variance, rows.T @ rows / variance
+    )
 
 
 @pytest.mark.parametrize(("passages", "uncorrected"), [(4, 0.90), (20, 0.95)])
@@ -287,7 +302,7 @@ def test_intervals_of_few_passages_hold(passages: int, uncorrected: float) -> No
     for _ in range(400):
         value, spread = of_a_regression(rng, passages)
         held += abs(value) <= spread.half_width(one)
-        plain += abs(value) <= quantile(spread.degrees) * math.sqrt(spread.V[0, 0])
+        plain += abs(value) <= student_quantile(spread.degrees) * math.sqrt(spread.V[0, 0])
     assert 0.92 <= held / 400 <= 0.98
     assert plain / 400 < uncorrected
 
@@ -295,7 +310,7 @@ def test_intervals_of_few_passages_hold(passages: int, uncorrected: float) -> No
 def test_what_few_passages_leave_is_as_it_is_defined() -> None:
     _, spread = of_a_regression(np.random.default_rng(7), 5)
     K, scores = spread.degrees, spread.scores
-    variance, degrees = spread.accuracy(np.eye(6)[0])
+    variance, degrees = spread.variance_and_degrees(np.eye(6)[0])
     told = scores @ spread.naive[:, 0]
     time = (np.arange(told.size) + 0.5) / told.size
     cosines = np.cos(np.pi * np.outer(np.arange(1, K + 1), time))
@@ -325,13 +340,13 @@ def test_filter_without_disturbance_is_singles() -> None:
     """With q = 0 and a known start the filter's densities are those of (L1)."""
     _, u, y, _ = record(size=400)
     data = data_of(u, y)
-    objective = KalmanObjective(data, Layout(2, 1, 1), 0, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), 0, WidthLimits())
     p = np.array([*A, 0.4, 0.3, -20.0, math.log(0.1), 0.8, 0.5])
-    by_filter = objective.densities(p[None, :])[0]
-    simulator = Simulator(data, 2)
+    by_filter = objective.log_densities(p[None, :])[0]
+    simulator = PlantSimulator(data, 2)
     theta = np.array([*A, 0.4, 0.3, 0, 0, 0.8, 0.5, math.log(0.1), 0])
-    z = simulator.z(theta)
-    by_sample = singles(data.readings(), z, Noise(0.8, 0.5, 0.1, 0.0)).value
+    z = simulator.simulate_z(theta)
+    by_sample = single_densities(data.readings(), z, ZoneNoise(0.8, 0.5, 0.1, 0.0)).value
     settled = slice(200, None)  # the filter's first state is forgotten by then
     assert by_filter[settled] == pytest.approx(by_sample[settled], rel=2e-3, abs=2e-3)
 
@@ -339,8 +354,10 @@ def test_filter_without_disturbance_is_singles() -> None:
 def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]:
     """Predicted covariances and g (N), one sample after the other."""
     data, layout, model = objective.data, objective.layout, objective.model
-    lane = objective.lane(p)
-    F, B, G, H = (part.full() for part in matrices(layout.n, layout.m, model, ca.DM(lane)))
+    lane = objective.lane_numbers(p)
+    F, B, G, H = (
+        part.full() for part in observer_form_matrices(layout.n, layout.m, model, ca.DM(lane))
+    )
     q2, r2, right, left, _, first, first_w = lane[objective.lane_q :]
     x = np.zeros(len(F))
     P = np.diag([first] * layout.n + [first_w] * (model > 0))
@@ -366,12 +383,12 @@ def plain_filter(objective: KalmanObjective, p: Floats) -> tuple[Floats, Floats]
 @pytest.mark.parametrize("model", [0, 1, 2])
 def test_compiled_filter_agrees_with_the_plain_one(model: int) -> None:
     _, u, y, _ = record(size=300, disturbance=0.3)
-    objective = KalmanObjective(data_of(u, y), Layout(2, 1, 1), model, Limits())
+    objective = KalmanObjective(data_of(u, y), Layout(2, 1, 1), model, WidthLimits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.8, 0.5, 1.0][: objective.size])
     covariances, g = plain_filter(objective, p)
     fit = KalmanFit(objective, p, 0.0)
-    assert innovations(fit) == pytest.approx(g, rel=1e-7, abs=1e-7)
-    smoothed = smooth(fit)
+    assert filter_innovations(fit) == pytest.approx(g, rel=1e-7, abs=1e-7)
+    smoothed = smooth_states(fit)
     before = np.einsum("i,tij,j->t", smoothed.H, covariances, smoothed.H)
     assert np.all(smoothed.z_std**2 <= before + 1e-9)
 
@@ -381,10 +398,10 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     """Without a zone it is the mean of a Gaussian given all readings."""
     _, u, y, _ = record(size=40, disturbance=0.3)
     data = data_of(u, y)._replace(side=np.ones(40, int))
-    objective = KalmanObjective(data, Layout(2, 1, 1), model, Limits())
+    objective = KalmanObjective(data, Layout(2, 1, 1), model, WidthLimits())
     p = np.array([*A, 0.4, 0.3, -2.0, -2.5, 0.0, 0.0, 1.0])
-    lane = objective.lane(p)
-    F, B, G, H = (part.full() for part in matrices(2, 1, model, ca.DM(lane)))
+    lane = objective.lane_numbers(p)
+    F, B, G, H = (part.full() for part in observer_form_matrices(2, 1, model, ca.DM(lane)))
     q2, r2, *_, first, first_w = lane[objective.lane_q :]
     mean, power = np.zeros((40, 3)), np.zeros((40, 3, 40, 3))
     power[0, :, 0] = np.diag([first, first, first_w])
@@ -397,7 +414,7 @@ def test_smoother_is_least_squares_where_all_speaks(model: int) -> None:
     P = power.reshape(120, 120)
     gain = P @ readings.T @ np.linalg.inv(readings @ P @ readings.T + r2 * np.eye(40))
     exact = mean.ravel() + gain @ (data.y - readings @ mean.ravel())
-    smoothed = smooth(KalmanFit(objective, p, 0.0))
+    smoothed = smooth_states(KalmanFit(objective, p, 0.0))
     # what no noise moves makes covariances that can hardly be inverted
     assert smoothed.x == pytest.approx(exact.reshape(40, 3), abs=1e-4)
     left = P - gain @ readings @ P
@@ -414,7 +431,7 @@ def test_friction_family_with_c_equal_a_is_a_sensor_zone() -> None:
     lagged = np.column_stack([np.append(np.zeros(j), u[: u.size - j]) for j in (1, 2)])
     pulses = np.eye(400, 2)
     numbers = np.array([*A, *B, 0.0, 0.0, *A, 0.3, 0.2, 0.0, 0.0, 0.0])
-    z = simulate(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
+    z = simulate_friction(2, 1, False, np.hstack([lagged, pulses]), numbers[None, :])[0]
     w = lfilter(np.append(0.0, B), np.append(1.0, A), u)
     assert np.abs(z - deadzone(w, 0.3, 0.2)).max() < 1e-12
 

@@ -22,19 +22,25 @@ from undeadzone.cli import group
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
-from undeadzone_identify.logs.grid import spacing_of
+from undeadzone_identify.logs.grid import common_spacing
 from undeadzone_identify.servo import predictor
-from undeadzone_identify.servo.crossings import Crossings, crossings_of
-from undeadzone_identify.servo.gap import ServoGap, odd_errors, servo_gap
-from undeadzone_identify.servo.likelihood import At, Likelihood, Slopes, Structure, discretise_servo
+from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
+from undeadzone_identify.servo.gap import ServoGap, collect_odd_errors, identify_servo_gap
+from undeadzone_identify.servo.likelihood import (
+    At,
+    ErrorSlopes,
+    ServoLikelihood,
+    ServoStructure,
+    discretise_servo,
+)
 from undeadzone_identify.servo.likelihood import Servo as Fitted
 from undeadzone_identify.servo.observations import (
     CHANCE,
     Observations,
-    loop_chance,
-    read_observations,
+    build_observations,
+    tick_loop_p_value,
 )
-from undeadzone_identify.servo.search import neighbours
+from undeadzone_identify.servo.search import neighbour_servos
 
 STEP, SIZE = 0.005, 1600
 MOTOR = Servo(
@@ -79,14 +85,14 @@ def write_log(u: Floats, y: Floats) -> None:
 
 def listened(u: Floats, y: Floats, step: float = STEP) -> Observations:
     """The log as the predictor hears it."""
-    found = read_observations(u, y, np.ones(y.size, bool), START, step)
+    found = build_observations(u, y, np.ones(y.size, bool), START, step)
     assert found is not None
     return found
 
 
 def answered(u: Floats, y: Floats, step: float = STEP) -> ServoGap:
     """What the predictor says."""
-    found = servo_gap(listened(u, y, step))
+    found = identify_servo_gap(listened(u, y, step))
     assert found is not None
     return found
 
@@ -113,7 +119,7 @@ def test_the_gap_of_a_servo(reading: str, spring: float, closed: bool) -> None:
     assert not found.reasons
     assert abs(found.gap.value - 0.03) < (0.002 if reading == "noise" else 0.001)
     assert found.gap.low - 2e-4 <= 0.03 <= found.gap.high + 2e-4
-    assert found.log.has_feedback == closed
+    assert found.log.is_closed_loop == closed
     assert "friction" in found.servo.structure.parts or "slow" in found.servo.structure.parts
 
 
@@ -192,23 +198,23 @@ def test_friction_that_is_left_out_shows_in_the_crossings(
     assert "friction" in found.servo.structure.parts
     assert found.servo.theta[At.FRICTION] * log.u_scale == pytest.approx(0.3, rel=0.15)
     structure = found.servo.structure._replace(parts=frozenset())
-    theta = structure.of(found.servo.theta)
-    bare = crossings_of(log, Fitted(structure, theta, 0.0))
-    assert bare.scatter > 2 * found.crossings.scatter
-    assert bare.trends() or abs(bare.median - 0.03) > 3 * bare.error
+    theta = structure.disable_absent_parts(found.servo.theta)
+    bare = find_crossings(log, Fitted(structure, theta, 0.0))
+    assert bare.gap_scatter > 2 * found.crossings.gap_scatter
+    assert bare.describe_trends() or abs(bare.median_gap - 0.03) > 3 * bare.median_error
 
 
 def test_a_part_that_is_added_never_costs_likelihood(
     with_friction: tuple[Observations, ServoGap],
 ) -> None:
     log, found = with_friction
-    likelihood = Likelihood(log)
+    likelihood = ServoLikelihood(log)
     larger = []
-    for one in neighbours(found.servo, log.step):
+    for one in neighbour_servos(found.servo, log.step):
         if one.structure.parts > found.servo.structure.parts:
             larger.append(one)
     tops: dict[frozenset[str], float] = {}
-    for top in likelihood.climb_starts(larger, 40):
+    for top in likelihood.maximise_from_starts(larger, 40):
         parts = top.structure.parts
         tops[parts] = max(top.value, tops.get(parts, -math.inf))
     assert tops
@@ -223,8 +229,8 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
     moving = np.abs(np.diff(log.y))[first] + log.quantum
     assert moving > 0
     kept = slice(first, None)
-    part = read_observations(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
-    cut = servo_gap(part)
+    part = build_observations(log.u[kept], log.y[kept], log.ok[kept], START, STEP)
+    cut = identify_servo_gap(part)
     assert cut is not None
     assert cut.gap.value * log.y_scale == pytest.approx(
         found.gap.value, abs=found.gap.half + cut.gap.half * log.y_scale
@@ -240,7 +246,7 @@ def test_a_gap_that_is_worn_in_one_place_is_told() -> None:
         held = max(min(held, value + half), value - half)
         worn[k] = 0.001 * round(held / 0.001)
     found = answered(u, worn)
-    told = " ".join([*found.reasons, *found.crossings.trends()])
+    told = " ".join([*found.reasons, *found.crossings.describe_trends()])
     assert "crossing" in told
 
 
@@ -248,16 +254,16 @@ def test_a_gap_of_half_a_tick_is_no_more_than_one_tick() -> None:
     u, y = logged(MOTOR._replace(gap=0.001))
     found = answered(u, y)
     assert found.gap.low <= 0.001 <= found.gap.high < 0.004
-    assert found.is_given or any("below" in reason for reason in found.reasons)
+    assert found.is_gap_reported or any("below" in reason for reason in found.reasons)
 
 
 def test_too_few_reversals_give_no_gap() -> None:
     u, y = logged(MOTOR)
     found = answered(u[:400], y[:400])
     assert any("turn" in reason for reason in found.reasons)
-    still = read_observations(u, np.zeros(SIZE), np.ones(SIZE, bool), START, STEP)
+    still = build_observations(u, np.zeros(SIZE), np.ones(SIZE, bool), START, STEP)
     assert still is None
-    assert servo_gap(None) is None
+    assert identify_servo_gap(None) is None
 
 
 def test_a_loop_is_heard() -> None:
@@ -265,7 +271,7 @@ def test_a_loop_is_heard() -> None:
     right, loops = 0, 0
     for seed in range(30):
         log = random_log(900 + seed, 2000)
-        found = loop_chance(log.u, log.y) < CHANCE
+        found = tick_loop_p_value(log.u, log.y) < CHANCE
         assert log.closed or not found
         right, loops = right + found, loops + log.closed
     assert right >= 0.7 * loops
@@ -274,14 +280,14 @@ def test_a_loop_is_heard() -> None:
 def test_an_encoder_is_known_by_its_changes() -> None:
     rng = np.random.default_rng(0)
     ticks = np.cumsum(rng.integers(-40, 41, 500))
-    assert spacing_of(np.unique(0.003 * ticks)) == pytest.approx(0.003)
-    assert spacing_of(np.unique(rng.standard_normal(500))) == 0.0
+    assert common_spacing(np.unique(0.003 * ticks)) == pytest.approx(0.003)
+    assert common_spacing(np.unique(rng.standard_normal(500))) == 0.0
 
 
 def test_what_a_play_passes_on_has_the_moments_of_a_gaussian() -> None:
     mean, variance, half = ca.SX.sym("m"), ca.SX.sym("v"), ca.SX.sym("h")
     through = ca.Function(
-        "through", [mean, variance, half], list(predictor.through_play(mean, variance, half))
+        "through", [mean, variance, half], list(predictor.dead_zone_moments(mean, variance, half))
     )
     grid = np.linspace(-12, 12, 200_001)
     for m, s, h in ((0.3, 1.0, 0.5), (-2.0, 0.4, 1.0), (0.0, 2.0, 0.1)):
@@ -298,13 +304,13 @@ def test_what_a_play_passes_on_has_the_moments_of_a_gaussian() -> None:
 def test_crossings_have_a_median_and_a_scatter() -> None:
     gap = np.array([1.0, 1.1, 0.9, 1.0, 5.0])
     none = np.zeros(5)
-    table = Crossings(none.astype(int), none, none.astype(int), none, none, none, gap)
-    assert table.median == 1.0
-    assert table.scatter == pytest.approx(0.14826)
-    assert table.trends() == []
-    empty = Crossings(*[none[:0]] * 7)
-    assert math.isnan(empty.median)
-    assert math.isnan(empty.scatter)
+    table = GapCrossings(none.astype(int), none, none.astype(int), none, none, none, gap)
+    assert table.median_gap == 1.0
+    assert table.gap_scatter == pytest.approx(0.14826)
+    assert table.describe_trends() == []
+    empty = GapCrossings(*[none[:0]] * 7)
+    assert math.isnan(empty.median_gap)
+    assert math.isnan(empty.gap_scatter)
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
@@ -347,9 +353,11 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     theta = np.zeros(len(At))
     theta[At.DAMPING], theta[At.POLE] = math.log(400.0), math.log(8.0)
     theta[At.GAIN], theta[At.SPRING], theta[At.DELAY] = 900.0, math.log(1000.0), 1.0
-    fast = Structure(frozenset({"pole", "spring"}))
-    slow = Structure(frozenset({"spring"}))
-    fewer = [one for one in neighbours(Fitted(fast, theta, 0.0), STEP) if one.structure == slow]
+    fast = ServoStructure(frozenset({"pole", "spring"}))
+    slow = ServoStructure(frozenset({"spring"}))
+    fewer = [
+        one for one in neighbour_servos(Fitted(fast, theta, 0.0), STEP) if one.structure == slow
+    ]
 
     def response(one: Fitted) -> Floats:
         A, B, _ = discretise_servo(one.theta[None], STEP, False)
@@ -359,7 +367,7 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
             z[k] = x[0]
         return z
 
-    wanted = response(Fitted(fast, fast.of(theta), 0.0))
+    wanted = response(Fitted(fast, fast.disable_absent_parts(theta), 0.0))
     apart = [float(np.abs(response(one) - wanted).max() / np.ptp(wanted)) for one in fewer]
     assert min(apart) < 0.03
     log = random_log(30037)
@@ -367,9 +375,9 @@ def test_a_fast_damping_may_be_a_pole_and_the_pole_the_damping() -> None:
     assert found.gap.low < log.servo.gap < found.gap.high
 
 
-def with_errors(e: Floats) -> Slopes:
+def with_errors(e: Floats) -> ErrorSlopes:
     """Errors of deviation 1."""
-    return Slopes(e, np.zeros(e.size), np.zeros((e.size, 1)), np.zeros((e.size, 1)))
+    return ErrorSlopes(e, np.zeros(e.size), np.zeros((e.size, 1)), np.zeros((e.size, 1)))
 
 
 @pytest.mark.parametrize(("follows", "lag", "named"), [(0.0, 1, 0), (0.25, 1, 1), (-0.25, 7, 1)])
@@ -379,16 +387,16 @@ def test_errors_of_noisy_readings_that_follow_others_are_no_servos(
     """A gap four times the noise was told 2.8 times too wide, +- 29 %, beside such errors."""
     u, y = logged(MOTOR, noise=0.002)
     log, rng = listened(u, y), np.random.default_rng(8)
-    white = rng.standard_normal(np.count_nonzero(log.counted_samples(False)))
+    white = rng.standard_normal(np.count_nonzero(log.error_samples(False)))
     coloured = lfilter([1.0], [1.0, *np.zeros(lag - 1), -follows], white)
-    reasons = odd_errors(log, with_errors(coloured))
+    reasons = collect_odd_errors(log, with_errors(coloured))
     assert sum("follow" in reason for reason in reasons) == named
 
 
 def test_what_overflows_is_no_servo() -> None:
     """The log of a motor that moved by a tick now and then had an error for an answer."""
     log = random_log(60074)
-    assert servo_gap(listened(log.u, log.y, log.step)) is None
+    assert identify_servo_gap(listened(log.u, log.y, log.step)) is None
 
 
 @pytest.mark.parametrize(("seed", "lost"), [(30036, 4.0), (30050, 10.0)])
@@ -400,7 +408,7 @@ def test_a_filter_with_the_torques_of_a_servo_follows_its_log(seed: int, lost: f
     text = found.scenario()
     servo = found.answer.element.fit
     rms, time = re.findall(r"^(?:disturbance|correlation_time) = (\S+)", text, re.MULTILINE)
-    assert (float(rms), float(time)) == pytest.approx(servo.disturbance)
+    assert (float(rms), float(time)) == pytest.approx(servo.motor_disturbance)
 
     def apart(text: str) -> float:
         """rms of y - z^, in gaps."""
@@ -416,6 +424,6 @@ def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Observations, S
     lag = Fitted(
         found.servo.structure._replace(parts=frozenset(), lag=True), found.servo.theta, 0.0
     )
-    tops = Likelihood(log).climb_starts([lag, found.servo], 2)
+    tops = ServoLikelihood(log).maximise_from_starts([lag, found.servo], 2)
     assert [top.structure.lag for top in tops] == [True, False]
     assert tops[1].value >= found.servo.value - 1e-6

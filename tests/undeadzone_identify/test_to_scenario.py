@@ -19,9 +19,9 @@ from commands import undeadzone
 from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
-from undeadzone_identify.command import _next
-from undeadzone_identify.models.estimates import positive
-from undeadzone_identify.models.plant import roots, stabilise
+from undeadzone_identify.command import _next_commands
+from undeadzone_identify.models.estimates import raise_eigenvalues
+from undeadzone_identify.models.plant import polynomial_roots, stabilise_poles
 from undeadzone_identify.results.to_scenario import scenario_text
 
 STEP = 0.01
@@ -189,10 +189,10 @@ def test_an_integrator_alone_is_given_the_pace_of_its_log() -> None:
 
 def test_what_is_not_finite_is_refused_before_its_eigenvalues() -> None:
     with pytest.raises(uz.InputError, match="lower --order"):
-        positive(np.array([[1.0, np.nan], [np.nan, 1.0]]))
+        raise_eigenvalues(np.array([[1.0, np.nan], [np.nan, 1.0]]))
     wild = np.array([np.nan, 1.0])
-    assert np.isinf(roots(wild)).all()
-    assert not stabilise(wild).any()
+    assert np.isinf(polynomial_roots(wild)).all()
+    assert not stabilise_poles(wild).any()
 
 
 def test_what_to_type_next_is_taken_as_it_is_printed(
@@ -204,7 +204,7 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
     assert shlex.split(made.stdout.split("next: ")[1]) == ["undeadzone", "run", "my plant.toml"]
     said: dict[str, Any] = {"zero": 0.0, "resample": None, "columns": "y=a b,u=c"}
     scenario, log = Path("my log.toml"), Path("my log.csv")
-    estimate, run, export_ = _next(scenario, (log,), said, True).split(", ")
+    estimate, run, export_ = _next_commands(scenario, (log,), said, True).split(", ")
     assert shlex.split(estimate)[1:] == [
         "estimate",
         *map(str, (scenario, log)),
@@ -212,8 +212,8 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
         "y=a b,u=c",
     ]
     assert (run, export_) == ("undeadzone run 'my log.toml'", "or undeadzone export 'my log.toml'")
-    assert "estimate" not in _next(scenario, (log,), said | {"zero": 1.0}, True)
-    estimate, watch = _next(scenario, (log,), said, False).split(", ")  # no reference
+    assert "estimate" not in _next_commands(scenario, (log,), said | {"zero": 1.0}, True)
+    estimate, watch = _next_commands(scenario, (log,), said, False).split(", ")  # no reference
     assert shlex.split(watch)[:3] == ["undeadzone", "watch", "my log.toml"]
 
 

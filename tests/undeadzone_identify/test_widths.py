@@ -11,9 +11,9 @@ from scipy.stats import t as student
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone_identify.logs.prepare import edge_of
+from undeadzone_identify.logs.prepare import jump_edge_below
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.results.assemble import Answer, range_of_width
+from undeadzone_identify.results.assemble import Answer, prior_width_range
 
 RIGHT, LEFT = 0.4, 0.9
 
@@ -46,7 +46,7 @@ def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> Non
     assert degrees["left"] < degrees["right"]  # passed 4 times, and 20 times or more
     for side, edge in (("right", answer.right), ("left", answer.left)):
         assert edge is not None
-        low, high = range_of_width(answer, side)
+        low, high = prior_width_range(answer, side)
         assert (high - low) / (edge.high - edge.low) == pytest.approx(growth(degrees[side]))
         assert low < edge.low
         assert edge.high < high
@@ -56,7 +56,7 @@ def test_the_range_grows_with_the_quantile_of_its_degrees(answer: Answer) -> Non
 def test_each_half_of_an_interval_grows_by_itself(answer: Answer) -> None:
     edge = Interval(0.5, 0.4, 0.8)
     factor = growth(answer.widths.degrees["left"])
-    told = range_of_width(answer._replace(left=edge), "left")
+    told = prior_width_range(answer._replace(left=edge), "left")
     assert told == pytest.approx((max(0.5 - 0.1 * factor, 0.0), 0.5 + 0.3 * factor))
 
 
@@ -64,15 +64,15 @@ def test_bounds_of_the_user_hold(answer: Answer) -> None:
     edge = Interval(0.5, 0.4, math.inf)
     open_ended = answer._replace(left=edge)
     with pytest.raises(InputError, match="no upper bound of d_left"):
-        range_of_width(open_ended, "left")
+        prior_width_range(open_ended, "left")
     u, y = log(left_swings=4)
     found = uz.identify(
         t=0.05, u=u, y=y, order=1, place="sensor", delay=0, left="0.88,0.92", right=RIGHT
     )
     assert isinstance(found, uz.Identified)
-    low, high = range_of_width(found.answer, "left")
+    low, high = prior_width_range(found.answer, "left")
     assert 0.88 <= low < high <= 0.92
-    assert range_of_width(found.answer, "right") == pytest.approx((RIGHT, RIGHT), rel=1e-5)
+    assert prior_width_range(found.answer, "right") == pytest.approx((RIGHT, RIGHT), rel=1e-5)
 
 
 def test_the_range_of_a_jump_edge_holds() -> None:
@@ -80,7 +80,7 @@ def test_the_range_of_a_jump_edge_holds() -> None:
     rng = np.random.default_rng(1)
     below = {"low": 0, "lowest": 0}
     for _ in range(4000):
-        edge = edge_of(np.sort(rng.exponential(1.0, 24)))  # the edge is 0
+        edge = jump_edge_below(np.sort(rng.exponential(1.0, 24)))  # the edge is 0
         below["low"] += edge.low > 0
         below["lowest"] += edge.lowest > 0
     assert 140 <= below["low"] <= 260

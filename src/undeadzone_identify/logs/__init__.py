@@ -1,1 +1,1 @@
-"""Logs as recorded, on their grid, and made ready for a fit."""
+"""Logs as recorded, on a regular grid, and prepared for a fit."""

@@ -1,4 +1,4 @@
-"""Logs on a regular grid of time: the step, gaps as missing readings, the quantum of readings."""
+"""Logs on a regular time grid: sample time, gaps as missing readings, quantum of readings."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.samples import Regular, fill_gaps
 from undeadzone.util.arrays import Flags, Floats, Integers
-from undeadzone_identify.logs.log import Log, where
-from undeadzone_identify.models.estimates import KeptClimbs
+from undeadzone_identify.logs.log import Log, sample_location
+from undeadzone_identify.models.estimates import CachedMaxima
 
 JITTER = 0.01  # of a step, by which regular times may differ
 LONG = 20  # steps; a longer gap begins a new record, since nobody knows the input in it
@@ -25,7 +25,7 @@ ODD = 0.1  # quanta by which a change may differ from a multiple
 
 
 class Grid(NamedTuple):
-    """Records on a regular grid, one after another.
+    """Records on a regular time grid, in sequence.
 
     Attributes:
         t: times (N) [s].
@@ -58,11 +58,11 @@ class Grid(NamedTuple):
     output_unit: str
     output: str
     r: Floats
-    climbs: KeptClimbs | None = None
+    climbs: CachedMaxima | None = None
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
-    """Return logs of one plant on one regular grid.
+    """Convert logs of a single plant to a common regular grid.
 
     Args:
         logs: one or more; each begins a record with a state of its own.
@@ -83,8 +83,8 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
             raise InputError(
                 f"{log.source}: has {log.u.shape[1]} inputs, others have another number"
             )
-        steps.append(find_step(log) if resample is None else resample)
-        on_grid = _regular if resample is None else _resample
+        steps.append(find_sample_time(log) if resample is None else resample)
+        on_grid = _fill_regular if resample is None else _resample_log
         pieces.append(on_grid(log, steps[-1], remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
@@ -114,12 +114,12 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         first.input_unit,
         first.output_units[0],
         first.outputs[0],
-        np.where(spikes(r, np.isfinite(r)), np.nan, r),
+        np.where(find_spikes(r, np.isfinite(r)), np.nan, r),
     )
 
 
-def spikes(values: Floats, known: Flags) -> Flags:
-    """Return the few values far beyond all others: one would rule every sum.
+def find_spikes(values: Floats, known: Flags) -> Flags:
+    """Find the few values far beyond the rest, which would dominate every sum (N, or N x K).
 
     Args:
         values: a signal (N, or N x K).
@@ -132,8 +132,7 @@ def spikes(values: Floats, known: Flags) -> Flags:
 
 
 def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
-    """Return stretches of a very long log, evenly spread over it, with a remark; others as they
-    are.
+    """Select evenly spread stretches of a very long log, with a remark; short logs stay.
 
     Args:
         grid: the records.
@@ -163,7 +162,7 @@ def shorten_log(grid: Grid, integrators: int = 0) -> Grid:
 
 
 class _Piece(NamedTuple):
-    """One log on its grid; a reading that is missing is NaN; the reference stands behind u."""
+    """Single log on its grid, missing readings NaN, the reference in columns behind u."""
 
     t: Floats
     u: Floats
@@ -171,8 +170,8 @@ class _Piece(NamedTuple):
     start: Integers
 
 
-def find_step(log: Log) -> float:
-    """Return the sample time of a log [s].
+def find_sample_time(log: Log) -> float:
+    """Find the sample time of a log [s].
 
     Args:
         log: its times increase.
@@ -190,20 +189,22 @@ def find_step(log: Log) -> float:
     count = np.maximum(np.rint(spacing / step), 1.0)
     step = float((log.t[-1] - log.t[0]) / count.sum())
     off = np.abs(spacing - count * step)
-    allowed = JITTER * step * np.sqrt(count) + _time_resolution(log.t)
+    allowed = JITTER * step * np.sqrt(count) + _print_error(log.t)
     bad = np.flatnonzero(off > allowed)
     if bad.size:
         worst = int(bad[np.argmax(off[bad])])
         raise FileError(
-            f"{where(log.source, log.lines, worst + 1)}: irregular step: {spacing[worst]:.6g} s"
-            f" where the log has {step:.6g} s; {bad.size} of {spacing.size} steps differ by more"
-            f" than 1 % from a multiple; use --resample {step:.3g}, or give times with more digits"
+            f"{sample_location(log.source, log.lines, worst + 1)}: irregular step: "
+            f"{spacing[worst]:.6g} s where the log has {step:.6g} s; "
+            f"{bad.size} of {spacing.size} steps differ by more than 1 % from a multiple; use --resample {step:.3g}, or give times with more digits"
         )
     return step
 
 
-def _time_resolution(t: Floats) -> float:
-    """By how much printed times may be off [s]: their last decimal, if they have few; else 0."""
+def _print_error(t: Floats) -> float:
+    """Return the rounding error of printed times [s]: their last decimal if these are few,
+    else 0.
+    """
     for digits in range(7):
         if np.abs(t - np.round(t, digits)).max() < 1e-9 * max(1.0, float(np.abs(t).max())):
             unit = 10.0**-digits
@@ -212,8 +213,8 @@ def _time_resolution(t: Floats) -> float:
     return 0.0
 
 
-def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """Return a log of multiples of a step; short gaps are filled, a long one begins a record."""
+def _fill_regular(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """Return a log on multiples of a step; short gaps are filled, long gaps start a record."""
     steps = np.maximum(np.rint(np.diff(log.t, prepend=log.t[0] - step) / step), 1.0)
     breaks = steps > LONG
     steps[breaks] = 1.0
@@ -234,10 +235,8 @@ def _regular(log: Log, step: float, remarks: list[str]) -> _Piece:
     return _Piece(whole.t, whole.u[held], whole.y[:, 0], np.append(0, place[start]))
 
 
-def _resample(log: Log, step: float, remarks: list[str]) -> _Piece:
-    """Return a log on a grid of its own: inputs held, readings kept only where they lie near the
-    grid.
-    """
+def _resample_log(log: Log, step: float, remarks: list[str]) -> _Piece:
+    """Return a log on a new grid: inputs held, readings kept only near grid points."""
     if not 0 < step < (log.t[-1] - log.t[0]) / 10:
         raise InputError(f"resample: a step of {step:g} s does not fit {log.t[-1] - log.t[0]:g} s")
     size = int(np.floor((log.t[-1] - log.t[0]) / step)) + 1
@@ -257,7 +256,7 @@ def _resample(log: Log, step: float, remarks: list[str]) -> _Piece:
 
 
 def find_quantum(y: Floats) -> float:
-    """Return the spacing of readings that are few and alike, as an encoder's are.
+    """Find the spacing of readings that have few distinct values, like an encoder's [y].
 
     Args:
         y: readings (N), none missing.
@@ -267,18 +266,16 @@ def find_quantum(y: Floats) -> float:
     """
     different = np.unique(np.append(np.abs(y), 0.0)).size
     few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)
-    return rounding_of(y) if few else 0.0
+    return rounding_step(y) if few else 0.0
 
 
-def rounding_of(y: Floats) -> float:
-    """Return the spacing [y] of which every reading (N) is a multiple; 0 if printing may have made
-    it.
-    """
-    return spacing_of(np.unique(np.append(np.abs(y), 0.0)))
+def rounding_step(y: Floats) -> float:
+    """Return the common divisor of all readings (N) [y]; 0 if printing may have caused it."""
+    return common_spacing(np.unique(np.append(np.abs(y), 0.0)))
 
 
-def spacing_of(values: Floats) -> float:
-    """Return the spacing of which every difference of values is a multiple; 0 where there is none.
+def common_spacing(values: Floats) -> float:
+    """Return the common divisor of all differences of values; 0 without a common divisor.
 
     Args:
         values: in ascending order, all different (N).

@@ -1,4 +1,4 @@
-"""Logs from CSV, .npz, .mat, DataFrames and arrays, checked; and what a user says about them.
+"""Logs from CSV, .npz, .mat, DataFrames and arrays, checked, and the options of a user.
 
 Nothing in a file is ever executed.
 """
@@ -34,7 +34,7 @@ MOST_LATE = 1000  # samples
 
 
 class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known or asked, besides the log.
+    """Options of an identification beside the log.
 
     Attributes:
         order: orders of the plant to try, as "2" or "1-4"; default 1-4.
@@ -74,9 +74,9 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if self.kind == "backlash":
             msgspec.structs.force_setattr(self, "kind", "play")
 
-    def orders(self) -> range:
-        """Return the orders to try. Raises InputError."""
-        ends = _one_or_two(self.order, "-", int)
+    def parse_orders(self) -> range:
+        """Return the orders to try. Raise InputError."""
+        ends = _parse_one_or_two(self.order, "-", int)
         if not ends or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
             raise InputError(
                 f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
@@ -84,8 +84,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
 
-    def offset_rms(self) -> float | None:
-        """Return the rms of an unknown output offset [y]; None where it is free.
+    def parse_offset_rms(self) -> float | None:
+        """Return the rms of an unknown output offset [y]; None if it is free.
+
+        Raise InputError.
 
         Raises InputError.
         """
@@ -99,15 +101,17 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise InputError(f"offset: expected an rms >= 0 or free, found {self.offset!r}")
         return rms
 
-    def bounds(self, side: str) -> tuple[float, float]:
-        """Return least and largest width of right or left [y]; equal if known.
+    def parse_bounds(self, side: str) -> tuple[float, float]:
+        """Return the least and largest width of right or left [y]; equal if known.
+
+        Raise InputError.
 
         Raises InputError.
         """
         text = self.right if side == "right" else self.left
         if text is None:
             return (-math.inf, math.inf)
-        ends = _one_or_two(text, ",", float)
+        ends = _parse_one_or_two(text, ",", float)
         if not ends or not 0 <= ends[0] <= ends[-1]:
             raise InputError(
                 f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf;"
@@ -115,8 +119,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         return (ends[0], ends[-1])
 
-    def require_options(self) -> Options:
-        """These options, every one of them usable. Raises InputError."""
+    def require_usable(self) -> Options:
+        """Return these options if every value is usable. Raise InputError."""
         for name in ("noise", "place", "kind"):
             words = get_args(get_type_hints(Options)[name])
             if getattr(self, name) not in words:
@@ -132,10 +136,10 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             )
         if not math.isfinite(self.zero):
             raise InputError(f"zero: expected a number, found {self.zero:g}")
-        self.orders()
-        self.offset_rms()
-        self.bounds("right")
-        self.bounds("left")
+        self.parse_orders()
+        self.parse_offset_rms()
+        self.parse_bounds("right")
+        self.parse_bounds("left")
         if not 0.1 <= self.held_out <= 0.5:
             raise InputError(f"held_out: expected 0.1 to 0.5, found {self.held_out:g}")
         if self.threshold is not None and not 0 <= self.threshold < math.inf:
@@ -143,8 +147,8 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return self
 
 
-def _one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
-    """Return one number or two; empty where the text is something else."""
+def _parse_one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
+    """Return a number or a pair of numbers; empty if the text has another form."""
     try:
         numbers = [kind(part) for part in text.split(between)]
     except ValueError:
@@ -156,7 +160,7 @@ def _one_or_two(text: str, between: str, kind: Callable[[str], T]) -> list[T]:
 
 
 class Log(NamedTuple):
-    """A record of one plant.
+    """Log of a plant.
 
     Attributes:
         t: times (N) [s], increasing.
@@ -185,8 +189,8 @@ class Log(NamedTuple):
     r: Floats
     remarks: tuple[str, ...] = ()
 
-    def of_output(self, k: int) -> Log:
-        """Return the log with one of its outputs alone."""
+    def select_output(self, k: int) -> Log:
+        """Return the log with a single output."""
         return self._replace(
             y=self.y[:, k : k + 1],
             outputs=self.outputs[k : k + 1],
@@ -194,8 +198,8 @@ class Log(NamedTuple):
         )
 
 
-def require_log(samples: Samples, layout: Layout, source: str) -> Log:
-    """Return a log from samples, fit for identification.
+def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
+    """Build a log from samples, valid for identification.
 
     Args:
         samples: times, readings, inputs with the reference behind them.
@@ -212,9 +216,9 @@ def require_log(samples: Samples, layout: Layout, source: str) -> Log:
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
     y = np.where(np.isfinite(samples.y), samples.y, np.nan)
-    _check_times(t, source, lines)
+    _require_increasing(t, source, lines)
     u, r = np.split(samples.u, [len(inputs)], axis=1)
-    _check_inputs(u, inputs, source, lines)
+    _require_finite_inputs(u, inputs, source, lines)
     for name, column in zip(outputs, y.T, strict=True):
         if np.isnan(column).all():
             raise FileError(f"{source}: {name} holds no reading: every one is missing")
@@ -239,35 +243,38 @@ def require_log(samples: Samples, layout: Layout, source: str) -> Log:
     )
 
 
-def where(source: str, lines: Any, index: int) -> str:
-    """Return the place of a sample, for messages: its line where the file has one."""
+def sample_location(source: str, lines: Any, index: int) -> str:
+    """Return the place of a sample for messages: its line if the file has lines."""
     if len(lines):
         return f"{source}, line {int(lines[index])}"
     return f"{source}, sample {index}"
 
 
-def _check_times(t: Floats, source: str, lines: Any) -> None:
-    """Every time is a number and later than the one before. Raises FileError."""
+def _require_increasing(t: Floats, source: str, lines: Any) -> None:
+    """Require that every time is finite and later than the previous time. Raise FileError."""
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
-        raise FileError(f"{where(source, lines, bad[0])}: the time is missing or not finite")
+        raise FileError(
+            f"{sample_location(source, lines, bad[0])}: the time is missing or not finite"
+        )
     back = np.flatnonzero(np.diff(t) <= 0)
     if back.size:
         index = int(back[0]) + 1
         raise FileError(
-            f"{where(source, lines, index)}: time does not increase: {t[index]:.9g} s after"
-            f" {t[index - 1]:.9g} s; sort the lines, or give logs of several runs as several files"
+            f"{sample_location(source, lines, index)}: time does not increase: "
+            f"{t[index]:.9g} s after {t[index - 1]:.9g} s; sort the "
+            "lines, or give logs of several runs as several files"
         )
 
 
-def _check_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> None:
-    """Every input is a number of sensible size. Raises FileError."""
+def _require_finite_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> None:
+    """Require that every input is finite and of sensible size. Raise FileError."""
     bad = np.argwhere(~np.isfinite(u) | (np.abs(u) > LARGEST))
     if bad.size:
         row, column = bad[0]
         raise FileError(
-            f"{where(source, lines, int(row))}: input {inputs[column]!r} is missing or not a"
-            " usable number; an input must be known at every sample"
+            f"{sample_location(source, lines, int(row))}: input {inputs[column]!r} is "
+            "missing or not a usable number; an input must be known at every sample"
         )
 
 
@@ -275,7 +282,7 @@ def _check_inputs(u: Floats, inputs: Sequence[str], source: str, lines: Any) -> 
 
 
 def read_log(source: Any, columns: str | None = None, strict: bool = False) -> Log:
-    """Return the log in a file or DataFrame.
+    """Read the log in a file or DataFrame.
 
     Args:
         source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
@@ -300,25 +307,25 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         if path.suffix.lower() in BINARY:
             samples, layout = samples_of(path, None, None, chosen, name)
         else:
-            samples, layout = _of_text(path, chosen, strict, remarks)
+            samples, layout = _read_csv_samples(path, chosen, strict, remarks)
     if layout.time is None:
         raise FileError(
             f"{name}: no name says which column holds the times; say which by --columns t=NAME"
         )
-    log = require_log(samples, layout, name)
+    log = log_from_samples(samples, layout, name)
     return log._replace(remarks=(*log.remarks, *remarks))
 
 
-def _of_text(
+def _read_csv_samples(
     path: Path, chosen: Mapping[str, str], strict: bool, remarks: list[str]
 ) -> tuple[Samples, Layout]:
-    """Return the samples of a CSV file, without lines that cannot be read. Raises FileError."""
+    """Read the samples of a CSV file, without unreadable lines. Raise FileError."""
     reader = LogReader(str(path), None, None, chosen, strict)
     samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
     if reader.layout is None or not samples.t.size:
         raise FileError(f"{path}: holds no samples")
     if reader.faults.unreadable:
-        samples = _readable(samples, reader, path)
+        samples = _drop_unreadable(samples, reader, path)
         remarks.append(
             f"{path}: {count_in_words(reader.faults.unreadable)} cannot be read and count as "
             f"missing; {reader.faults.why}"
@@ -326,8 +333,8 @@ def _of_text(
     return samples, reader.layout
 
 
-def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
-    """Return the samples of which something could be read. Raises FileError if those are few."""
+def _drop_unreadable(samples: Samples, reader: LogReader, path: Path) -> Samples:
+    """Return the samples with any readable value. Raise FileError if these are few."""
     if reader.faults.unreadable > MOST_UNREADABLE * samples.t.size:
         raise FileError(
             f"{path}: {count_in_words(reader.faults.unreadable)} of {samples.t.size} cannot be "
@@ -337,8 +344,8 @@ def _readable(samples: Samples, reader: LogReader, path: Path) -> Samples:
     return Samples(*[part[some] for part in samples])
 
 
-def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
-    """Return a log from arrays.
+def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
+    """Build a log from arrays.
 
     Args:
         t: times (N) [s], or one number, the sample time [s].
@@ -352,24 +359,24 @@ def log_of_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
     Raises:
         InputError: arrays of different lengths, or what is not numeric.
     """
-    readings = _rows("y", numbers("y", y, "iuf"))
-    moved = _rows("u", numbers("u", u, "iuf"))
+    readings = _to_rows("y", numbers("y", y, "iuf"))
+    moved = _to_rows("u", numbers("u", u, "iuf"))
     times = numbers("t", t, "iuf")
     if times.ndim == 0:
         times = float(times) * np.arange(len(readings))
     times = times.ravel()
-    wanted = np.empty((len(moved), 0)) if r is None else _rows("r", numbers("r", r, "iuf"))
+    wanted = np.empty((len(moved), 0)) if r is None else _to_rows("r", numbers("r", r, "iuf"))
     sizes = [times.size, len(moved), len(readings), len(wanted)]
     if len(set(sizes)) > 1 or wanted.shape[1] > 1:
         shapes = f"{times.shape}, {moved.shape}, {readings.shape}, {wanted.shape}"
         raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
-    layout = _layout(readings.shape[1], moved.shape[1])
+    layout = _array_layout(readings.shape[1], moved.shape[1])
     samples = Samples(times, readings, np.hstack([moved, wanted]), np.empty(0, np.int64))
-    return require_log(samples, layout, "arrays")
+    return log_from_samples(samples, layout, "arrays")
 
 
-def _layout(p: int, m: int) -> Layout:
-    """Return the layout of arrays."""
+def _array_layout(p: int, m: int) -> Layout:
+    """Return the column layout of arrays."""
     titles = [Title("t", "s")]
     for signal, count in (("y", p), ("u", m)):
         names = [signal] if count == 1 else [f"{signal}[{i}]" for i in range(count)]
@@ -377,8 +384,8 @@ def _layout(p: int, m: int) -> Layout:
     return layout_of_titles(titles, p, m, {}, "arrays")
 
 
-def _rows(key: str, array: Any) -> Any:
-    """Return an array with a row a sample. Raises InputError."""
+def _to_rows(key: str, array: Any) -> Any:
+    """Return an array with a row for each sample. Raise InputError."""
     if array.ndim == 1:
         return array[:, None]
     if array.ndim == 2 and 1 in array.shape and array.shape[1] != 1:

@@ -1,4 +1,4 @@
-"""From a log on its grid to the data of a fit: what is silent, what is dropped, what refused.
+"""From a log on its grid to the data of a fit: exact zeros, excluded readings, refused logs.
 
 The edges of a jump sensor, whose readings are z itself beyond them, are read off here: no reading
 lies between 0 and an edge, and the least one lies just beyond it, by an exponential number whose
@@ -18,11 +18,11 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
 from undeadzone.util.arrays import Flags, Floats, Integers, runs
-from undeadzone_identify.logs.grid import SPIKE, Grid, spikes
+from undeadzone_identify.logs.grid import SPIKE, Grid, find_spikes
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.plant import Data, Simulator
-from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import fit_linear
 
 LOUD = 2.0  # times the steps beside it, by which readings beside a dropout are beyond silence
@@ -36,16 +36,17 @@ MOVING = 0.3  # of its rms, by which the input moves meanwhile
 VISITS = 3  # of an end of the range, in a log that sticks there
 
 
-def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
-    """Which readings count (N), and where they stick.
+def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
+    """Return the flags of usable readings (N), and the ends of the range at which readings
+    stick.
 
     Args:
         grid: the log on its grid.
         remarks: what is left out is added here, for the user.
     """
-    ok = grid.ok & ~_spikes(grid, remarks)
-    ok &= ~_dropouts(grid, ok, remarks)
-    ok &= ~_stuck(grid, ok, remarks)
+    ok = grid.ok & ~_flag_spikes(grid, remarks)
+    ok &= ~_flag_dropouts(grid, ok, remarks)
+    ok &= ~_flag_stuck(grid, ok, remarks)
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.at(grid.y, ok)
     visits = [runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
@@ -60,9 +61,9 @@ def usable(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     return apart if apart.sum() >= ENOUGH * between.sum() else between, ends
 
 
-def _spikes(grid: Grid, remarks: list[str]) -> Flags:
-    """Return the few readings far beyond all others (N)."""
-    found = spikes(grid.y, grid.ok)
+def _flag_spikes(grid: Grid, remarks: list[str]) -> Flags:
+    """Return the flags of the few readings far beyond the rest (N)."""
+    found = find_spikes(grid.y, grid.ok)
     if found.any():
         remarks.append(
             f"{found.sum()} readings beyond {SPIKE:g} times the usual size are taken as missing,"
@@ -71,8 +72,9 @@ def _spikes(grid: Grid, remarks: list[str]) -> Flags:
     return found
 
 
-def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """Return zeros between two readings so loud that no output falls silent from there (N).
+def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+    """Return the flags of zeros between readings too large for the output to enter the zone
+    (N).
 
     It would have to move in a step by much more than it does before and after. A jump sensor falls
     silent from its edge, its least reading; so what counts is how far readings are beyond that.
@@ -105,8 +107,8 @@ def _dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     return dropped
 
 
-def _stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
-    """Return a long hold of one reading, not 0, while the input goes on to move (N)."""
+def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
+    """Return the flags of a long constant reading, not 0, while the input moves (N)."""
     held = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
     first, last = runs(held)
     stuck = np.zeros_like(ok)
@@ -147,7 +149,7 @@ SUREST = 0.001  # and below the range that an observer is told
 
 
 class JumpEdge(NamedTuple):
-    """An edge of a jump sensor.
+    """Edge of a jump sensor with intervals.
 
     Attributes:
         value, low, high: the edge with its 95 % interval.
@@ -160,8 +162,8 @@ class JumpEdge(NamedTuple):
     lowest: float
 
 
-class Prepared(NamedTuple):
-    """A log made ready.
+class PreparedLog(NamedTuple):
+    """Log prepared for a fit.
 
     Attributes:
         options: what the user said.
@@ -176,8 +178,8 @@ class Prepared(NamedTuple):
     """
 
     options: Options
-    data: Data
-    limits: Limits
+    data: RecordData
+    limits: WidthLimits
     orders: list[int]
     quantum: float
     remarks: list[str]
@@ -186,8 +188,8 @@ class Prepared(NamedTuple):
     settles: bool = True
 
 
-def prepare(grid: Grid, options: Options) -> Prepared:
-    """Return the data of a fit.
+def prepare_log(grid: Grid, options: Options) -> PreparedLog:
+    """Prepare the data of a fit.
 
     Args:
         grid: the log on its grid.
@@ -202,33 +204,33 @@ def prepare(grid: Grid, options: Options) -> Prepared:
     """
     remarks = list(grid.remarks)
     _require_silence_at_zero(grid)
-    ok, ends = usable(grid, remarks)
+    ok, ends = usable_readings(grid, remarks)
     y = np.where(ok, grid.y, 0.0)
     threshold = 0.5 * grid.quantum * (1 - 1e-9)
     if options.threshold is not None:
         threshold = options.threshold
     side = 1 * (y > threshold) - 1 * (y < -threshold)
-    _refuse(grid, y[ok], side, "; ".join(["", *remarks]))
-    orders = _orders(int(ok.sum()), options, remarks)
-    ahead = _is_ahead(y[ok], side[ok] == 0, options)
+    _require_informative(grid, y[ok], side, "; ".join(["", *remarks]))
+    orders = _feasible_orders(int(ok.sum()), options, remarks)
+    ahead = _is_noise_ahead(y[ok], side[ok] == 0, options)
     start, settles = grid.start, True
     if options.integrators:
-        whole = Data(grid.u, y, ok, start, side, ahead, np.ones(grid.u.shape[1]), 1.0)
+        whole = RecordData(grid.u, y, ok, start, side, ahead, np.ones(grid.u.shape[1]), 1.0)
         length, settles = _settled_length(whole, orders, options.integrators)
-        start = _stretches(grid, length, remarks)
+        start = _split_records(grid, length, remarks)
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
     u, y = grid.u / u_scale, y / y_scale
-    data = Data(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
+    data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
     stuck, quantum = ends.text if ends.has_ends else "", grid.quantum / y_scale
     if options.kind == "jump":
-        data, limits, jumps = as_dead_zone(data, options)
-        return Prepared(options, data, limits, orders, quantum, remarks, stuck, jumps)
-    limits = _limits(data, options)
-    return Prepared(options, data, limits, orders, quantum, remarks, stuck, settles=settles)
+        data, limits, jumps = to_dead_zone_data(data, options)
+        return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, jumps)
+    limits = _width_limits(data, options)
+    return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, settles=settles)
 
 
 def _require_silence_at_zero(grid: Grid) -> None:
-    """Raise InputError where a reading that is not 0 comes back as a silence would."""
+    """Require that no non-zero reading returns as often as inside a zone. Raise InputError."""
     y = grid.y[grid.ok]
     values, counts = np.unique(y, return_counts=True)
     if values.size < 3:
@@ -245,8 +247,8 @@ def _require_silence_at_zero(grid: Grid) -> None:
         )
 
 
-def _refuse(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
-    """Refuse a log that tells nothing.
+def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
+    """Require a log that contains information on plant and zone.
 
     Args:
         grid: the log.
@@ -275,9 +277,9 @@ def _refuse(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
         raise InputError("log: the reading never changes: nothing can be known from it")
 
 
-def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
-    """Return the orders that so many readings allow. Raises InputError."""
-    asked = options.orders()
+def _feasible_orders(count: int, options: Options, remarks: list[str]) -> list[int]:
+    """Return the orders that the number of readings allows. Raise InputError."""
+    asked = options.parse_orders()
     orders = [n for n in asked if count >= PER_NUMBER * (n + 1)]
     if not orders:
         raise InputError(
@@ -291,8 +293,8 @@ def _orders(count: int, options: Options, remarks: list[str]) -> list[int]:
     return orders
 
 
-def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
-    """Return whether noise acts ahead of the zone, so that readings inside it are silent."""
+def _is_noise_ahead(y: Floats, silent: Flags, options: Options) -> bool:
+    """Return whether noise acts ahead of the zone, so that readings inside are exact zeros."""
     if options.noise == "before" and not silent.any():
         raise InputError(
             "noise: before the zone means exact zeros inside it, and no reading is silent; give"
@@ -301,13 +303,11 @@ def _is_ahead(y: Floats, silent: Flags, options: Options) -> bool:
     if options.noise != "auto":
         return options.noise == "before"
     told = options.threshold is not None
-    return bool(silent.sum() > ZEROS * silent.size and (told or _stands_out(y)))
+    return bool(silent.sum() > ZEROS * silent.size and (told or _has_lasting_zeros(y)))
 
 
-def _stands_out(y: Floats) -> bool:
-    """Return whether 0 comes back and lasts: noise rounds to the values beside it as well, and at
-    once.
-    """
+def _has_lasting_zeros(y: Floats) -> bool:
+    """Return whether 0 recurs and lasts; noise would round to neighbouring values as well."""
     values, counts = np.unique(y, return_counts=True)
     zero = int(np.searchsorted(values, 0.0))
     beside = np.isin(y, values[max(zero - 1, 0) : zero + 2]) & (y != 0)
@@ -315,7 +315,7 @@ def _stands_out(y: Floats) -> bool:
     return bool(counts[zero] > max(OFTEN * beside.sum() / 2, blips.sum() / BLIPS))
 
 
-def _settled_length(data: Data, orders: list[int], integrators: int) -> tuple[int, bool]:
+def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tuple[int, bool]:
     """Return samples of a stretch in which the poles of a linear plant settle, and if they do.
 
     Args:
@@ -329,11 +329,11 @@ def _settled_length(data: Data, orders: list[int], integrators: int) -> tuple[in
     length, most = STRETCH, int(np.diff(np.append(data.start, data.y.size)).max())
     while True:
         cut = scaled._replace(start=_first_samples(data.start, data.y.size, length))
-        fit = fit_linear(Simulator(cut, order, integrators), data.ok)
-        if not fit.objective.simulator.at_limit(fit.theta):
+        fit = fit_linear(PlantSimulator(cut, order, integrators), data.ok)
+        if not fit.objective.simulator.is_at_limit(fit.theta):
             return length, True
         if length >= most:
-            plain = fit_linear(Simulator(cut, integrators, integrators), data.ok)
+            plain = fit_linear(PlantSimulator(cut, integrators, integrators), data.ok)
             return length, fit.value - plain.value < POLE
         length *= 2
 
@@ -348,8 +348,8 @@ def _first_samples(start: Integers, size: int, length: int) -> Integers:
     return np.concatenate(starts)
 
 
-def _stretches(grid: Grid, length: int, remarks: list[str]) -> Integers:
-    """Return first samples of stretches in which the plant settles, of each record."""
+def _split_records(grid: Grid, length: int, remarks: list[str]) -> Integers:
+    """Return the first samples of stretches of about STRETCH samples of each record."""
     start = _first_samples(grid.start, grid.t.size, length)
     remarks.append(
         f"disturbances add up in an integrating plant: the log is taken as {start.size} records"
@@ -358,11 +358,11 @@ def _stretches(grid: Grid, length: int, remarks: list[str]) -> Integers:
     return start
 
 
-def _limits(data: Data, options: Options) -> Limits:
-    """Limits of the widths, scaled; one that does not exist lies far away."""
+def _width_limits(data: RecordData, options: Options) -> WidthLimits:
+    """Return the limits of the widths, scaled; a missing edge is placed far away."""
     limits = []
     for name, sign in SIDES.items():
-        low, high = options.bounds(name)
+        low, high = options.parse_bounds(name)
         if low == np.inf:
             if np.any(data.side[data.ok] == sign):
                 raise InputError(
@@ -372,15 +372,16 @@ def _limits(data: Data, options: Options) -> Limits:
         limits.append((low / data.y_scale, high / data.y_scale))
     tied = options.integrators > 0 and options.right is None and options.left is None
     right, left = limits
-    return Limits(right, left, tied=tied)
+    return WidthLimits(right, left, tied=tied)
 
 
 # --- The edges of a jump sensor
 
 
-def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[JumpEdge, JumpEdge]]:
-    """Return the readings of a jump sensor less its edges, as a dead zone of known widths gives
-    them.
+def to_dead_zone_data(
+    data: RecordData, options: Options
+) -> tuple[RecordData, WidthLimits, tuple[JumpEdge, JumpEdge]]:
+    """Convert readings of a jump sensor to those of a dead zone of known widths.
 
     Args:
         data: records, scaled, with exact zeros.
@@ -398,16 +399,16 @@ def as_dead_zone(data: Data, options: Options) -> tuple[Data, Limits, tuple[Jump
             "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros;"
             " give --threshold, |y| up to which a reading counts as silent"
         )
-    right, left = (_edge(data, sign, name, options) for name, sign in SIDES.items())
+    right, left = (_estimate_edge(data, sign, name, options) for name, sign in SIDES.items())
     shift = zone_offset(data.side, right.value, left.value)
-    limits = Limits((right.value, right.value), (left.value, left.value))
+    limits = WidthLimits((right.value, right.value), (left.value, left.value))
     return data._replace(y=(data.y - shift) * (data.side != 0)), limits, (right, left)
 
 
-def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
-    """Return an edge with its intervals, scaled. Raises InputError."""
+def _estimate_edge(data: RecordData, sign: int, name: str, options: Options) -> JumpEdge:
+    """Estimate an edge with its intervals, scaled. Raise InputError."""
     least = _least_by_passage(data, sign)
-    low, high = options.bounds(name)
+    low, high = options.parse_bounds(name)
     if low == high and math.isfinite(low):
         known = low / data.y_scale
         if least.size and least[0] < known * (1 - 1e-9):
@@ -421,11 +422,11 @@ def _edge(data: Data, sign: int, name: str, options: Options) -> JumpEdge:
             f"log: the {name} edge of the jump sensor is passed {least.size} times, and"
             f" {FEWEST} are needed; record for longer, or give --{name}"
         )
-    return edge_of(least)
+    return jump_edge_below(least)
 
 
-def edge_of(least: Floats) -> JumpEdge:
-    """Return the edge below the least readings of several passages.
+def jump_edge_below(least: Floats) -> JumpEdge:
+    """Estimate the edge below the least readings of several passages.
 
     With k of them evenly spread above the edge d, (k - 1) / (x_k - x_1) is the density, and x_1 - d
     over their spread has the distribution of a ratio of gamma variables: F with 2 and 2 (k - 1)
@@ -447,8 +448,10 @@ def edge_of(least: Floats) -> JumpEdge:
     return JumpEdge(first - gap, float(low), first, float(lowest))
 
 
-def _least_by_passage(data: Data, sign: int) -> Floats:
-    """Return the least |reading| of each passage of an edge, sorted; one visit has two ends."""
+def _least_by_passage(data: RecordData, sign: int) -> Floats:
+    """Return the least abs(reading) of each passage of an edge, sorted; a visit has two
+    passages.
+    """
     beyond = data.ok & (data.side == sign)
     first, last = runs(beyond)
     size = np.abs(data.y)

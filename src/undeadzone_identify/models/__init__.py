@@ -1,1 +1,1 @@
-"""Models of a plant and what stands beside it, each with its likelihood and its fit."""
+"""Models of a plant and its nonlinearity, each with likelihood and fit."""

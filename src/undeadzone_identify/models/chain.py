@@ -19,12 +19,12 @@ from scipy.signal import lfilter
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import best_of_each
-from undeadzone_identify.models.estimates import Interval, latest, weighing
-from undeadzone_identify.models.least_squares import Fitted, LeastSquares
+from undeadzone_identify.models.estimates import Interval, cache_latest, weight_row
+from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.place import PlaceFit, PlaceStarts
-from undeadzone_identify.models.plant import Data, Simulator
-from undeadzone_identify.models.zone_fit import Fit, fit_linear
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 
 TAPS = 4  # of a filter behind the zone, beside the first
 WIDEST = 6.0  # rms of z, that an edge is away at most
@@ -112,7 +112,7 @@ class ChainModel:
 
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: PlantSimulator,
         element: str | None = None,
         zone: bool = False,
         taps: int = 0,
@@ -131,17 +131,17 @@ class ChainModel:
         self.high = np.array([*high, *([WIDEST] * 2 * zone), *([0.98] * self.taps)])
         self.free: Integers = np.arange(self.filter.stop)
 
-    def along(self, data: Data) -> ChainModel:
+    def along(self, data: RecordData) -> ChainModel:
         """Return the same model of other records."""
-        own = self.simulator.along(data)
+        own = self.simulator.simulator_along(data)
         return ChainModel(own, self.element, self.zone, 0 if self.lags else self.taps, self.lags)
 
-    def project(self, theta: Floats) -> Floats:
+    def project_to_bounds(self, theta: Floats) -> Floats:
         """Return numbers of the elements within their bounds."""
         theta[self.base :] = np.clip(theta[self.base :], self.low, self.high)
         return theta
 
-    @latest
+    @cache_latest
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
         return self._simulate(theta)
@@ -150,10 +150,10 @@ class ChainModel:
         """Return z of any numbers (N)."""
         layout, u = self.simulator.layout, self.simulator.data.u[:, 0]
         numerator = np.append(0.0, theta[layout.b])
-        denominator = layout.denominator(theta[layout.a])
+        denominator = layout.full_denominator(theta[layout.a])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(u.size)
-        for part, start in zip(self.simulator.data.records(), starts, strict=True):
+        for part, start in zip(self.simulator.data.record_slices(), starts, strict=True):
             v = u[part]
             if self.element is not None:
                 v = INPUTS[self.element].passes(v, theta[self.inputs])
@@ -162,13 +162,13 @@ class ChainModel:
             z[part] = lfilter([1.0], denominator, driven)
         return z
 
-    def readings(self, z: Floats, theta: Floats) -> Floats:
+    def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""
         y = dead_zone(z, *theta[self.edges]) if self.zone else z
         if not self.taps:
             return np.asarray(y)
         f, out = theta[self.filter], np.empty(y.size)
-        for part in self.simulator.data.records():
+        for part in self.simulator.data.record_slices():
             if self.lags:
                 keep = float(f[0])
                 out[part] = lfilter([1 - keep], [1.0, -keep], y[part], zi=[keep * y[part][0]])[0]
@@ -179,15 +179,17 @@ class ChainModel:
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free numbers (N x free)."""
-        y = self.readings(self.output(theta), theta)
+        y = self.noise_free_readings(self.output(theta), theta)
         rows = np.empty((y.size, theta.size))
         for place in self.free:
             step = STEP * max(abs(theta[place]), 0.02)
             more, less = theta.copy(), theta.copy()
             more[place] += step
             less[place] -= step
-            apart = self.readings(self._simulate(more), more)
-            rows[:, place] = (apart - self.readings(self._simulate(less), less)) / (2 * step)
+            apart = self.noise_free_readings(self._simulate(more), more)
+            rows[:, place] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
+                2 * step
+            )
         return y, rows
 
     def word(self, theta: Floats) -> str:
@@ -234,11 +236,11 @@ class ChainModel:
         )
 
 
-ChainFit = Fitted[ChainModel]
+ChainFit = FittedModel[ChainModel]
 
 
 def fit_chains(
-    fit: Fit, places: dict[str, PlaceFit], recorded: Data, orders: Sequence[int]
+    fit: ZoneFit, places: dict[str, PlaceFit], recorded: RecordData, orders: Sequence[int]
 ) -> dict[str, ChainFit]:
     """Return the best chain of each word.
 
@@ -258,7 +260,9 @@ def fit_chains(
     if same and not np.array_equal(recorded.u, data.u):
         kinds += [(recorded, n) for n in range(layout.n, layout.n + 3)]
     plants = [
-        Simulator(one, n, layout.integrators) for one, n in kinds if n in orders or n == layout.n
+        PlantSimulator(one, n, layout.integrators)
+        for one, n in kinds
+        if n in orders or n == layout.n
     ]
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
@@ -273,17 +277,19 @@ def fit_chains(
     zoned, widths = starts.plant, starts.widths
     if "dead_zone" in places:
         known = places["dead_zone"]
-        zoned, widths = known.theta[: layout.right], known.model.part(known.theta, "sensor")
+        zoned, widths = known.theta[: layout.right], known.model.part_numbers(known.theta, "sensor")
     lag = ChainModel(starts.simulator, zone=True, lags=True)
     begun = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
-    fits.append(LeastSquares(lag).best(begun))
+    fits.append(LeastSquares(lag).fit_from_starts(begun))
     filtered = ChainModel(starts.simulator, zone=True, taps=TAPS)
-    fits.append(LeastSquares(filtered).best([np.concatenate([zoned, widths, f]) for f in taps]))
+    fits.append(
+        LeastSquares(filtered).fit_from_starts([np.concatenate([zoned, widths, f]) for f in taps])
+    )
     there = [one for one in fits if one is not None]
     return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
 
 
-def _model_of(name: str, simulator: Simulator) -> ChainModel:
+def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
     """Return a plant behind an element of the input."""
     return ChainModel(simulator, name)
 
@@ -296,19 +302,19 @@ class Begun(NamedTuple):
 
 
 def _best_order(
-    plants: Sequence[Simulator],
+    plants: Sequence[PlantSimulator],
     scanned: Sequence[Sequence[Begun]],
-    model: Callable[[Simulator], ChainModel],
+    model: Callable[[PlantSimulator], ChainModel],
 ) -> ChainFit | None:
     """Return the fit behind the plant whose scan leaves least."""
     there = [(min(one.cost for one in row), k) for k, row in enumerate(scanned) if row]
     if not there:
         return None
     best = min(there)[1]
-    return LeastSquares(model(plants[best])).best([one.theta for one in scanned[best]])
+    return LeastSquares(model(plants[best])).fit_from_starts([one.theta for one in scanned[best]])
 
 
-def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> list[Begun]:
+def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) -> list[Begun]:
     """Return where climbs begin: the best numbers of a scan, with the linear plant behind each.
 
     Args:
@@ -323,7 +329,7 @@ def scan_input(simulator: Simulator, element: InputElement, most: int = 2) -> li
         if not 1e-6 < scale < math.inf:
             continue
         passed = data._replace(u=(v / scale)[:, None], climbs=None)
-        fit = fit_linear(Simulator(passed, layout.n, layout.integrators), data.ok)
+        fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
         theta[layout.b] /= scale
         found.append(Begun(fit.bic, np.append(theta, numbers)))
@@ -336,10 +342,10 @@ def gap_of_input(fit: ChainFit) -> Interval:
     Args:
         fit: of such a play.
     """
-    later, place = fit.predicting, fit.model.inputs.start
+    later, place = fit.prediction_fit, fit.model.inputs.start
     value, first = float(later.theta[place]), float(fit.theta[place])
-    row = weighing(fit.model.free, fit.theta.size, place, (1.0,))
+    row = weight_row(fit.model.free, fit.theta.size, place, (1.0,))
     halves: Sequence[float] = [
-        one.squares.spread(one.theta).half_and_degrees(row)[0] for one in (fit, later)
+        one.squares.robust_covariance(one.theta).half_and_degrees(row)[0] for one in (fit, later)
     ]
-    return Interval.around(value, math.hypot(max(halves), value - first, FINEST))
+    return Interval.from_half_width(value, math.hypot(max(halves), value - first, FINEST))

@@ -1,4 +1,4 @@
-"""What may stand between the plant and the readings: a play, with a dead zone, or a static map.
+"""Elements between plant and readings: a play, a play with a dead zone, or a static map.
 
 What is simulated is z. A play drags its level along, y = Dz(level). The centre of its gap is read
 off where z = 0 is known: not of an integrating plant, and not beside a dead zone, where only the
@@ -17,11 +17,11 @@ from scipy.special import ndtr
 
 from undeadzone.nonlinearities.play import contact, levels
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.estimates import latest, weighing
-from undeadzone_identify.models.least_squares import Density, Fitted, LeastSquares
+from undeadzone_identify.models.estimates import cache_latest, weight_row
+from undeadzone_identify.models.least_squares import Density, FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
-from undeadzone_identify.models.plant import CREDIBLE, Data, Simulator
-from undeadzone_identify.models.zone_fit import Fit, about_level, fit_linear
+from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
 HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
 LOUDER = 1.1  # the gain behind a play is larger than a linear fit's
@@ -38,7 +38,8 @@ T = TypeVar("T")
 
 
 class PlayModel:
-    """y on Dz(play(z)); theta = [a, b, x0, c_r, c_l, d_r, d_l].
+    """Plant with a play and perhaps a dead zone, y = Dz(play(z)); theta = [a, b, x0, c_r, c_l,
+    d_r, d_l].
 
     Args:
         simulator: the plant, with its data.
@@ -47,7 +48,7 @@ class PlayModel:
 
     first, last, gain, has_level = 0, 60, 1e-4, False  # a level is in c_r - c_l, d_r - d_l or x0
 
-    def __init__(self, simulator: Simulator, zone: bool = False) -> None:
+    def __init__(self, simulator: PlantSimulator, zone: bool = False) -> None:
         self.name = "play_and_zone" if zone else "play"
         self.simulator = simulator
         self.data = simulator.data
@@ -57,25 +58,23 @@ class PlayModel:
         self.size = self.base + 4
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
-        self.begun = [self._first_reading(part) for part in self.data.records()]
+        self.begun = [self._first_reading(part) for part in self.data.record_slices()]
 
     def _first_reading(self, part: slice) -> Floats:
-        """Return the level with which a record begins (1); that of the log where it has no
-        reading.
-        """
+        """Return the initial level of a record (1); that of the log if it has no reading."""
         there = part if self.data.ok[part].any() else slice(None)
         return self.data.y[there][self.data.ok[there]][:1]
 
-    def along(self, data: Data) -> PlayModel:
-        """Return the same model of other records."""
-        return PlayModel(self.simulator.along(data), self.zone)
+    def along(self, data: RecordData) -> PlayModel:
+        """Return the same model for other records."""
+        return PlayModel(self.simulator.simulator_along(data), self.zone)
 
-    def of_readings(self, y: Floats) -> PlayModel:
-        """Return the same model of other readings (N), which no climb on disk is of."""
+    def with_readings(self, y: Floats) -> PlayModel:
+        """Return the same model for other readings (N), without cached maxima."""
         return self.along(self.data._replace(y=np.where(self.data.ok, y, 0.0), climbs=None))
 
-    def project(self, theta: Floats) -> Floats:
-        """Return theta with c_r + c_l and d_r + d_l not below 0."""
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict theta to c_r + c_l >= 0 and d_r + d_l >= 0."""
         for right in (self.base, self.base + 2):
             theta[right : right + 2] -= min(theta[right] + theta[right + 1], 0.0) / 2
         if self.tied:
@@ -84,38 +83,42 @@ class PlayModel:
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
-        return self.simulator.z(theta)
+        return self.simulator.simulate_z(theta)
 
-    def level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
-        """What the play passes on, and where it last moved: +1 right, -1 left, 0 not yet (N, N)."""
+    def play_level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the output of the play and its last direction: +1 right, -1 left, 0 not
+        yet (N, N).
+        """
         gap = theta[self.base : self.base + 2]
-        return self._dragged_level(np.append(gap, z))
+        return self._drag_level(np.append(gap, z))
 
-    @latest
-    def _dragged_level(self, numbers: Floats) -> tuple[Floats, Floats]:
-        """Return `level` of c_r, c_l and z in one column."""
+    @cache_latest
+    def _drag_level(self, numbers: Floats) -> tuple[Floats, Floats]:
+        """Return `play_level` for c_r, c_l and z stacked in a column."""
         right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
-        parts = zip(self.data.records(), self.begun, strict=True)
+        parts = zip(self.data.record_slices(), self.begun, strict=True)
         level = np.vstack([levels(z[part], right, left, begun) for part, begun in parts])[:, 0]
         side = contact(level, np.roll(level, 1))
         side[self.data.start] = 0.0
-        return level, side[self._last_moved(level)]
+        return level, side[self._last_move_index(level)]
 
-    def readings(self, z: Floats, theta: Floats) -> Floats:
-        """What is read of z without noise (N)."""
-        return self._through(self.level(z, theta)[0], theta)
+    def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
+        """Return the readings of z without noise (N)."""
+        return self._pass_dead_zone(self.play_level(z, theta)[0], theta)
 
-    def _through(self, level: Floats, theta: Floats) -> Floats:
-        """Return the level through the dead zone."""
+    def _pass_dead_zone(self, level: Floats, theta: Floats) -> Floats:
+        """Return the level after the dead zone, if the model has a dead zone (N)."""
         return dead_zone(level, *theta[self.base + 2 :]) if self.zone else level
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free parameters (N x
+        free).
+        """
         z = self.output(theta)
-        slope = self.simulator.gradient(theta, z)[:, : self.base]
-        level, moved = self.level(z, theta)
+        slope = self.simulator.z_gradient(theta, z)[:, : self.base]
+        level, moved = self.play_level(z, theta)
         rows = np.zeros((z.size, self.size))
-        rows[:, : self.base] = slope[self._last_moved(level)] * (moved != 0)[:, None]
+        rows[:, : self.base] = slope[self._last_move_index(level)] * (moved != 0)[:, None]
         rows[:, self.base] = -1.0 * (moved > 0)
         rows[:, self.base + 1] = 1.0 * (moved < 0)
         if self.tied:
@@ -125,74 +128,78 @@ class PlayModel:
             rows *= ((level > right) | (level < -left))[:, None]
             rows[:, self.base + 2] = -1.0 * (level > right)
             rows[:, self.base + 3] = 1.0 * (level < -left)
-        return self._through(level, theta), rows[:, self.free]
+        return self._pass_dead_zone(level, theta), rows[:, self.free]
 
-    def _last_moved(self, level: Floats) -> Integers:
-        """Return the sample at which the level last moved (N); the record's first before it did."""
+    def _last_move_index(self, level: Floats) -> Integers:
+        """Return the sample of the level's last move (N); before that the record's first
+        sample.
+        """
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
         return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
 
-    def direction(self, *weights: float) -> Floats:
-        """Return the row that weighs c_r, c_l, d_r, d_l over the free numbers."""
-        return weighing(self.free, self.size, self.base, weights, self.tied)
+    def play_weights(self, *weights: float) -> Floats:
+        """Return the row of weights of c_r, c_l, d_r, d_l over the free parameters."""
+        return weight_row(self.free, self.size, self.base, weights, self.tied)
 
 
-PlayFit = Fitted[PlayModel]
+PlayFit = FittedModel[PlayModel]
 
 
-def fit_play(data: Data, orders: list[int], integrators: int) -> PlayFit | None:
-    """Return the play behind the plant that suits it best; None where none is stable.
+def fit_play(data: RecordData, orders: list[int], integrators: int) -> PlayFit | None:
+    """Fit a play behind plants of several orders; return the best, None if none is stable.
 
     Args:
         data: the records.
         orders: of the plant, to be tried.
         integrators: of the plant.
     """
-    models = [PlayModel(Simulator(data, n, integrators)) for n in orders]
-    return _best([LeastSquares(model).best(_gaps(model)) for model in models])
+    models = [PlayModel(PlantSimulator(data, n, integrators)) for n in orders]
+    return _best_settling_fit(
+        [LeastSquares(model).fit_from_starts(_start_gaps(model)) for model in models]
+    )
 
 
-def fit_both(begun: Sequence[PlayFit | Fit]) -> PlayFit | None:
-    """Return the play that a dead zone follows, with the plant that suits it best.
+def fit_play_and_zone(begun: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
+    """Fit a play that a dead zone follows; return the best plant's fit.
 
     Args:
         begun: fits of a play, or of a dead zone, where climbs start.
     """
     fits = []
     for one in begun:
-        simulator = one.objective.simulator if isinstance(one, Fit) else one.model.simulator
+        simulator = one.objective.simulator if isinstance(one, ZoneFit) else one.model.simulator
         model = PlayModel(simulator, zone=True)
         starts = []
         for half, width in ((0.3, 0.3), (0.1, 0.5), (0.5, 0.1)):
-            if not isinstance(one, Fit):
+            if not isinstance(one, ZoneFit):
                 half = 0.8 * float(one.theta[model.base : model.base + 2].mean())
             starts.append(np.append(one.theta[: model.base], [half, half, width, width]))
-        fits.append(LeastSquares(model).best(starts))
-    return _best(fits)
+        fits.append(LeastSquares(model).fit_from_starts(starts))
+    return _best_settling_fit(fits)
 
 
-def _gaps(model: PlayModel) -> list[Floats]:
-    """Return gaps of several sizes behind a plant somewhat louder than a linear fit's."""
+def _start_gaps(model: PlayModel) -> list[Floats]:
+    """Return start points: gaps of several sizes behind a plant of raised gain."""
     linear = fit_linear(model.simulator, model.data.ok)
-    begun = [[*about_level(linear, half), 0.0, 0.0] for half in HALVES]
-    return [_start_of_climb(model, linear, LOUDER, numbers) for numbers in begun]
+    begun = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
+    return [_start_point(model, linear, LOUDER, numbers) for numbers in begun]
 
 
-def _start_of_climb(
-    model: PlayModel | MapModel, plant: Fit, gain: float, p: Sequence[float]
+def _start_point(
+    model: PlayModel | MapModel, plant: ZoneFit, gain: float, p: Sequence[float]
 ) -> Floats:
-    """Where a climb starts: a plant, the factor of its gain, the element's numbers."""
+    """Return a start point from a plant, the factor of its gain, and the element's parameters."""
     theta = np.append(plant.theta[: model.base], p)
     theta[model.simulator.layout.b] *= gain
     return theta
 
 
-def _best(fits: list[PlayFit | None]) -> PlayFit | None:
-    """Return the fit of least BIC; of those that leave as little, one whose plant settles."""
+def _best_settling_fit(fits: list[PlayFit | None]) -> PlayFit | None:
+    """Return the fit of least BIC; among equally small residuals prefer a plant that settles."""
     there = sorted(filter(None, fits), key=lambda one: one.bic)
     alike = (one for one in there if one.density.rms <= CREDIBLE * there[0].density.rms)
-    settled = (one for one in alike if not one.model.simulator.at_limit(one.theta))
+    settled = (one for one in alike if not one.model.simulator.is_at_limit(one.theta))
     return next(settled, next(iter(there), None))
 
 
@@ -201,61 +208,59 @@ def _best(fits: list[PlayFit | None]) -> PlayFit | None:
 Map = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
 
-def linear(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z itself."""
+def identity_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return z itself, with derivatives."""
     return z, np.ones(z.size), np.zeros((z.size, 2))
 
 
-def shift_beyond(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z beyond -p_1 and p_0, less the width: a dead zone."""
+def dead_zone_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return z beyond -p_1 and p_0 less the width, a dead zone, with derivatives."""
     above, below = z > p[0], z < -p[1]
     return dead_zone(z, *p), 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
 
 
-def saturation(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z limited to -p_1 and p_0."""
+def saturation_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return z limited to -p_1 and p_0, with derivatives."""
     above, below = z > p[0], z < -p[1]
     inside = ~(above | below)
     return np.clip(z, -p[1], p[0]), 1.0 * inside, np.column_stack([1.0 * above, -1.0 * below])
 
 
-def absolute(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return |z - p_0| + p_1."""
+def absolute_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return abs(z - p_0) + p_1, with derivatives."""
     sign = np.sign(z - p[0])
     return np.abs(z - p[0]) + p[1], sign, np.column_stack([-sign, np.ones(z.size)])
 
 
-def cubic(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z + p_0 z^2 + p_1 z^3."""
+def cubic_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return z + p_0 z^2 + p_1 z^3, with derivatives."""
     slope = 1.0 + 2 * p[0] * z + 3 * p[1] * z**2
     return z + p[0] * z**2 + p[1] * z**3, slope, np.column_stack([z**2, z**3])
 
 
-def zone_with_noise(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the mean reading of a dead zone whose noise of that rms acts ahead of it."""
-    a, b, above, below = _edges(blur, z, p)
+def noisy_zone_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the mean reading of a dead zone with noise of rms `blur` ahead, with derivatives."""
+    a, b, above, below = _edge_chances(blur, z, p)
     value = blur * (np.exp(-0.5 * a**2) / ROOT + a * above - np.exp(-0.5 * b**2) / ROOT - b * below)
     return value, above + below, np.column_stack([-above, below])
 
 
-def jump_with_noise(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z beyond -p_1 and p_0, else 0; its corners blurred by noise of that rms ahead of
-    it.
-    """
-    a, b, above, below = _edges(blur, z, p)
+def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
+    a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
     at_a, at_b = np.exp(-0.5 * a**2) / (blur * ROOT), np.exp(-0.5 * b**2) / (blur * ROOT)
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 
-def _edges(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """How far z is beyond both edges, in rms, and the chances to be beyond (N each)."""
+def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return the distances of z from both edges in rms, and the probabilities beyond (N each)."""
     a, b = (z - p[0]) / blur, (-p[1] - z) / blur
     return a, b, ndtr(a), ndtr(b)
 
 
 class MapModel:
-    """y on g(z; p): the plant and a static map of two numbers, or of none.
+    """Plant with a static map of two parameters or none: y = g(z; p).
 
     Args:
         simulator: the plant, with its data.
@@ -265,22 +270,22 @@ class MapModel:
 
     first, last, gain = 0, 40, 1e-4
 
-    def __init__(self, simulator: Simulator, name: str, shape: Map) -> None:
+    def __init__(self, simulator: PlantSimulator, name: str, shape: Map) -> None:
         self.name = name
         self.simulator = simulator
         self.shape = shape
         self.base = simulator.layout.right
-        self.free: Integers = np.arange(self.base if shape is linear else self.base + 2)
-        holds = shape is absolute or name == "dead_zone"  # whose own numbers are a level too
+        self.free: Integers = np.arange(self.base if shape is identity_map else self.base + 2)
+        holds = shape is absolute_map or name == "dead_zone"  # whose own numbers are a level too
         self.has_level = not holds and not simulator.layout.integrators
 
-    def along(self, data: Data) -> MapModel:
-        """Return the same model of other records."""
-        return MapModel(self.simulator.along(data), self.name, self.shape)
+    def along(self, data: RecordData) -> MapModel:
+        """Return the same model for other records."""
+        return MapModel(self.simulator.simulator_along(data), self.name, self.shape)
 
-    def project(self, theta: Floats) -> Floats:
-        """Return widths of the input's zone brought back to 0 or above; other numbers make
-        sense.
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict the widths of the input's zone to 0 or above; other parameters are
+        free.
         """
         widths = self.simulator.layout.input
         theta[widths] = np.maximum(theta[widths], 0.0)
@@ -288,25 +293,27 @@ class MapModel:
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
-        return self.simulator.z(theta)
+        return self.simulator.simulate_z(theta)
 
-    def readings(self, z: Floats, theta: Floats) -> Floats:
-        """What is read of z without noise (N)."""
+    def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
+        """Return the readings of z without noise (N)."""
         return self.shape(z, theta[self.base :])[0]
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free parameters (N x
+        free).
+        """
         z = self.output(theta)
         y, by_z, by_p = self.shape(z, theta[self.base :])
-        slope = self.simulator.gradient(theta, z)[:, : self.base]
+        slope = self.simulator.z_gradient(theta, z)[:, : self.base]
         return y, np.hstack([by_z[:, None] * slope, by_p])[:, self.free]
 
 
 # --- All of them in the place of the dead zone
 
 
-def static_rivals(fit: Fit) -> dict[str, Density]:
-    """Return the dead zone and its rivals, each fitted by least squares.
+def fit_static_rivals(fit: ZoneFit) -> dict[str, Density]:
+    """Fit the dead zone and its static rivals by least squares.
 
     Args:
         fit: plant and zone of the record, where the rivals start.
@@ -317,30 +324,32 @@ def static_rivals(fit: Fit) -> dict[str, Density]:
     return {name: one.density for name, one in fit_maps(fit).items()}
 
 
-def fit_maps(fit: Fit) -> dict[str, Fitted[MapModel]]:
+def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
     """Return the fits whose densities `static_rivals` returns, by the verdict's words.
 
     Args:
         fit: plant and zone of the record, where the rivals start.
     """
     fits = []
-    for name, shape, starts in _maps(fit):
+    for name, shape, starts in _start_maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
-        begun = [_start_of_climb(squares.model, *start) for start in starts]
-        fitted = squares.best(begun) or Fitted(squares, begun[0], _nothing(squares))
+        begun = [_start_point(squares.model, *start) for start in starts]
+        fitted = squares.fit_from_starts(begun) or FittedModel(
+            squares, begun[0], _worst_density(squares)
+        )
         breaks = BREAKS if name in ("jump", "saturation") else 0
         numbers = fitted.density.numbers + breaks
         fits.append(fitted._replace(density=fitted.density._replace(numbers=numbers)))
     return best_maps(fits)
 
 
-def best_maps(fits: Iterable[Fitted[MapModel]]) -> dict[str, Fitted[MapModel]]:
+def best_maps(fits: Iterable[FittedModel[MapModel]]) -> dict[str, FittedModel[MapModel]]:
     """Return the fit of least BIC of each name."""
     return best_of_each((one.density.name, one.density.bic, one) for one in fits)
 
 
 def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
-    """Return the model of least BIC of each name.
+    """Return the model of least BIC for each name.
 
     Args:
         models: name, BIC and model.
@@ -353,11 +362,11 @@ def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
 
 
 # A map, and where its climbs start: a plant, the factor of its gain, the map's numbers.
-Begun = tuple[str, Map, list[tuple[Fit, float, list[float]]]]
+Begun = tuple[str, Map, list[tuple[ZoneFit, float, list[float]]]]
 
 
-def _maps(fit: Fit) -> list[Begun]:
-    """Return the maps, and where they start beside the fit of a dead zone."""
+def _start_maps(fit: ZoneFit) -> list[Begun]:
+    """Return the static maps and their start points beside the fit of a dead zone."""
     simulator, is_behind = fit.objective.simulator, fit.objective.kind == "behind"
     plain = fit_linear(simulator, fit.objective.readings.ok)
     own = [max(fit.right, 0.0), max(fit.left, 0.0)]
@@ -367,22 +376,22 @@ def _maps(fit: Fit) -> list[Begun]:
     across = [-float(fit.z.std()) / 5, 0.0]
     zones = [(fit, 1.0, own), (plain, 1.0, [0.0, 0.0])]
     maps: list[Begun] = [
-        ("none", linear, [(plain, 1.0, [0.0, 0.0])]),
-        ("dead_zone", shift_beyond, zones),
-        ("saturation", saturation, [(plain, 1.2, ends), (plain, 2.0, ends)]),
-        ("other", absolute, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
-        ("other", cubic, [(plain, 1.0, [0.0, 0.0])]),
+        ("none", identity_map, [(plain, 1.0, [0.0, 0.0])]),
+        ("dead_zone", dead_zone_map, zones),
+        ("saturation", saturation_map, [(plain, 1.2, ends), (plain, 2.0, ends)]),
+        ("other", absolute_map, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
+        ("other", cubic_map, [(plain, 1.0, [0.0, 0.0])]),
     ]
     jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
     blurs = [max(part * fit.s, LEAST_BLUR) for part in BLURS]
     for blur in [BLUR_BEHIND] if is_behind else blurs:
-        maps.append(("jump", partial(jump_with_noise, blur), jumps))
+        maps.append(("jump", partial(noisy_jump_map, blur), jumps))
         if not is_behind:
-            maps.append(("dead_zone", partial(zone_with_noise, blur), [(fit, 1.0, own)]))
+            maps.append(("dead_zone", partial(noisy_zone_map, blur), [(fit, 1.0, own)]))
     return maps
 
 
-def _nothing(squares: LeastSquares[MapModel]) -> Density:
-    """Return the account of a model of which no start makes sense, which is the worst."""
+def _worst_density(squares: LeastSquares[MapModel]) -> Density:
+    """Return the density of a model without any admissible start, the worst possible."""
     worst = np.full(squares.data.y.size, -1e3)
     return Density(squares.model.name, worst, squares.free.size, math.inf)

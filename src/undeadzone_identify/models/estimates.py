@@ -1,4 +1,4 @@
-"""To the top of a likelihood, and how surely it is known there.
+"""Maximisation of a log likelihood, and the uncertainty of its maximum.
 
 The climb is Levenberg and Marquardt's. Intervals hold whatever the colour of the disturbance: their
 covariance is estimated by cosines (I1).
@@ -29,46 +29,50 @@ LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it
 
 
 class Target(Protocol):
-    """A log likelihood of numbers theta; `free` are the places of those that may change."""
+    """Log likelihood of parameters theta; `free` are the places of variable parameters."""
 
     free: Integers
 
     @property
     def gain(self) -> float:
-        """Return two steps in a row that gain less than this end a climb."""
+        """Return the least gain of a step: two smaller steps in a row stop the
+        maximisation.
+        """
 
     @property
     def longest(self) -> Floats | float:
-        """Return the longest step of each free number, or of all."""
+        """Return the longest step of each free parameter, or of all."""
 
     @property
-    def climbs(self) -> KeptClimbs | None:
-        """Return tops that are on disk; None: none are."""
+    def climbs(self) -> CachedMaxima | None:
+        """Return the cache of maxima on disk; None without a cache."""
 
-    def value(self, theta: Floats) -> float:
-        """Return the log likelihood; -inf where theta makes no sense."""
+    def total_log_likelihood(self, theta: Floats) -> float:
+        """Return the log likelihood; -inf if theta is inadmissible."""
 
-    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return value, score and a positive Hessian of minus the value, of the free numbers."""
+    def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """Return value, score and a positive Hessian of minus the value, for the free
+        parameters.
+        """
 
-    def project(self, theta: Floats) -> Floats:
-        """Return a trial brought back within bounds; it may be changed."""
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict a trial to its bounds; the trial may be changed in place."""
 
 
-class Top(NamedTuple):
-    """Where a climb ended: the numbers, and the log likelihood there."""
+class Maximum(NamedTuple):
+    """Maximum of a log likelihood: the parameters and the value."""
 
     theta: Floats
     value: float
 
 
-def digest(numbers: Floats) -> str:
-    """Return a name of these numbers, and of no others."""
+def array_digest(numbers: Floats) -> str:
+    """Return a hash that identifies an array."""
     return hashlib.blake2b(numbers.tobytes(), digest_size=16).hexdigest()
 
 
-class KeptClimbs:
-    """Tops of climbs on disk: a log that is identified once more climbs to none of them again.
+class CachedMaxima:
+    """Maxima on disk: a repeated identification of a log reads them.
 
     Args:
         answers: the file; a log asks for its climbs in the same order each time.
@@ -78,12 +82,14 @@ class KeptClimbs:
         self._answers: Answers | None = answers
         self._count = 0
 
-    def close(self) -> None:
-        """Keep no more: what is asked of an answer later, as for a figure, is no part of it."""
+    def stop_caching(self) -> None:
+        """Stop the cache: later maximisations, as for a figure, are not part of the
+        answer.
+        """
         self._answers = None
 
-    def top(self, start: Floats, compute: Callable[[], Top]) -> Top:
-        """Yield the top of the next climb, from the file or computed and kept.
+    def find_maximum(self, start: Floats, compute: Callable[[], Maximum]) -> Maximum:
+        """Return the next maximum, read from the file or computed and cached.
 
         Args:
             start: where the climb begins (P).
@@ -92,17 +98,20 @@ class KeptClimbs:
         if self._answers is None:
             return compute()
         self._count += 1
-        question = [self._count, digest(start)]
+        question = [self._count, array_digest(start)]
 
         def answer(missing: list[int]) -> Iterator[tuple[int, Any]]:
+            """Yield the computed maximum as an answer of the cache."""
             top = compute()
             yield 0, [top.theta.tolist(), float(top.value)]
 
         theta, value = self._answers.of([question], answer)[0]
-        return Top(np.array(theta), value)
+        return Maximum(np.array(theta), value)
 
 
-def climb(target: Target, start: Floats, steps: int, gain: float | None = None) -> Top:
+def maximise_likelihood(
+    target: Target, start: Floats, steps: int, gain: float | None = None
+) -> Maximum:
     """Raise a log likelihood by damped Newton steps.
 
     Args:
@@ -114,39 +123,39 @@ def climb(target: Target, start: Floats, steps: int, gain: float | None = None) 
     Returns:
         The best theta found; the start with a value of -inf where that makes no sense.
     """
-    theta = target.project(start.copy())
-    if not math.isfinite(target.value(theta)):
-        return Top(theta, -math.inf)
-    compute = partial(_climb, target, theta, steps, target.gain if gain is None else gain)
-    return compute() if target.climbs is None else target.climbs.top(theta, compute)
+    theta = target.project_to_bounds(start.copy())
+    if not math.isfinite(target.total_log_likelihood(theta)):
+        return Maximum(theta, -math.inf)
+    compute = partial(_maximise_from, target, theta, steps, target.gain if gain is None else gain)
+    return compute() if target.climbs is None else target.climbs.find_maximum(theta, compute)
 
 
-def _climb(target: Target, theta: Floats, steps: int, gain: float) -> Top:
-    """Return the top above theta, which makes sense."""
-    top, best = theta, target.quadratic(theta)
+def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Maximum:
+    """Find the maximum from an admissible theta by Levenberg-Marquardt steps."""
+    top, best = theta, target.quadratic_model(theta)
     damping, small = 1e-2, 0
     for _ in range(steps):
         current, score, hessian = best
-        step = _step(score, hessian, damping)
+        step = _damped_newton_step(score, hessian, damping)
         trial = top.copy()
         trial[target.free] += np.clip(step, -target.longest, target.longest)
-        trial = target.project(trial)
-        reached = target.value(trial)
+        trial = target.project_to_bounds(trial)
+        reached = target.total_log_likelihood(trial)
         if not reached > current:
             damping *= 6
             if damping > 1e8:
-                return Top(top, current)
+                return Maximum(top, current)
             continue
         damping = max(damping / 5, 1e-9)
         small = small + 1 if reached - current < gain + 1e-8 * abs(reached) else 0
         if small >= 2:
-            return Top(trial, reached)
-        top, best = trial, target.quadratic(trial)
-    return Top(top, best[0])
+            return Maximum(trial, reached)
+        top, best = trial, target.quadratic_model(trial)
+    return Maximum(top, best[0])
 
 
-def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
-    """Return the damped Newton step, scaled by the Hessian's diagonal."""
+def _damped_newton_step(score: Floats, hessian: Floats, damping: float) -> Floats:
+    """Return the damped Newton step, scaled by the Hessian's diagonal (P)."""
     diagonal = np.maximum(hessian.diagonal(), 0.0)
     scale = np.sqrt(diagonal + 1e-14 * diagonal.sum()) + 1e-12
     damped = hessian / (scale[:, None] * scale)
@@ -156,10 +165,10 @@ def _step(score: Floats, hessian: Floats, damping: float) -> Floats:
     return step if np.isfinite(step).all() else np.zeros(scale.size)
 
 
-def best_top(
+def best_maximum(
     target: Target, starts: Sequence[Floats], first: int, last: int, lead: float = math.inf
-) -> Top | None:
-    """Return the best of the climbs from several starts.
+) -> Maximum | None:
+    """Return the best of the maxima from several starts.
 
     Args:
         target: the log likelihood.
@@ -173,12 +182,12 @@ def best_top(
     """
     begun = list(starts)
     if first:
-        tops = [climb(target, start, first) for start in starts]
+        tops = [maximise_likelihood(target, start, first) for start in starts]
         tops.sort(key=lambda top: -top.value)
         alone = len(tops) > 1 and tops[0].value - tops[1].value > lead
         best = tops[:1] if alone else tops[:2]
         begun = [top.theta for top in best]
-    ends = [climb(target, theta, last) for theta in begun]
+    ends = [maximise_likelihood(target, theta, last) for theta in begun]
     ends = [top for top in ends if math.isfinite(top.value)]
     return max(ends, key=lambda top: top.value, default=None)
 
@@ -186,9 +195,8 @@ def best_top(
 Found = TypeVar("Found")
 
 
-def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], Found]:
-    """Return a method of numbers (P) that keeps what it computed last: a climb asks for the same
-    again.
+def cache_latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], Found]:
+    """Return a method of theta (P) that caches its latest result.
 
     Args:
         compute: the method.
@@ -197,6 +205,7 @@ def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], F
 
     @wraps(compute)
     def kept(self: Any, theta: Floats) -> Found:
+        """Return the cached result if theta is unchanged, else compute the result."""
         numbers = theta.tobytes()
         known, found = vars(self).get(place, (None, None))
         if known != numbers:
@@ -210,9 +219,8 @@ def latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], F
 # --- Derivatives by differences
 
 
-def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Return a compiled step along a log for several sets of its numbers, each from a state of
-    zeros.
+def run_lanes_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Run a compiled step along a log for several parameter sets, from states of zero.
 
     Args:
         kernel: the step.
@@ -227,19 +235,17 @@ def run_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Fl
     return lanes.run_lanes(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
 
 
-def around(theta: Floats, free: Integers, steps: Floats) -> Floats:
-    """Return the numbers, then each free one a step larger, then each a step smaller (1 + 2 free,
-    P).
-    """
+def perturb_each(theta: Floats, free: Integers, steps: Floats) -> Floats:
+    """Return theta, then each free parameter increased, then each decreased (1 + 2 free, P)."""
     moves, each = np.zeros((1 + 2 * free.size, theta.size)), np.arange(1, 1 + free.size)
     moves[each, free] = steps
     moves[each + free.size, free] = -steps
     return theta + moves
 
 
-def differences(moved: Floats, steps: Floats) -> Floats:
-    """Return derivatives by the free numbers (free x ...), of values at all points but the first
-    one.
+def central_differences(moved: Floats, steps: Floats) -> Floats:
+    """Return derivatives by the free parameters (free x ...) from values at the perturbed
+    points.
     """
     more, less = np.split(moved, 2)
     return np.asarray((more - less).T / (2 * steps)).T
@@ -249,28 +255,28 @@ def differences(moved: Floats, steps: Floats) -> Floats:
 
 
 class Interval(NamedTuple):
-    """A value with its 95 % interval."""
+    """Value with its 95 % interval."""
 
     value: float
     low: float
     high: float
 
     @staticmethod
-    def around(value: float, half: float) -> Interval:
-        """Return an interval that reaches as far to both sides."""
+    def from_half_width(value: float, half: float) -> Interval:
+        """Return an interval symmetric about a value."""
         return Interval(value, value - half, value + half)
 
-    def scale_interval(self, factor: float) -> Interval:
+    def scale_by(self, factor: float) -> Interval:
         """Return the interval in other units."""
         return Interval(self.value * factor, self.low * factor, self.high * factor)
 
-    def grow_interval(self, factor: float) -> Interval:
-        """Return an interval whose halves are so many times as long."""
+    def stretch_by(self, factor: float) -> Interval:
+        """Return the interval with both halves multiplied by a factor."""
         below, above = self.value - self.low, self.high - self.value
         return Interval(self.value, self.value - factor * below, self.value + factor * above)
 
-    def reaching(self, below: float, above: float) -> Interval:
-        """Return an interval that reaches further down and up by so much."""
+    def extend_by(self, below: float, above: float) -> Interval:
+        """Return the interval extended downwards and upwards."""
         return Interval(self.value, self.low - below, self.high + above)
 
     @property
@@ -279,8 +285,8 @@ class Interval(NamedTuple):
         return 0.5 * (self.high - self.low)
 
 
-class Spread(NamedTuple):
-    """Covariance of estimates.
+class EstimateCovariance(NamedTuple):
+    """Covariance of estimates, robust and naive.
 
     Attributes:
         V: robust covariance H^-1 J H^-1 (P x P).
@@ -294,28 +300,29 @@ class Spread(NamedTuple):
     degrees: int
     scores: Floats
 
-    def accuracy(self, direction: Floats) -> tuple[float, float]:
-        """Return the variance of direction' theta without its bias, and its degrees of freedom.
+    def variance_and_degrees(self, direction: Floats) -> tuple[float, float]:
+        """Return the bias-corrected variance of direction' theta and its degrees of
+        freedom.
 
         Where a few samples tell of an edge, the cosines that they enter are few, and the fit has
         used up part of what they scatter: docs/identify.md, "Few passages".
         """
         variance = max(float(direction @ self.V @ direction), 0.0)
-        kept, degrees = few_samples(self.scores, self.naive @ direction, self.degrees)
+        kept, degrees = few_sample_correction(self.scores, self.naive @ direction, self.degrees)
         return variance / kept, degrees
 
     def half_and_degrees(self, direction: Floats) -> tuple[float, float]:
         """Return half the 95 % interval of direction' theta, and its degrees of freedom."""
-        variance, degrees = self.accuracy(direction)
-        return quantile(degrees) * variance**0.5, degrees
+        variance, degrees = self.variance_and_degrees(direction)
+        return student_quantile(degrees) * variance**0.5, degrees
 
     def half_width(self, direction: Floats) -> float:
         """Return half the 95 % interval of direction' theta."""
         return self.half_and_degrees(direction)[0]
 
 
-def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
-    """What few samples leave of an estimated variance, were the samples independent.
+def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
+    """Return share and degrees of freedom of a variance that a few samples dominate.
 
     Args:
         scores: of each sample at the estimate (N x P).
@@ -338,7 +345,7 @@ def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
     shared = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # covariance of the cosines
     excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
     degrees = (np.trace(shared) ** 2 - excess) / max(float(np.sum(shared**2)) - excess, 1e-300)
-    white = scores @ _whitener(scores)
+    white = scores @ _score_whitener(scores)
     lever = np.einsum("ij,ij->i", white, white)
     used = np.sum((0.5 * dct(white * told[:, None], axis=0)[1 : count + 1]) ** 2)
     used -= GAUSSIAN * np.sum(weights * lever * squares)
@@ -346,16 +353,16 @@ def few_samples(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
     return max(kept, LEAST_KEPT), float(np.clip(degrees, 1, count))
 
 
-def _whitener(scores: Floats) -> Floats:
+def _score_whitener(scores: Floats) -> Floats:
     """Return W with W W' the inverse of the sum of the scores' outer products (P x P)."""
     scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
-    values, vectors = np.linalg.eigh(finite((scores * scale).T @ (scores * scale)))
+    values, vectors = np.linalg.eigh(require_finite_matrix((scores * scale).T @ (scores * scale)))
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
     return np.asarray(whitener * (values > 1e-10))
 
 
-def finite(matrix: Floats) -> Floats:
-    """Return a matrix whose decomposition is asked for.
+def require_finite_matrix(matrix: Floats) -> Floats:
+    """Require a finite matrix, before its decomposition.
 
     Raises:
         InputError: a fit of which so little is known that its derivatives overflow.
@@ -368,7 +375,7 @@ def finite(matrix: Floats) -> Floats:
     return matrix
 
 
-def quantile(degrees: float, level: float = 0.95) -> float:
+def student_quantile(degrees: float, level: float = 0.95) -> float:
     """Return Student's two-sided quantile."""
     return float(student.ppf(0.5 + level / 2, degrees))
 
@@ -383,21 +390,21 @@ def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Float
     Returns:
         J (P x P) and K.
     """
-    parts = cosines(scores, count)
+    parts = cosine_coefficients(scores, count)
     return len(scores) * (parts.T @ parts) / len(parts), len(parts)
 
 
-def cosines(scores: Floats, count: int | None = None) -> Floats:
-    """Return the slow parts of scores (K x P), by which their sum scatters; as
-    `long_run_covariance`.
-    """
+def cosine_coefficients(scores: Floats, count: int | None = None) -> Floats:
+    """Return the slow cosine coefficients of scores (K x P), as for `long_run_covariance`."""
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
     return np.asarray(dct(scores, axis=0, norm="ortho")[1 : number + 1])
 
 
-def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Spread:
-    """Return (I1): the robust covariance of an estimate.
+def sandwich_covariance(
+    scores: Floats, hessian: Floats, count: int | None = None
+) -> EstimateCovariance:
+    """Return the robust covariance (I1) of an estimate.
 
     Args:
         scores: of each sample at the estimate (N x P).
@@ -408,23 +415,22 @@ def sandwich(scores: Floats, hessian: Floats, count: int | None = None) -> Sprea
         Covariances and degrees of freedom.
     """
     J, number = long_run_covariance(scores, count)
-    inverse = np.linalg.pinv(finite(hessian), rcond=1e-13, hermitian=True)
-    return Spread(inverse @ J @ inverse, inverse, number, scores)
+    inverse = np.linalg.pinv(require_finite_matrix(hessian), rcond=1e-13, hermitian=True)
+    return EstimateCovariance(inverse @ J @ inverse, inverse, number, scores)
 
 
-def positive(hessian: Floats) -> Floats:
-    """Return a Hessian with its eigenvalues, after scaling, raised to at least 1e-6 of the
-    largest.
-    """
+def raise_eigenvalues(hessian: Floats) -> Floats:
+    """Return a Hessian with its scaled eigenvalues raised to at least 1e-6 of the largest."""
     both = 0.5 * (hessian + hessian.T)
     scale = 1 / np.sqrt(np.abs(np.diag(both)) + 1e-300)
-    values, vectors = np.linalg.eigh(finite(both * np.outer(scale, scale)))
+    values, vectors = np.linalg.eigh(require_finite_matrix(both * np.outer(scale, scale)))
     raised = np.maximum(values, 1e-6 * values.max())
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
 
-def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
-    """Return a Hessian raised to at least a part of the scores' outer products, in every direction.
+def raise_to_outer_products(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
+    """Return a Hessian raised to at least a share of the scores' outer products, in each
+    direction.
 
     Args:
         hessian: minus the second derivative, by differences (P x P).
@@ -436,19 +442,19 @@ def above(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
         along the logarithm of a variance that is nearly 0.
     """
     scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
-    values, vectors = np.linalg.eigh(finite(outer * np.outer(scale, scale)))
+    values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
     whiten = np.linalg.pinv(root)
     both = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
-    sizes, axes = np.linalg.eigh(finite(whiten @ both @ whiten.T))
+    sizes, axes = np.linalg.eigh(require_finite_matrix(whiten @ both @ whiten.T))
     raised = (axes * np.maximum(sizes, least)) @ axes.T
     return root @ raised @ root.T / np.outer(scale, scale)
 
 
-def weighing(
+def weight_row(
     free: Integers, size: int, first: int, weights: Sequence[float], tied: bool = False
 ) -> Floats:
-    """Return the row of a weighted sum of numbers over those that are free.
+    """Return the row of a weighted sum of parameters over the free parameters.
 
     Args:
         free: places of the numbers that may change.

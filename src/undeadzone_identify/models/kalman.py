@@ -1,4 +1,4 @@
-"""(L3): the likelihood of a record through the measured-side Kalman filter.
+"""Likelihood (L3) of a record by the measured-side Kalman filter.
 
 A sample of the filter is a graph that is run for many sets of numbers at once.
 """
@@ -16,9 +16,9 @@ from undeadzone.compile import lanes
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
 from undeadzone_identify.models.likelihood import LOG_ROOT
-from undeadzone_identify.models.plant import Data, Layout, input_gain, roots
-from undeadzone_identify.models.zone import Limits
-from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gain, polynomial_roots
+from undeadzone_identify.models.zone import WidthLimits
+from undeadzone_identify.models.zone_fit import ZoneFit
 
 WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
 NAMES = ("white at the input", "first order at the input", "first order at the output")
@@ -35,7 +35,7 @@ NARROW = 1e-6  # a zone this narrow, in standard deviations, is a point
 # --- A sample
 
 
-def log_phi(x: Any) -> Any:
+def log_normal_cdf(x: Any) -> Any:
     """Return ln Phi(x) on CasADi expressions."""
     near = ca.fmax(x, TAIL)
     far = ca.fmax(-x, -TAIL)
@@ -46,19 +46,19 @@ def log_phi(x: Any) -> Any:
     return ca.if_else(x > TAIL, ca.log(0.5 * (1 + ca.erf(near / math.sqrt(2)))), tail)
 
 
-def log_mass(a: Any, b: Any) -> Any:
+def log_interval_mass(a: Any, b: Any) -> Any:
     """Return ln(Phi(a) - Phi(b)) on CasADi expressions, a > b."""
     flip = b > 0
     upper = ca.if_else(flip, -b, a)
     lower = ca.if_else(flip, -a, b)
-    top = log_phi(upper)
-    gap = ca.fmin(log_phi(lower) - top, -1e-12)
+    top = log_normal_cdf(upper)
+    gap = ca.fmin(log_normal_cdf(lower) - top, -1e-12)
     width = ca.fmax(upper - lower, 1e-12)
     point = ca.log(width) - 0.5 * (0.5 * (upper + lower)) ** 2 - LOG_ROOT
     return ca.if_else(upper - lower < 1e-5, point, top + ca.log(1 - ca.exp(gap)))
 
 
-def correct_state(
+def measurement_terms(
     y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any
 ) -> tuple[Any, Any, Any]:
     """Return a reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
@@ -68,7 +68,7 @@ def correct_state(
     speaks = side != 0
     v = (y + right * (side > 0) - left * (side < 0) - mean) / s
     a, b = (y + right - mean) / s, (y - left - mean) / s
-    mass = log_mass(a, b)
+    mass = log_interval_mass(a, b)
     at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
     at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
     lost = ca.logic_or(mass < -700.0, a - b < NARROW)
@@ -83,8 +83,8 @@ def correct_state(
 
 
 @cache
-def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
-    """Return the compiled step.
+def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
+    """Build the compiled step of the filter.
 
     Args:
         n: order of the plant.
@@ -102,7 +102,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     state = ca.SX.sym("s", size + upper.nnz())
     exogenous = ca.SX.sym("w", m + 4)
     numbers = ca.SX.sym("p", n + m * n + 7)
-    F, B, G, H = matrices(n, m, model, numbers)
+    F, B, G, H = observer_form_matrices(n, m, model, numbers)
     q2, r2, right, left, _, first, first_w = ca.vertsplit(numbers[n + m * n :])
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
@@ -115,7 +115,7 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     S = H @ PH + r2
     lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    density, g, k = correct_state(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
+    density, g, k = measurement_terms(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
     g, k = ok * g, ok * k
     before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s
@@ -130,8 +130,8 @@ def kernel(n: int, m: int, model: int, moments: bool = False) -> lanes.Kernel:
     return lanes.build_kernel(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
 
 
-def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, Any]:
-    """Return F, B, the noise's G G' and H of the plant in observer form, with its disturbance.
+def observer_form_matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, Any]:
+    """Return F, B, the noise's G G' and H of the plant in observer form with its disturbance.
 
     Args:
         n, m, model: as for `kernel`.
@@ -161,7 +161,7 @@ def matrices(n: int, m: int, model: int, numbers: Any) -> tuple[Any, Any, Any, A
 
 
 class KalmanObjective:
-    """(L3) of a record for one order and one model of the disturbance.
+    """Likelihood (L3) of a record for a single order and a single disturbance model.
 
     theta = [a, b, ln q, ln r, d_r, d_l, (atanh phi)].
 
@@ -180,7 +180,7 @@ class KalmanObjective:
 
     gain = 2e-3
 
-    def __init__(self, data: Data, layout: Layout, model: int, limits: Limits) -> None:
+    def __init__(self, data: RecordData, layout: Layout, model: int, limits: WidthLimits) -> None:
         self.data = data
         self.layout = layout
         self.model = model
@@ -200,8 +200,8 @@ class KalmanObjective:
         by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
         self.longest = np.where(by_noise, 1.0, np.inf)
 
-    def admissible(self, p: Floats) -> bool:
-        """Return whether the filter can be run with these numbers."""
+    def can_run_filter(self, p: Floats) -> bool:
+        """Return whether the filter can be run with these parameters."""
         if not np.isfinite(p).all():
             return False
         log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
@@ -209,11 +209,11 @@ class KalmanObjective:
             return False
         if self.model and abs(p[-1]) > 4:
             return False
-        poles = roots(p[self.layout.a])
+        poles = polynomial_roots(p[self.layout.a])
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
-    def lane(self, p: Floats) -> Floats:
-        """Return the numbers of `kalman_step.kernel` for p."""
+    def lane_numbers(self, p: Floats) -> Floats:
+        """Return the lane parameters of `build_kalman_kernel` for p."""
         log_q, log_r, right, left = p[self.log_q : self.log_q + 4]
         left = right if self.limits.tied else left
         q = math.exp(log_q)
@@ -221,53 +221,55 @@ class KalmanObjective:
         phi = math.tanh(p[-1]) if self.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
         tail = [q * q, r * r, right, left, phi, 5.0, at_first]
-        a = self.layout.denominator(p[self.layout.a])[1:]
+        a = self.layout.full_denominator(p[self.layout.a])[1:]
         return np.concatenate([a, p[self.layout.b], tail])
 
-    def densities(self, points: Floats) -> Floats:
-        """Return log densities of the samples (points x N) for several sets of numbers (points x
-        P).
+    def log_densities(self, points: Floats) -> Floats:
+        """Return log densities of the samples (points x N) for several parameter sets
+        (points x P).
         """
-        logs = self.outputs(points)[:, :, 0]
+        logs = self.kernel_outputs(points)[:, :, 0]
         return np.nan_to_num(logs, nan=-1e3, posinf=-1e3, neginf=-1e3)
 
-    def outputs(self, points: Floats, moments: bool = False) -> Floats:
-        """Return outputs of `kalman_step.kernel` (points x N x outputs) for several sets of
-        numbers.
+    def kernel_outputs(self, points: Floats, moments: bool = False) -> Floats:
+        """Return outputs of `build_kalman_kernel` (points x N x outputs) for several
+        parameter sets.
         """
-        rows = np.array([self.lane(p) for p in points])
-        compiled = kernel(self.layout.n, self.layout.m, self.model, moments)
-        return estimates.run_along(compiled, self.exogenous, rows)[0]
+        rows = np.array([self.lane_numbers(p) for p in points])
+        compiled = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
+        return estimates.run_lanes_along(compiled, self.exogenous, rows)[0]
 
-    @estimates.latest
-    def scores(self, p: Floats) -> tuple[Floats, Floats]:
-        """Return log densities (N) and their derivatives by the free numbers (N x free)."""
-        steps = self._steps(p)
-        value, *moved = self.densities(estimates.around(p, self.free, steps))
-        return value, estimates.differences(np.array(moved), steps).T
+    @estimates.cache_latest
+    def densities_and_scores(self, p: Floats) -> tuple[Floats, Floats]:
+        """Return log densities (N) and their derivatives by the free parameters (N x
+        free).
+        """
+        steps = self._score_steps(p)
+        value, *moved = self.log_densities(estimates.perturb_each(p, self.free, steps))
+        return value, estimates.central_differences(np.array(moved), steps).T
 
-    def _steps(self, p: Floats) -> Floats:
-        """By how much each free number is moved."""
+    def _score_steps(self, p: Floats) -> Floats:
+        """Return the step of each free parameter for numerical scores (free)."""
         return STEP * np.maximum(np.abs(p[self.free]), 0.05)
 
-    def value(self, p: Floats) -> float:
-        """Return the log likelihood; -inf where p makes no sense."""
-        if not self.admissible(p):
+    def total_log_likelihood(self, p: Floats) -> float:
+        """Return the log likelihood; -inf if p is inadmissible."""
+        if not self.can_run_filter(p):
             return -math.inf
-        return float(self.scores(p)[0].sum())
+        return float(self.densities_and_scores(p)[0].sum())
 
-    def project(self, p: Floats) -> Floats:
-        """Return a trial as it is: what makes no sense has no value."""
+    def project_to_bounds(self, p: Floats) -> Floats:
+        """Return the trial unchanged: inadmissible trials have no value."""
         return p
 
-    def quadratic(self, p: Floats) -> tuple[float, Floats, Floats]:
-        """Return (value, score, outer products of the scores) of the free numbers."""
-        values, slopes = self.scores(p)
+    def quadratic_model(self, p: Floats) -> tuple[float, Floats, Floats]:
+        """Return value, score, and outer products of the scores, for the free parameters."""
+        values, slopes = self.densities_and_scores(p)
         hessian = slopes.T @ slopes + 1e-9 * np.eye(self.free.size)
         return float(values.sum()), slopes.sum(axis=0), hessian
 
-    def start(self, fit: Fit, share: float) -> Floats:
-        """Return numbers from a fit of (L2), that share of its disturbance coming from the
+    def start_from_pairs(self, fit: ZoneFit, share: float) -> Floats:
+        """Return a start from a fit of (L2), with a share of its disturbance from the
         model.
         """
         p = np.zeros(self.size)
@@ -276,7 +278,7 @@ class KalmanObjective:
         white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
         phi = min(max(fit.rho, 0.5), 0.99)
         colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
-        gain = math.sqrt(input_gain(p[layout.a], p[layout.b], layout.n, colour))
+        gain = math.sqrt(input_noise_gain(p[layout.a], p[layout.b], layout.n, colour))
         root = math.sqrt(1 - phi * phi)
         if self.model == AT_OUTPUT:
             log_q = math.log(disturbance * root)
@@ -289,25 +291,31 @@ class KalmanObjective:
             p[-1] = math.atanh(phi)
         return p
 
-    def direction(self, right: float, left: float) -> Floats:
-        """Return the row that weighs d_r and d_l over the free numbers."""
+    def width_weights(self, right: float, left: float) -> Floats:
+        """Return the row of weights of d_r and d_l over the free parameters."""
         first, tied = self.log_q + 2, self.limits.tied
-        return estimates.weighing(self.free, self.size, first, (right, left), tied)
+        return estimates.weight_row(self.free, self.size, first, (right, left), tied)
 
-    @estimates.latest
-    def spread(self, p: Floats) -> estimates.Spread:
-        """Return (I1) of the free numbers, with a numerical Hessian; the last one is kept."""
-        _, scores = self.scores(p)
+    @estimates.cache_latest
+    def robust_covariance(self, p: Floats) -> estimates.EstimateCovariance:
+        """Return the robust covariance (I1) of the free parameters, by a numerical
+        Hessian; cached.
+        """
+        _, scores = self.densities_and_scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
-        moved = estimates.around(p, self.free, steps)[1:]
-        small = [self._steps(point) for point in moved]
+        moved = estimates.perturb_each(p, self.free, steps)[1:]
+        small = [self._score_steps(point) for point in moved]
         pairs = zip(moved, small, strict=True)
-        points = [estimates.around(point, self.free, steps)[1:] for point, steps in pairs]
-        totals = self.densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
-        scores_there = [estimates.differences(*one) for one in zip(totals, small, strict=True)]
-        hessian = -estimates.differences(np.array(scores_there), steps)
+        points = [estimates.perturb_each(point, self.free, steps)[1:] for point, steps in pairs]
+        totals = self.log_densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
+        scores_there = [
+            estimates.central_differences(*one) for one in zip(totals, small, strict=True)
+        ]
+        hessian = -estimates.central_differences(np.array(scores_there), steps)
         if not np.isfinite(hessian).all():
             hessian = outer
-        return estimates.sandwich(scores, estimates.above(hessian, outer))
+        return estimates.sandwich_covariance(
+            scores, estimates.raise_to_outer_products(hessian, outer)
+        )

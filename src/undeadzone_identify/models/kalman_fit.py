@@ -1,4 +1,4 @@
-"""The fit of (L3), for three models of the disturbance, and the states along the records."""
+"""Fit of (L3) for three disturbance models, and the smoothed states along the records."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.estimates import best_top, climb
+from undeadzone_identify.models.estimates import best_maximum, maximise_likelihood
 from undeadzone_identify.models.kalman import (
     AT_INPUT,
     AT_OUTPUT,
     QUIETEST,
     WHITE,
     KalmanObjective,
-    matrices,
+    observer_form_matrices,
 )
-from undeadzone_identify.models.plant import part_of
-from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.models.plant import busiest_stretches
+from undeadzone_identify.models.zone_fit import ZoneFit
 
 MODELS = (WHITE, AT_INPUT, AT_OUTPUT)
 SHARES = (0.2, 0.8)  # of the disturbance in what (L2) left, at the starts
 
 
 class KalmanFit(NamedTuple):
-    """A fit of (L3).
+    """Fit of (L3).
 
     Attributes:
         objective: what was maximised.
@@ -40,13 +40,13 @@ class KalmanFit(NamedTuple):
 
     @property
     def bic(self) -> float:
-        """Return -2 L + P ln N."""
+        """Return the BIC, -2 L + P ln N."""
         count = int(self.objective.data.ok.sum())
         return -2 * self.value + self.objective.free.size * math.log(count)
 
     @property
     def model(self) -> int:
-        """Return the model of the disturbance."""
+        """Return the disturbance model: WHITE, AT_INPUT or AT_OUTPUT."""
         return self.objective.model
 
     @property
@@ -61,23 +61,23 @@ class KalmanFit(NamedTuple):
         return self.right if tied else float(self.theta[self.objective.log_q + 3])
 
     @property
-    def r(self) -> float:
-        """Return rms of white noise ahead of the zone, scaled."""
+    def white_rms(self) -> float:
+        """Return the rms of white noise ahead of the zone, scaled."""
         return max(math.exp(float(self.theta[self.objective.log_q + 1])), QUIETEST)
 
     @property
-    def q(self) -> float:
-        """Return rms of what drives the disturbance, scaled."""
+    def driving_rms(self) -> float:
+        """Return the rms of the noise that drives the disturbance, scaled."""
         return math.exp(float(self.theta[self.objective.log_q]))
 
     @property
-    def phi(self) -> float:
-        """Return correlation of the disturbance over one sample."""
+    def disturbance_memory(self) -> float:
+        """Return the correlation of the disturbance over a sample [1]."""
         return math.tanh(float(self.theta[-1])) if self.model else 0.0
 
 
-def fit_kalman(fit: Fit) -> list[KalmanFit]:
-    """Return (L3) for the three models of the disturbance, best first by BIC.
+def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
+    """Fit (L3) for the three disturbance models; return the fits, best first by BIC.
 
     Args:
         fit: that of (L2), where the climbs start; of a long log in a part of it.
@@ -86,17 +86,17 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
         One fit a model; empty where none could be run.
     """
     data, layout = fit.objective.data, fit.objective.layout
-    part = part_of(data)
+    part = busiest_stretches(data)
     fits = []
     for model in MODELS:
         objective = KalmanObjective(part, layout, model, fit.objective.limits)
-        begun = [objective.start(fit, share) for share in SHARES]
-        top = best_top(objective, begun, 12, 50, -math.inf)
+        begun = [objective.start_from_pairs(fit, share) for share in SHARES]
+        top = best_maximum(objective, begun, 12, 50, -math.inf)
         if top is None:
             continue
         if part is not data:
             objective = KalmanObjective(data, layout, model, fit.objective.limits)
-            top = climb(objective, top.theta, 50)
+            top = maximise_likelihood(objective, top.theta, 50)
         fits.append(KalmanFit(objective, *top))
     return sorted(fits, key=lambda one: one.bic)
 
@@ -104,8 +104,8 @@ def fit_kalman(fit: Fit) -> list[KalmanFit]:
 # --- States, by the filter run forth and back
 
 
-class Smoothed(NamedTuple):
-    """The state of plant and disturbance, in observer form, scaled.
+class SmoothedStates(NamedTuple):
+    """State of plant and disturbance in observer form, scaled.
 
     Attributes:
         x: means (N x size).
@@ -119,17 +119,17 @@ class Smoothed(NamedTuple):
 
     @property
     def z(self) -> Floats:
-        """Return z, with the disturbance (N)."""
+        """Return z with the disturbance (N), scaled."""
         return self.x @ self.H
 
     @property
     def z_std(self) -> Floats:
-        """Return standard deviations of z, the numbers of the model taken as known (N)."""
+        """Return standard deviations of z for known parameters (N), scaled."""
         variance = np.einsum("i,tij,j->t", self.H, self.P, self.H)
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-class _Pass(NamedTuple):
+class _FilterPass(NamedTuple):
     """Predicted and corrected moments along the records (N x ...), and g of each correction."""
 
     x_ahead: Floats
@@ -139,16 +139,16 @@ class _Pass(NamedTuple):
     g: Floats
 
 
-class _Back(NamedTuple):
-    """Smoothed means (N x size), the gains from each sample to the one before, and the row H."""
+class _BackwardPass(NamedTuple):
+    """Smoothed means (N x size), the gains of each backward step, and the row H."""
 
     x: Floats
     gains: Floats
     H: Floats
 
 
-def smooth(fit: KalmanFit) -> Smoothed:
-    """Return fixed-interval smoothing (Rauch, Tung and Striebel 1965) on the filter's moments.
+def smooth_states(fit: KalmanFit) -> SmoothedStates:
+    """Smooth the filter's moments over a fixed interval (Rauch, Tung and Striebel 1965).
 
     Args:
         fit: of (L3).
@@ -156,33 +156,33 @@ def smooth(fit: KalmanFit) -> Smoothed:
     Returns:
         Means and covariances along the record.
     """
-    forth = _forth(fit, fit.theta)
-    back = _back(fit, fit.theta, forth)
+    forth = _run_filter(fit, fit.theta)
+    back = _run_backward(fit, fit.theta, forth)
     P = forth.P.copy()
-    for part in fit.objective.data.records():
+    for part in fit.objective.data.record_slices():
         for t in range(part.stop - 2, part.start - 1, -1):
             gain = back.gains[t]
             P[t] += gain @ (P[t + 1] - forth.P_ahead[t + 1]) @ gain.T
-    return Smoothed(back.x, P, back.H)
+    return SmoothedStates(back.x, P, back.H)
 
 
-def innovations(fit: KalmanFit) -> Floats:
-    """Return one-step prediction errors over their standard deviations (N); 0 where missing."""
-    return _forth(fit, fit.theta).g
+def filter_innovations(fit: KalmanFit) -> Floats:
+    """Return the innovations divided by their standard deviations (N) [1]; 0 if missing."""
+    return _run_filter(fit, fit.theta).g
 
 
-def _forth(fit: KalmanFit, p: Floats) -> _Pass:
-    """Return the filter along the records."""
-    rows = fit.objective.outputs(p[None, :], moments=True)[0]
+def _run_filter(fit: KalmanFit, p: Floats) -> _FilterPass:
+    """Run the filter along the records."""
+    rows = fit.objective.kernel_outputs(p[None, :], moments=True)[0]
     size = fit.objective.layout.n + (fit.model > 0)
     entries = size * (size + 1) // 2
     ends = np.cumsum([size, entries, size, entries])
     x_ahead, ahead, x, after, g = np.split(rows, ends, axis=1)
-    return _Pass(x_ahead, _square(ahead, size), x, _square(after, size), g[:, 0])
+    return _FilterPass(x_ahead, _to_square(ahead, size), x, _to_square(after, size), g[:, 0])
 
 
-def _square(triangles: Floats, size: int) -> Floats:
-    """Return symmetric matrices (N x size x size) of their upper parts, column by column."""
+def _to_square(triangles: Floats, size: int) -> Floats:
+    """Convert upper parts, column by column, to symmetric matrices (N x size x size)."""
     out = np.empty((len(triangles), size, size))
     columns, rows = np.tril_indices(size)
     out[:, rows, columns] = triangles
@@ -190,23 +190,24 @@ def _square(triangles: Floats, size: int) -> Floats:
     return out
 
 
-def _back(fit: KalmanFit, p: Floats, forth: _Pass) -> _Back:
+def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPass:
     """Return the smoothed means, from the end of each record to its beginning."""
     layout = fit.objective.layout
-    numbers = ca.DM(fit.objective.lane(p))
-    F, _, _, H = (part.full() for part in matrices(layout.n, layout.m, fit.model, numbers))
+    numbers = ca.DM(fit.objective.lane_numbers(p))
+    F, _, _, H = (
+        part.full() for part in observer_form_matrices(layout.n, layout.m, fit.model, numbers)
+    )
     ridge = 1e-12 * np.eye(F.shape[0])
     gains = np.linalg.solve(forth.P_ahead[1:] + ridge, F @ forth.P[:-1]).transpose(0, 2, 1)
     x = forth.x.copy()
-    for part in fit.objective.data.records():
+    for part in fit.objective.data.record_slices():
         for t in range(part.stop - 2, part.start - 1, -1):
             x[t] += gains[t] @ (x[t + 1] - forth.x_ahead[t + 1])
-    return _Back(x, gains, H[0])
+    return _BackwardPass(x, gains, H[0])
 
 
-def smooth_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
-    """Return the smoothed states and the standard deviation of z, the spread of the numbers
-    included.
+def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
+    """Smooth the states; return these and the deviation of z, parameter uncertainty included.
 
     Args:
         fit: of (L3).
@@ -214,8 +215,8 @@ def smooth_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
     Returns:
         States, and deviations of z (N), by the delta method from the covariance of (I1).
     """
-    middle = smooth(fit)
-    V = fit.objective.spread(fit.theta).V
+    middle = smooth_states(fit)
+    V = fit.objective.robust_covariance(fit.theta).V
     values, vectors = np.linalg.eigh(V)
     variance = middle.z_std**2
     for value, vector in zip(values, vectors.T, strict=True):
@@ -224,7 +225,7 @@ def smooth_with_spread(fit: KalmanFit) -> tuple[Smoothed, Floats]:
         scale = 0.1 * math.sqrt(value)
         moved = fit.theta.copy()
         moved[fit.objective.free] += scale * vector
-        if fit.objective.admissible(moved):
-            back = _back(fit, moved, _forth(fit, moved))
+        if fit.objective.can_run_filter(moved):
+            back = _run_backward(fit, moved, _run_filter(fit, moved))
             variance = variance + ((back.x @ back.H - middle.z) / 0.1) ** 2
     return middle, np.sqrt(variance)

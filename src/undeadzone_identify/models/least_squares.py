@@ -1,4 +1,4 @@
-"""Least squares of readings on a plant and an element beside it, and how such models compare.
+"""Least squares of readings on a plant with an element, and densities to compare models.
 
 A model says what is read and how that changes with its numbers; all else is the same for each.
 """
@@ -15,11 +15,14 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.plant import Simulator, correlations
+from undeadzone_identify.models.plant import PlantSimulator, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
 ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a colour of its own
-HEARD, TURNS = 11, 4  # residuals before one that foretell it, and rounds of that and of a climb
+LONGEST_MEMORY, TURNS = (
+    11,
+    4,
+)  # residuals before one that foretell it, and rounds of that and of a climb
 HATS = 8
 COSINES = 24
 SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
@@ -29,7 +32,7 @@ LEAST_ODD = 1e-3  # rms of y: a model that leaves less is not wrong, and its rea
 
 
 class Model(Protocol):
-    """A plant and an element; theta = [a, b, x0, the numbers of the element].
+    """Plant and element; theta = [a, b, x0, the parameters of the element].
 
     Attributes:
         name: of the model.
@@ -41,31 +44,33 @@ class Model(Protocol):
     """
 
     name: str
-    simulator: Simulator
+    simulator: PlantSimulator
     free: Integers
     first: int
     last: int
     gain: float
     has_level: bool
 
-    def project(self, theta: Floats) -> Floats:
-        """Return numbers brought back to where they make sense; these may be changed."""
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict theta to admissible values; theta may be changed in place."""
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
 
-    def readings(self, z: Floats, theta: Floats) -> Floats:
-        """What is read of z without noise (N)."""
+    def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
+        """Return the readings of z without noise (N)."""
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
+        """Return the readings (N), and their derivatives by the free parameters (N x
+        free).
+        """
 
 
 M = TypeVar("M", bound=Model)
 
 
 class Density(NamedTuple):
-    """A model's account of the readings.
+    """Log densities of the readings under a model.
 
     Attributes:
         name: of the model.
@@ -83,12 +88,12 @@ class Density(NamedTuple):
 
     @property
     def bic(self) -> float:
-        """Return -2 L + p ln N."""
+        """Return the BIC, -2 L + p ln N."""
         return -2 * float(self.value.sum()) + self.numbers * math.log(self.value.size)
 
 
 class LeastSquares(Generic[M]):
-    """Least squares of the readings of a model.
+    """Least squares of the readings on a model.
 
     Args:
         model: the plant and the element.
@@ -105,48 +110,48 @@ class LeastSquares(Generic[M]):
         self._count = int(self.data.ok.sum())
         self._whole = self._count == self.data.ok.size
 
-    def residual(self, theta: Floats) -> Floats:
-        """Return y less what is expected (N); 0 where a reading is missing."""
-        expected = self.model.readings(self.model.output(theta), theta)
-        return self._without_level(self.data.y - expected)
+    def reading_residual(self, theta: Floats) -> Floats:
+        """Return the readings less their expectation (N); 0 if a reading is missing."""
+        expected = self.model.noise_free_readings(self.model.output(theta), theta)
+        return self._subtract_level(self.data.y - expected)
 
-    def _without_level(self, columns: Floats) -> Floats:
-        """Return less their mean, which is the best constant; 0 where a reading is missing."""
+    def _subtract_level(self, columns: Floats) -> Floats:
+        """Return columns less their mean, the best constant; 0 if a reading is missing."""
         there = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
         left = columns - (there.mean(axis=0) if self.model.has_level else 0.0)
         return left if self._whole else np.where(self.data.ok, left.T, 0.0).T
 
-    def rows(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return residual (N) and derivatives of the reading by the free numbers (N x free)."""
+    def residual_and_slopes(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the residual (N) and derivatives by the free parameters (N x free)."""
         expected, slopes = self.model.slopes(theta)
-        return self._without_level(self.data.y - expected), self._without_level(slopes)
+        return self._subtract_level(self.data.y - expected), self._subtract_level(slopes)
 
-    def rms(self, theta: Floats) -> float:
-        """Return rms of what is left of the readings that there are."""
-        return float(np.sqrt(np.mean(self.residual(theta)[self.data.ok] ** 2)))
+    def residual_rms(self, theta: Floats) -> float:
+        """Return the rms of the residual over the available readings, scaled."""
+        return float(np.sqrt(np.mean(self.reading_residual(theta)[self.data.ok] ** 2)))
 
-    def value(self, theta: Floats) -> float:
-        """Return minus N / 2 ln of the mean square of the residual; -inf where theta makes no
-        sense.
+    def total_log_likelihood(self, theta: Floats) -> float:
+        """Return minus N / 2 ln of the residual's mean square; -inf if theta is
+        inadmissible.
         """
-        if not self.model.simulator.admissible(theta):
+        if not self.model.simulator.has_settling_poles(theta):
             return -math.inf
-        return self._value_of(self.whiten(self.residual(theta)))
+        return self._value_of_residual(self.whiten(self.reading_residual(theta)))
 
-    def _value_of(self, e: Floats) -> float:
-        """Return the value of an admissible plant with these residuals (N)."""
+    def _value_of_residual(self, e: Floats) -> float:
+        """Return the log likelihood of an admissible plant with these residuals (N)."""
         square = float(e @ e)
         if not square < FAR:
             return -math.inf
         return -0.5 * self._count * math.log(square / self._count + 1e-30)
 
-    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return (value, score, Gauss-Newton Hessian) of the free numbers of an admissible
-        plant.
+    def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """Return value, score and Gauss-Newton Hessian of the free parameters of an
+        admissible plant.
         """
-        e, rows = (self.whiten(one) for one in self.rows(theta))
-        variance, hessian = self._gauss_newton(e, rows)
-        return self._value_of(e), rows.T @ e / variance, hessian
+        e, rows = (self.whiten(one) for one in self.residual_and_slopes(theta))
+        variance, hessian = self._gauss_newton_hessian(e, rows)
+        return self._value_of_residual(e), rows.T @ e / variance, hessian
 
     def whiten(self, columns: Floats) -> Floats:
         """Return less what the samples before say of them."""
@@ -158,73 +163,77 @@ class LeastSquares(Generic[M]):
         white[0] *= math.sqrt(max(1 - float(self.past @ self.past), 0.0))
         return white
 
-    def _gauss_newton(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
-        """Return variance of residuals, and the Hessian of half their squares over it, kept
-        positive.
+    def _gauss_newton_hessian(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
+        """Return the residual variance, and the positive Hessian of half the squares over
+        it.
         """
         variance = float(e @ e) / self._count + 1e-30
         return variance, rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
 
-    def project(self, theta: Floats) -> Floats:
-        """Return numbers brought back to where they make sense."""
-        return self.model.project(theta)
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict theta to admissible values."""
+        return self.model.project_to_bounds(theta)
 
-    def spread(self, theta: Floats) -> estimates.Spread:
-        """Return (I1) of the free numbers."""
-        e, rows = (self.whiten(one) for one in self.rows(theta))
-        variance, hessian = self._gauss_newton(e, rows)
-        return estimates.sandwich(rows * e[:, None] / variance, hessian)
+    def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:
+        """Return the robust covariance (I1) of the free parameters."""
+        e, rows = (self.whiten(one) for one in self.residual_and_slopes(theta))
+        variance, hessian = self._gauss_newton_hessian(e, rows)
+        return estimates.sandwich_covariance(rows * e[:, None] / variance, hessian)
 
-    def best(self, starts: Sequence[Floats]) -> Fitted[M] | None:
-        """Return the best fit from several starts; None where no start makes sense."""
-        top = estimates.best_top(self, starts, self.model.first, self.model.last)
-        return None if top is None else Fitted(self, top.theta, self.best_density(top.theta))
+    def fit_from_starts(self, starts: Sequence[Floats]) -> FittedModel[M] | None:
+        """Fit from several starts; return the best, None if no start is admissible."""
+        top = estimates.best_maximum(self, starts, self.model.first, self.model.last)
+        return None if top is None else FittedModel(self, top.theta, self.best_density(top.theta))
 
-    def fit_predictions(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
-        """Return least squares of prediction errors, and the numbers where they are least, near
-        theta.
+    def minimise_prediction_errors(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
+        """Minimise prediction errors near theta; return the new least squares and its
+        parameters.
 
         What disturbs the plant is foretold from past residuals, so that an input that answers to
         these says nothing of the errors (Ljung 1999, section 13.4); no reference is needed.
         """
         squares = self
         for _ in range(TURNS):
-            squares = LeastSquares(self.model, self._pasts(self.residual(theta))[-1])
-            theta = estimates.climb(squares, theta, STEPS).theta
+            squares = LeastSquares(
+                self.model, self._fit_autoregressions(self.reading_residual(theta))[-1]
+            )
+            theta = estimates.maximise_likelihood(squares, theta, STEPS).theta
         return squares, theta
 
     def best_density(self, theta: Floats) -> Density:
-        """Return the model's account of the readings where that is best, near least squares."""
-        first = best = self.density(theta)
-        ok, e, z = self.data.ok, self.residual(theta), self.model.output(theta)
-        strange = first.rms > LEAST_ODD and is_strange(*curve_over(z[ok], e[ok]))
+        """Return the best density of the readings near the least-squares fit."""
+        first = best = self.autoregressive_density(theta)
+        ok, e, z = self.data.ok, self.reading_residual(theta), self.model.output(theta)
+        strange = first.rms > LEAST_ODD and has_strange_curve(*curve_share(z[ok], e[ok]))
         for _ in range(ROUNDS):
-            theta = estimates.climb(self.fit_coloured(theta), theta, STEPS).theta
-            best = min(best, self.density(theta), key=lambda one: one.bic)
+            theta = estimates.maximise_likelihood(self.fit_coloured(theta), theta, STEPS).theta
+            best = min(best, self.autoregressive_density(theta), key=lambda one: one.bic)
         return best._replace(rms=first.rms, strange=strange)
 
-    @estimates.latest
+    @estimates.cache_latest
     def fit_coloured(self, theta: Floats) -> LeastSquares[M]:
         """Return the same, with residuals that as many before them foretell as BIC takes."""
-        e = self.residual(theta)
-        every = [LeastSquares(self.model, past) for past in self._pasts(e)]
-        return min(every, key=lambda one: one._cost(e))
+        e = self.reading_residual(theta)
+        every = [LeastSquares(self.model, past) for past in self._fit_autoregressions(e)]
+        return min(every, key=lambda one: one._autoregression_bic(e))
 
-    def _cost(self, e: Floats) -> float:
-        """Return BIC of what foretells residuals."""
-        return -2 * self._value_of(self.whiten(e)) + self.past.size * math.log(self._count)
+    def _autoregression_bic(self, e: Floats) -> float:
+        """Return the BIC of the residuals' autoregression."""
+        return -2 * self._value_of_residual(self.whiten(e)) + self.past.size * math.log(self._count)
 
-    def _pasts(self, e: Floats) -> list[Floats]:
-        """What foretells a residual from 1, 2, ... residuals before it (lags each)."""
-        seen = correlations(e, self.data.ok, HEARD)
+    def _fit_autoregressions(self, e: Floats) -> list[Floats]:
+        """Fit autoregressions of the residuals of order 1, 2, ... (lags each)."""
+        seen = mean_lag_products(e, self.data.ok, LONGEST_MEMORY)
         seen[0] = seen[0] * (1 + 1e-9) + 1e-15
-        return [solve_toeplitz(seen[:lags], seen[1 : lags + 1]) for lags in range(1, HEARD)]
+        return [
+            solve_toeplitz(seen[:lags], seen[1 : lags + 1]) for lags in range(1, LONGEST_MEMORY)
+        ]
 
-    def density(self, theta: Floats) -> Density:
-        """Return the model's account of the readings, residuals taken as autoregressive Gaussian
+    def autoregressive_density(self, theta: Floats) -> Density:
+        """Return the density of the readings, residuals taken as autoregressive Gaussian
         noise.
         """
-        e = self.residual(theta)
+        e = self.reading_residual(theta)
         coloured = self.fit_coloured(theta)
         innovation = coloured.whiten(e)
         variance = float(np.mean(innovation**2)) + 1e-12
@@ -233,8 +242,8 @@ class LeastSquares(Generic[M]):
         return Density(self.model.name, value, numbers, float(np.sqrt(np.mean(e**2))))
 
 
-class Fitted(NamedTuple, Generic[M]):
-    """A model that was fitted: its numbers and its account of the readings."""
+class FittedModel(NamedTuple, Generic[M]):
+    """Fitted model: its parameters and its density of the readings."""
 
     squares: LeastSquares[M]
     theta: Floats
@@ -242,34 +251,32 @@ class Fitted(NamedTuple, Generic[M]):
 
     @property
     def model(self) -> M:
-        """Return the plant and the element."""
+        """Return the plant with its element."""
         return self.squares.model
 
     @property
-    def predicting(self) -> Fitted[M]:
-        """Return the same model where its prediction errors are least."""
-        squares, theta = self.squares.fit_predictions(self.theta)
+    def prediction_fit(self) -> FittedModel[M]:
+        """Return the same model with least prediction errors."""
+        squares, theta = self.squares.minimise_prediction_errors(self.theta)
         return self._replace(squares=squares, theta=theta)
 
     @property
     def bic(self) -> float:
-        """Return -2 L + p ln N of the numbers that were fitted, by which orders are compared."""
-        return self.squares.density(self.theta).bic
+        """Return the BIC of the fitted parameters, -2 L + p ln N, to compare orders."""
+        return self.squares.autoregressive_density(self.theta).bic
 
 
 # --- What is left, as a curve
 
 
-def is_strange(share: float, chance: float) -> bool:
-    """Return whether a curve explains so much of a residual, and so surely, that the model is
-    wrong.
-    """
+def has_strange_curve(share: float, chance: float) -> bool:
+    """Return whether a curve explains a share of a residual so surely that the model is wrong."""
     sure = share > SURE_SHARE and chance < CHANCE
     return sure or (share > LARGE_SHARE and chance < LIKELY)
 
 
-def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
-    """Return the share of a residual that a curve over z explains, and p of it.
+def curve_share(z: Floats, residual: Floats) -> tuple[float, float]:
+    """Return the share of a residual that a curve over z explains, and its p.
 
     Args:
         z: output of the plant (N).
@@ -279,22 +286,22 @@ def curve_over(z: Floats, residual: Floats) -> tuple[float, float]:
         Share and p.
     """
     centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
-    _, _, share, chance = explain_residual(hats(z, centres), residual)
+    _, _, share, chance = regress_residual(hat_functions(z, centres), residual)
     return share, chance
 
 
-def hats(z: Floats, centres: Floats) -> Floats:
-    """Return hat functions of z (N x K), one at each centre."""
+def hat_functions(z: Floats, centres: Floats) -> Floats:
+    """Return hat functions of z (N x K), centred at the given points."""
     return np.column_stack([np.interp(z, centres, row) for row in np.eye(centres.size)])
 
 
-def unexplained_by(columns: Floats, target: Floats) -> Floats:
-    """What columns leave of a target (n), or of several (n x k)."""
+def regression_residual(columns: Floats, target: Floats) -> Floats:
+    """Return the residual of a target (n), or of several (n x k), regressed on columns."""
     return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
-def explain_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
-    """Return a residual by functions, by least squares.
+def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats, float, float]:
+    """Fit a residual by functions in least squares.
 
     Args:
         columns: the functions (N x K).
@@ -307,8 +314,8 @@ def explain_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
     left = residual - columns @ coefficients
     share = 1 - float(left @ left) / max(float(residual @ residual), 1e-300)
     normal = columns.T @ columns + 1e-9 * np.eye(columns.shape[1])
-    spread = estimates.sandwich(columns * left[:, None], normal, COSINES)
-    null = estimates.sandwich(columns * residual[:, None], normal, COSINES)
+    spread = estimates.sandwich_covariance(columns * left[:, None], normal, COSINES)
+    null = estimates.sandwich_covariance(columns * residual[:, None], normal, COSINES)
     count = columns.shape[1]
     wald = float(coefficients @ np.linalg.pinv(null.V) @ coefficients)
     degrees = max(COSINES - count + 1, 1)

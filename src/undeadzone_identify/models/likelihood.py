@@ -1,4 +1,4 @@
-"""Likelihoods of readings behind a dead zone, sample by sample (L1) and pair by pair (L2).
+"""Likelihoods of readings behind a dead zone, by single samples (L1) and by pairs (L2).
 
 The plant puts out z; e is a Gaussian disturbance of rms s ahead of the zone. The reading is
 y = z + e - d_r beyond the right edge, z + e + d_l beyond the left one, 0 between. docs/identify.md
@@ -25,7 +25,7 @@ ALL, NEAR = 8.0, 3.0  # limits beyond ALL hold all of x, given that the other is
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
-class Terms(NamedTuple):
+class DensityTerms(NamedTuple):
     """Log densities of samples and their derivatives.
 
     Attributes:
@@ -38,7 +38,7 @@ class Terms(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What the likelihoods need of a record.
+    """Data of a record for the likelihoods.
 
     Attributes:
         y: readings (N), any number where missing.
@@ -53,8 +53,8 @@ class Readings(NamedTuple):
     before: Flags
 
 
-class Noise(NamedTuple):
-    """d_r and d_l [z], rms s of what disturbs z [z], its correlation rho over one sample."""
+class ZoneNoise(NamedTuple):
+    """Widths d_r and d_l [z], rms s of the disturbance [z], its correlation rho over a sample."""
 
     right: float
     left: float
@@ -63,22 +63,24 @@ class Noise(NamedTuple):
 
 
 def dead_zone(z: Floats, right: float, left: float) -> Floats:
-    """Return dz(z) (N): what is read of z without noise."""
+    """Return Dz(z) (N): the reading of z without noise."""
     return np.maximum(z - right, 0.0) + np.minimum(z + left, 0.0)
 
 
 def zone_offset(side: Integers, right: float, left: float) -> Floats:
-    """What a zone takes off z where it speaks (N): d_r on the right, -d_l on the left."""
+    """Return the offset that the zone subtracts on each branch (N): d_r right, -d_l left, 0
+    inside.
+    """
     return np.asarray(right * (side > 0) - left * (side < 0))
 
 
-def residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
-    """Return e where a reading speaks: y + d_r - z or y - d_l - z (N); y - z where it is silent."""
+def zone_residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
+    """Return e outside the zone, y + d_r - z or y - d_l - z (N); y - z inside."""
     return readings.y + zone_offset(readings.side, right, left) - z
 
 
-def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:
-    """Return (L1): the log density of each sample by itself.
+def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTerms:
+    """Return the log density (L1) of each sample by itself.
 
     Args:
         readings: the record.
@@ -91,36 +93,36 @@ def singles(readings: Readings, z: Floats, noise: Noise) -> Terms:
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 6))
     speaks = readings.ok & (readings.side != 0)
-    _speak(readings, z, noise, np.flatnonzero(speaks), value, slopes)
+    _enter_outside(readings, z, noise, np.flatnonzero(speaks), value, slopes)
     silent = np.flatnonzero(readings.ok & (readings.side == 0))
-    mass = _Mass(z[silent], noise)
+    mass = _ZoneMass(z[silent], noise)
     value[silent] = mass.log
     slopes[silent, Z] = mass.by_z
     slopes[silent, RIGHT] = mass.by_right
     slopes[silent, LEFT] = mass.by_left
     slopes[silent, LOG_S] = mass.by_log_s
-    return Terms(value, slopes)
+    return DensityTerms(value, slopes)
 
 
-class _Mass:
-    """ln P(-d_l < z + e < d_r) and its derivatives, for an array of z."""
+class _ZoneMass:
+    """Log mass ln P(-d_l < z + e < d_r) and its derivatives, for an array of z."""
 
-    def __init__(self, z: Floats, noise: Noise) -> None:
+    def __init__(self, z: Floats, noise: ZoneNoise) -> None:
         a = (noise.right - z) / noise.s
         b = (-noise.left - z) / noise.s
-        self.log = log_difference(a, b)
-        at_a, at_b = hazards(a, b, self.log)
+        self.log = log_cdf_difference(a, b)
+        at_a, at_b = limit_hazards(a, b, self.log)
         self.by_z = (at_b - at_a) / noise.s
         self.by_right = at_a / noise.s
         self.by_left = at_b / noise.s
         self.by_log_s = b * at_b - a * at_a
 
 
-def _speak(
-    readings: Readings, z: Floats, noise: Noise, at: Integers, value: Floats, slopes: Floats
+def _enter_outside(
+    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
 ) -> None:
-    """ln N(e; 0, s^2) of speaking samples, entered at their places."""
-    e = residual(readings, z, noise.right, noise.left)[at]
+    """Enter ln N(e; 0, s^2) of samples outside the zone at their places."""
+    e = zone_residual(readings, z, noise.right, noise.left)[at]
     side = readings.side[at]
     value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
     push = -e / noise.s**2
@@ -130,7 +132,9 @@ def _speak(
     slopes[at, LOG_S] = (e / noise.s) ** 2 - 1
 
 
-def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Terms:
+def densities_behind(
+    readings: Readings, z: Floats, noise: ZoneNoise, zone: bool = True
+) -> DensityTerms:
     """Return the log density N(y; Dz(z), s^2) of noise behind the zone.
 
     Args:
@@ -151,12 +155,11 @@ def behind(readings: Readings, z: Floats, noise: Noise, zone: bool = True) -> Te
     slopes[:, LEFT] = e / noise.s * (side < 0)
     slopes[:, LOG_S] = e**2 - 1
     value = -0.5 * e**2 - math.log(noise.s) - LOG_ROOT
-    return Terms(value * readings.ok, slopes * readings.ok[:, None])
+    return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])
 
 
-def pairs(readings: Readings, z: Floats, noise: Noise) -> Terms:
-    """Return (L2): the log density of each sample given the one before; (L1) where there is none
-    before.
+def pair_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTerms:
+    """Return the log density (L2) of each sample given the previous; (L1) without a previous.
 
     Args:
         readings: the record.
@@ -166,20 +169,22 @@ def pairs(readings: Readings, z: Floats, noise: Noise) -> Terms:
     Returns:
         Log densities and derivatives; 0 where a reading is missing.
     """
-    terms = singles(readings, z, noise)
+    terms = single_densities(readings, z, noise)
     if noise.rho == 0.0 or not readings.before.any():
-        return _with_slope_of_rho(readings, z, noise, terms)
+        return _add_slope_of_rho(readings, z, noise, terms)
     both = np.flatnonzero(readings.ok & readings.before)
     silent, silent_before = readings.side[both] == 0, readings.side[both - 1] == 0
-    _speak_speak(readings, z, noise, both[~silent & ~silent_before], terms)
-    _silent_speak(readings, z, noise, both[silent & ~silent_before], terms)
-    _speak_silent(readings, z, noise, both[~silent & silent_before], terms)
-    _silent_silent(readings, z, noise, both[silent & silent_before], terms)
+    _enter_outside_outside(readings, z, noise, both[~silent & ~silent_before], terms)
+    _enter_inside_outside(readings, z, noise, both[silent & ~silent_before], terms)
+    _enter_outside_inside(readings, z, noise, both[~silent & silent_before], terms)
+    _enter_inside_inside(readings, z, noise, both[silent & silent_before], terms)
     return terms
 
 
-def _with_slope_of_rho(readings: Readings, z: Floats, noise: Noise, terms: Terms) -> Terms:
-    """Return (L1) with the derivative of (L2) by atanh rho at rho = 0: the product of both scores
+def _add_slope_of_rho(
+    readings: Readings, z: Floats, noise: ZoneNoise, terms: DensityTerms
+) -> DensityTerms:
+    """Add to (L1) the derivative of (L2) by atanh rho at rho = 0: the product of both scores
     by z.
     """
     both = np.flatnonzero(readings.ok & readings.before)
@@ -187,21 +192,23 @@ def _with_slope_of_rho(readings: Readings, z: Floats, noise: Noise, terms: Terms
     return terms
 
 
-def _sides(readings: Readings, at: Integers) -> tuple[Floats, Floats]:
-    """Return 1 where the samples speak on the right; on the left."""
+def _branch_indicators(readings: Readings, at: Integers) -> tuple[Floats, Floats]:
+    """Return indicators of samples on the right branch and on the left branch."""
     return 1.0 * (readings.side[at] > 0), 1.0 * (readings.side[at] < 0)
 
 
-def _speak_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
-    """Speaking after speaking: ln N(e_t; rho e_(t-1), s'^2)."""
+def _enter_outside_outside(
+    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
+) -> None:
+    """Enter an outside sample after an outside sample: ln N(e_t; rho e_(t-1), s'^2)."""
     rho, rest = noise.rho, 1 - noise.rho**2
-    e = residual(readings, z, noise.right, noise.left)
+    e = zone_residual(readings, z, noise.right, noise.left)
     v = e[at] - rho * e[at - 1]
     variance = noise.s**2 * rest
     push = -v / variance
     excess = v**2 / variance - 1
-    right, left = _sides(readings, at)
-    right_before, left_before = _sides(readings, at - 1)
+    right, left = _branch_indicators(readings, at)
+    right_before, left_before = _branch_indicators(readings, at - 1)
     slopes = terms.slopes
     terms.value[at] = -0.5 * v**2 / variance - 0.5 * math.log(variance) - LOG_ROOT
     slopes[at, Z] = -push
@@ -212,11 +219,15 @@ def _speak_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, term
     slopes[at, ATANH_RHO] = -rho * excess - push * e[at - 1] * rest
 
 
-def _silent_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
-    """Silent after speaking: ln{Phi((a_t - rho e)/s') - Phi((b_t - rho e)/s')}."""
-    e = residual(readings, z, noise.right, noise.left)[at - 1]
-    right, left = _sides(readings, at - 1)
-    slice_ = _Slice(noise.right - z[at], -noise.left - z[at], e, noise)
+def _enter_inside_outside(
+    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
+) -> None:
+    """Enter an inside sample after an outside: ln{Phi((a_t - rho e)/s') - Phi((b_t - rho
+    e)/s')}.
+    """
+    e = zone_residual(readings, z, noise.right, noise.left)[at - 1]
+    right, left = _branch_indicators(readings, at - 1)
+    slice_ = _ConditionalMass(noise.right - z[at], -noise.left - z[at], e, noise)
     slopes = terms.slopes
     terms.value[at] = slice_.log
     slopes[at, Z] = -slice_.by_a - slice_.by_b
@@ -227,16 +238,18 @@ def _silent_speak(readings: Readings, z: Floats, noise: Noise, at: Integers, ter
     slopes[at, ATANH_RHO] = slice_.by_rho
 
 
-class _Slice:
-    """ln{Phi((a - rho e)/s') - Phi((b - rho e)/s')} and its derivatives, for arrays a, b, e [z]."""
+class _ConditionalMass:
+    """Log mass ln{Phi((a - rho e)/s') - Phi((b - rho e)/s')} with derivatives (arrays a, b, e
+    [z]).
+    """
 
-    def __init__(self, a: Floats, b: Floats, e: Floats, noise: Noise) -> None:
+    def __init__(self, a: Floats, b: Floats, e: Floats, noise: ZoneNoise) -> None:
         rest = 1 - noise.rho**2
         spread = noise.s * math.sqrt(rest)
         upper = (a - noise.rho * e) / spread
         lower = (b - noise.rho * e) / spread
-        self.log = log_difference(upper, lower)
-        at_upper, at_lower = hazards(upper, lower, self.log)
+        self.log = log_cdf_difference(upper, lower)
+        at_upper, at_lower = limit_hazards(upper, lower, self.log)
         self.by_a = at_upper / spread
         self.by_b = -at_lower / spread
         self.by_e = -noise.rho * (self.by_a + self.by_b)
@@ -244,12 +257,16 @@ class _Slice:
         self.by_rho = -rest * e * (self.by_a + self.by_b) - noise.rho * self.by_log_s
 
 
-def _speak_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
-    """Speaking after silent: ln N(e; 0, s^2) + ln P(silent before | e) - ln P(silent before)."""
-    e = residual(readings, z, noise.right, noise.left)[at]
-    right, left = _sides(readings, at)
-    given_e = _Slice(noise.right - z[at - 1], -noise.left - z[at - 1], e, noise)
-    before = _Mass(z[at - 1], noise)
+def _enter_outside_inside(
+    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
+) -> None:
+    """Enter an outside sample after an inside: ln N(e; 0, s^2) + ln P(before | e) - ln
+    P(before).
+    """
+    e = zone_residual(readings, z, noise.right, noise.left)[at]
+    right, left = _branch_indicators(readings, at)
+    given_e = _ConditionalMass(noise.right - z[at - 1], -noise.left - z[at - 1], e, noise)
+    before = _ZoneMass(z[at - 1], noise)
     slopes = terms.slopes  # of ln N(e; 0, s^2), entered by `singles`
     terms.value[at] += given_e.log - before.log
     slopes[at, Z] += -given_e.by_e
@@ -260,17 +277,19 @@ def _speak_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, ter
     slopes[at, ATANH_RHO] = given_e.by_rho
 
 
-def _silent_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, terms: Terms) -> None:
-    """Silent after silent: ln P(both silent) - ln P(silent before)."""
+def _enter_inside_inside(
+    readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
+) -> None:
+    """Enter an inside sample after an inside: ln P(both inside) - ln P(inside before)."""
     if not at.size:
         return
     s, rho = noise.s, noise.rho
     a, b = (noise.right - z[at]) / s, (-noise.left - z[at]) / s
     a0, b0 = (noise.right - z[at - 1]) / s, (-noise.left - z[at - 1]) / s
-    log_both = log_rectangle(a0, b0, a, b, rho)
-    before = _Mass(z[at - 1], noise)
-    by_a, by_b = edge_slopes(a, b, a0, b0, rho, log_both)
-    by_a0, by_b0 = edge_slopes(a0, b0, a, b, rho, log_both)
+    log_both = log_rectangle_mass(a0, b0, a, b, rho)
+    before = _ZoneMass(z[at - 1], noise)
+    by_a, by_b = rectangle_edge_slopes(a, b, a0, b0, rho, log_both)
+    by_a0, by_b0 = rectangle_edge_slopes(a0, b0, a, b, rho, log_both)
     slopes = terms.slopes
     terms.value[at] = log_both - before.log
     slopes[at, Z] = -(by_a + by_b) / s
@@ -278,13 +297,13 @@ def _silent_silent(readings: Readings, z: Floats, noise: Noise, at: Integers, te
     slopes[at, RIGHT] = (by_a + by_a0) / s - before.by_right
     slopes[at, LEFT] = -(by_b + by_b0) / s - before.by_left
     slopes[at, LOG_S] = -(a * by_a + b * by_b + a0 * by_a0 + b0 * by_b0) - before.by_log_s
-    slopes[at, ATANH_RHO] = (1 - rho**2) * slope_of_rho(a0, b0, a, b, rho, log_both)
+    slopes[at, ATANH_RHO] = (1 - rho**2) * rectangle_rho_slope(a0, b0, a, b, rho, log_both)
 
 
 # --- Masses of Gaussians between limits, alone and in correlated pairs, as logarithms
 
 
-def log_difference(a: Floats, b: Floats) -> Floats:
+def log_cdf_difference(a: Floats, b: Floats) -> Floats:
     """Return ln(Phi(a) - Phi(b)) without cancellation or underflow.
 
     Args:
@@ -297,7 +316,7 @@ def log_difference(a: Floats, b: Floats) -> Floats:
     upper = np.where(flip, -b, a)
     lower = np.where(flip, -a, b)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = np.log(_chance(upper) - _chance(lower))
+        value = np.log(_normal_cdf(upper) - _normal_cdf(lower))
     far, narrow = upper < FAR, upper - lower < NARROW
     if far.any():
         top, bottom = log_ndtr(upper[far]), log_ndtr(lower[far])
@@ -310,9 +329,9 @@ def log_difference(a: Floats, b: Floats) -> Floats:
     return np.asarray(value)
 
 
-def _chance(x: Floats) -> Floats:
-    """Return phi(x), once for a row that is the same throughout: half of those of a rectangle's
-    pieces.
+def _normal_cdf(x: Floats) -> Floats:
+    """Return Phi(x), computed once for constant rows (half of the rows of a rectangle's
+    pieces).
     """
     if x.ndim == 1:
         return np.asarray(ndtr(x))
@@ -322,7 +341,7 @@ def _chance(x: Floats) -> Floats:
     return value
 
 
-def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
+def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
     """Return phi(a) and phi(b) over the mass between them, from the logarithm of that mass.
 
     Args:
@@ -334,7 +353,7 @@ def hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Floats]:
     return at_a, at_b
 
 
-def log_rectangle(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> Floats:
+def log_rectangle_mass(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> Floats:
     """Return ln P(b0 < x0 < a0, b < x < a) of unit Gaussians x0, x with correlation rho.
 
     Weak correlations are integrated over x0, strong ones over the innovation x - rho x0, whichever
@@ -352,39 +371,43 @@ def log_rectangle(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> F
     if rho < 0:
         a, b, rho = -b, -a, -rho
     value = np.empty(a.size)
-    first = _bounds_nothing(a0, b0, a, b)
-    second = ~first & _bounds_nothing(a, b, a0, b0)
-    value[first] = log_difference(a[first], b[first])
-    value[second] = log_difference(a0[second], b0[second])
+    first = _has_no_bounds(a0, b0, a, b)
+    second = ~first & _has_no_bounds(a, b, a0, b0)
+    value[first] = log_cdf_difference(a[first], b[first])
+    value[second] = log_cdf_difference(a0[second], b0[second])
     rest = ~(first | second)
     a0, b0, a, b = a0[rest], b0[rest], a[rest], b[rest]
     top = np.clip(rho * np.clip(0.0, b, a), b0, a0)  # of the density within the rectangle, nearly
-    over = _over_first if rho < STEEP else _over_innovation
+    over = _integrate_over_first if rho < STEEP else _integrate_over_innovation
     value[rest] = over(a0, b0, a, b, rho, top)
     return value
 
 
-def _bounds_nothing(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
-    """Where all of x0 lies between b0 and a0, given that x lies between b and a (N)."""
+def _has_no_bounds(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
+    """Return whether all of x0 lies between b0 and a0, given x between b and a (N)."""
     return (a0 > ALL) & (b0 < -ALL) & (a > -NEAR) & (b < NEAR)
 
 
-def _over_first(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats) -> Floats:
-    """Return ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to a0."""
+def _integrate_over_first(
+    a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
+) -> Floats:
+    """Integrate: return ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to
+    a0.
+    """
     q = math.sqrt(1 - rho**2)
     low, high = np.maximum(b0, top - REACH), np.minimum(a0, top + REACH)
     half = 0.5 * (high - low)
     x = 0.5 * (high + low)[:, None] + half[:, None] * NODES
-    inside = log_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
+    inside = log_cdf_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
     logs = -0.5 * x**2 - LOG_ROOT + inside
-    return _log_sum(logs, half[:, None] * WEIGHTS)
+    return _log_weighted_sum(logs, half[:, None] * WEIGHTS)
 
 
-def _over_innovation(
+def _integrate_over_innovation(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
 ) -> Floats:
-    """Return ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 between the limits that v leaves
-    it.
+    """Integrate: return ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 within limits by
+    v.
     """
     q = math.sqrt(1 - rho**2)
     peak = (np.clip(rho * top, b, a) - rho * top) / q
@@ -401,13 +424,13 @@ def _over_innovation(
     v = (ends[row, column] + width)[:, None] + width[:, None] * NODES
     x_high = np.minimum(a0[row, None], (a[row, None] - q * v) / rho)
     x_low = np.maximum(b0[row, None], (b[row, None] - q * v) / rho)
-    logs = -0.5 * v**2 - LOG_ROOT + log_difference(x_high, np.minimum(x_low, x_high))
+    logs = -0.5 * v**2 - LOG_ROOT + log_cdf_difference(x_high, np.minimum(x_low, x_high))
     parts = np.full(half.shape, -np.inf)
-    parts[row, column] = _log_sum(logs, width[:, None] * WEIGHTS)
+    parts[row, column] = _log_weighted_sum(logs, width[:, None] * WEIGHTS)
     return np.logaddexp(np.logaddexp(parts[:, 0], parts[:, 1]), parts[:, 2])
 
 
-def _log_sum(logs: Floats, weights: Floats) -> Floats:
+def _log_weighted_sum(logs: Floats, weights: Floats) -> Floats:
     """Return ln of the weighted sum of exponentials along the last axis."""
     largest = logs.max(axis=1, initial=-1e300)
     total = np.sum(weights * np.exp(logs - largest[:, None]), axis=1)
@@ -415,10 +438,11 @@ def _log_sum(logs: Floats, weights: Floats) -> Floats:
         return np.maximum(largest + np.log(total), -1e300)
 
 
-def edge_slopes(
+def rectangle_edge_slopes(
     a: Floats, b: Floats, other_a: Floats, other_b: Floats, rho: float, log_mass: Floats
 ) -> tuple[Floats, Floats]:
-    """Return derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit Gaussians.
+    """Return derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit
+    Gaussians.
 
     Args:
         a, b: limits of x (N).
@@ -429,16 +453,18 @@ def edge_slopes(
     spread = math.sqrt(1 - rho**2)
     slopes = []
     for edge in (a, b):
-        inside = log_difference((other_a - rho * edge) / spread, (other_b - rho * edge) / spread)
+        inside = log_cdf_difference(
+            (other_a - rho * edge) / spread, (other_b - rho * edge) / spread
+        )
         log_slope = -0.5 * edge**2 - LOG_ROOT + inside - log_mass
         slopes.append(np.exp(np.minimum(log_slope, 700.0)))
     return slopes[0], -slopes[1]
 
 
-def slope_of_rho(
+def rectangle_rho_slope(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, log_mass: Floats
 ) -> Floats:
-    """Return derivative of ln P(both inside) by rho: densities at the corners (Plackett 1954).
+    """Return the derivative of ln P(both inside) by rho: corner densities (Plackett 1954).
 
     Args:
         a0, b0, a, b, rho: as for `log_rectangle`.

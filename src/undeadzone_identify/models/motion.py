@@ -1,4 +1,4 @@
-"""What readings say of the motion behind them, and the four offsets that tell play from dead zone.
+"""Motion behind readings, and the four offsets that separate play from dead zone.
 
 The side of a play is made out before any model is asked, by three rules, by what the sensor
 promises (docs/play.md): of exact readings the sign of their change, of an encoder its ticks, of
@@ -27,14 +27,14 @@ import numpy as np
 
 from undeadzone.nonlinearities.play import detect_tick
 from undeadzone.util.arrays import Flags, Floats, Integers, since_start
-from undeadzone_identify.models.kalman import WHITE, matrices
-from undeadzone_identify.models.plant import Simulator, input_gain
+from undeadzone_identify.models.kalman import WHITE, observer_form_matrices
+from undeadzone_identify.models.plant import PlantSimulator, input_noise_gain
 
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
-HELD = 0.01  # share of readings equal to the one before that shows a sensor without noise
+REPEATED_SHARE = 0.01  # share of readings equal to the one before that shows a sensor without noise
 CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
-SHAKEN = 0.35  # share of ticks that another way follows, where noise is larger than a step
+REVERSED_SHARE = 0.35  # share of ticks that another way follows, where noise is larger than a step
 NAMES = ("neither", "dead_zone", "play", "both")
 WIDTHS = 0.5 * np.array([[-1.0, 1, -1, 1], [-1.0, -1, 1, 1], [2.0, -2, -2, 2]])  # (O2)
 THERE = 5.0  # standard deviations from which a width is there
@@ -47,8 +47,8 @@ AT_FIRST = 5.0  # standard deviation of a state at first, in rms of y
 # --- Sides
 
 
-class Sensing(NamedTuple):
-    """How readings show motion.
+class MotionRule(NamedTuple):
+    """Rule by which readings show motion.
 
     Attributes:
         noise: rms of their white noise [y]; 0 of exact readings and of an encoder.
@@ -61,10 +61,10 @@ class Sensing(NamedTuple):
     window: int
 
 
-def sensing(
+def detect_motion_rule(
     y: Floats, ok: Flags, start: Integers, quantum: float, longest: float = np.inf
-) -> Sensing:
-    """How the readings of a log show motion.
+) -> MotionRule:
+    """Detect the rule by which the readings of a log show motion.
 
     Args:
         y: readings (N).
@@ -76,21 +76,25 @@ def sensing(
     Returns:
         The rule; of noisy readings with the window that makes out most sides.
     """
-    change, known = changes(y, ok, start)
+    change, known = reading_changes(y, ok, start)
     spoken = change[known & (y != 0)]
-    if spoken.size and (spoken == 0).mean() > HELD and not _chatters(np.where(known, change, 0.0)):
-        return Sensing(0.0, quantum, 1)
-    rms = float(np.hypot(white_noise(y, ok, start), quantum / np.sqrt(12)))
+    if (
+        spoken.size
+        and (spoken == 0).mean() > REPEATED_SHARE
+        and not _has_chatter(np.where(known, change, 0.0))
+    ):
+        return MotionRule(0.0, quantum, 1)
+    rms = float(np.hypot(white_noise_rms(y, ok, start), quantum / np.sqrt(12)))
     best, most = WINDOWS[0], -1
     for window in WINDOWS:
-        count = int(np.count_nonzero(sides(y, ok, start, Sensing(rms, 0.0, window))))
+        count = int(np.count_nonzero(motion_sides(y, ok, start, MotionRule(rms, 0.0, window))))
         if count > most and (window == WINDOWS[0] or window <= longest):
             best, most = window, count
-    return Sensing(rms, 0.0, best)
+    return MotionRule(rms, 0.0, best)
 
 
-def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
-    """Return +1 where the readings move right for sure, -1 left, 0 where nothing is sure (N).
+def motion_sides(y: Floats, ok: Flags, start: Integers, how: MotionRule) -> Integers:
+    """Return +1 for a sure motion to the right, -1 to the left, 0 if unsure (N).
 
     Args:
         y: readings (N).
@@ -99,19 +103,17 @@ def sides(y: Floats, ok: Flags, start: Integers, how: Sensing) -> Integers:
         how: the rule.
     """
     if how.noise:
-        moved = previous_motion(y, ok, start, how.window)
+        moved = preceding_move(y, ok, start, how.window)
         least = SURE * how.noise * np.sqrt(12 / how.window)
     else:
-        change, known = changes(y, ok, start)
+        change, known = reading_changes(y, ok, start)
         moved = np.where(known, change, 0.0)
         least = how.quantum / 2
     return ok * (1 * (moved > least) - 1 * (moved < -least))
 
 
-def previous_motion(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
-    """Return slope of the `window` readings before each one times the window (N); 0 where
-    unknown.
-    """
+def preceding_move(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
+    """Return the slope of the `window` preceding readings times the window (N); 0 if unknown."""
     weights = np.arange(window) - (window - 1) / 2
     weights *= window / (weights @ weights)
     slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
@@ -123,8 +125,8 @@ def previous_motion(y: Floats, ok: Flags, start: Integers, window: int) -> Float
     return moved
 
 
-def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
-    """Return rms of the white noise of readings, by the median of their third differences."""
+def white_noise_rms(y: Floats, ok: Flags, start: Integers) -> float:
+    """Return the rms of the white noise of readings, by the median of their third differences."""
     known = ok & (y != 0)  # what is silent has none
     difference = y
     for _ in range(3):
@@ -136,28 +138,26 @@ def white_noise(y: Floats, ok: Flags, start: Integers) -> float:
     return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))
 
 
-def changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
-    """Return changes from the reading before (N), and where they are known (N)."""
+def reading_changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
+    """Return changes from the previous reading (N), and the flags of known changes (N)."""
     change = np.append(0.0, np.diff(y))
     known = ok & np.append(False, ok[:-1])
     known[start] = False
     return change, known
 
 
-def _chatters(change: Floats) -> bool:
-    """Return whether many ticks are taken back within two readings: noise about one boundary or
-    more.
-    """
+def _has_chatter(change: Floats) -> bool:
+    """Return whether many ticks reverse within two readings: noise about boundaries."""
     ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
     before, after = change[ticks[:-1]], change[ticks[1:]]
     turned = (before * after < 0) & (np.diff(ticks) <= 2)
-    return bool((turned & (before == -after)).mean() > CHATTER or turned.mean() > SHAKEN)
+    return bool((turned & (before == -after)).mean() > CHATTER or turned.mean() > REVERSED_SHARE)
 
 
-def turns_between(z: Floats) -> float:
-    """Return mean number of samples between two turns of a smooth signal."""
+def samples_between_turns(z: Floats) -> float:
+    """Return the mean number of samples between two turns of a smooth signal."""
     rising = np.diff(z) > 0
     return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)
 
@@ -165,8 +165,8 @@ def turns_between(z: Floats) -> float:
 # --- The four offsets
 
 
-class Moving(NamedTuple):
-    """A sampled plant x+ = F x + B u + noise of covariance Q, z = H x.
+class MovingPlant(NamedTuple):
+    """Sampled plant x+ = F x + B u + noise of covariance Q, z = H x.
 
     Attributes:
         F: (n x n).
@@ -185,8 +185,8 @@ class Moving(NamedTuple):
     noise: float
 
 
-class Offsets(NamedTuple):
-    """What the filter found.
+class FourOffsets(NamedTuple):
+    """Estimate of the four offsets.
 
     Attributes:
         beta: the four offsets (4) [y].
@@ -203,23 +203,23 @@ class Offsets(NamedTuple):
     heard: Floats
 
     @property
-    def widths(self) -> Floats:
-        """Return c_r + c_l, d_r + d_l, and what neither explains (3) [y]."""
+    def play_and_zone_widths(self) -> Floats:
+        """Return c_r + c_l, d_r + d_l, and the unexplained rest (3) [y]."""
         return WIDTHS @ self.beta
 
     @property
-    def std(self) -> Floats:
-        """Return their standard deviations (3) [y]."""
+    def width_deviations(self) -> Floats:
+        """Return the standard deviations of the three widths (3) [y]."""
         return np.sqrt(np.maximum(np.diag(WIDTHS @ self.covariance @ WIDTHS.T), 0.0))
 
     @property
-    def name(self) -> str:
-        """Return neither, dead_zone, play or both."""
-        return name_of_widths(self.widths, self.std, self.rms)
+    def element_name(self) -> str:
+        """Return the class: neither, dead_zone, play or both."""
+        return name_by_widths(self.play_and_zone_widths, self.width_deviations, self.rms)
 
 
-def name_of_widths(widths: Floats, std: Floats, rms: float) -> str:
-    """What widths of play and dead zone are called: each is there from 5 deviations on.
+def name_by_widths(widths: Floats, std: Floats, rms: float) -> str:
+    """Return the class for widths of play and dead zone; each counts from 5 deviations on.
 
     Args:
         widths: c_r + c_l, d_r + d_l, ... [y].
@@ -230,19 +230,18 @@ def name_of_widths(widths: Floats, std: Floats, rms: float) -> str:
     return NAMES[int(zone) + 2 * int(play)]
 
 
-def classes(y: Floats, side: Integers, noise: float) -> Integers:
-    """Which of the four offsets a reading has, 0 to 3; -1 where that is not sure (N)."""
+def offset_classes(y: Floats, side: Integers, noise: float) -> Integers:
+    """Return the index of each reading's offset, 0 to 3; -1 if unsure (N)."""
     positive = y > BEYOND * noise
     negative = y < -BEYOND * noise
     known = (positive | negative) & (side != 0)
     return np.where(known, 2 * negative + (side < 0), -1)
 
 
-def four_offsets(
-    plant: Moving, u: Floats, y: Floats, ok: Flags, start: Integers, how: Sensing
-) -> Offsets:
-    """Return the four offsets along a log, by a Kalman filter that uses the readings of sure
-    motion.
+def estimate_four_offsets(
+    plant: MovingPlant, u: Floats, y: Floats, ok: Flags, start: Integers, how: MotionRule
+) -> FourOffsets:
+    """Estimate the four offsets along a log by a Kalman filter on the readings of sure motion.
 
     Args:
         plant: with its disturbance.
@@ -258,7 +257,7 @@ def four_offsets(
     """
     n = plant.H.size
     rms = float(np.sqrt(np.mean(y[ok] ** 2)))
-    moves = sides(y, ok, start, how)
+    moves = motion_sides(y, ok, start, how)
     first = set(start.tolist())
     X, P = np.zeros(n + 4), np.zeros((n + 4, n + 4))
     P[n:, n:] = (VAGUE * rms) ** 2 * np.eye(4)
@@ -266,7 +265,7 @@ def four_offsets(
     F[:n, :n] = plant.F
     drive = u @ plant.B.T
     side, heard = np.zeros(y.size, int), y.copy()
-    which = classes(y, moves, max(how.noise, how.quantum / BEYOND))
+    which = offset_classes(y, moves, max(how.noise, how.quantum / BEYOND))
     z = 0.0
     for t in range(y.size):
         if t in first:
@@ -276,7 +275,7 @@ def four_offsets(
         moved = float(plant.H @ X[:n] - z)
         if moves[t] and (how.window == 1 or moved * moves[t] > 0):
             side[t] = moves[t]
-            heard[t], variance = _reading(y[t], moves[t], moved, how, plant.noise)
+            heard[t], variance = _reading_and_variance(y[t], moves[t], moved, how, plant.noise)
             k = which[t]
             if k >= 0:
                 h = np.zeros(n + 4)
@@ -290,13 +289,13 @@ def four_offsets(
         P = F @ P @ F.T
         P[:n, :n] += plant.Q
         P = 0.5 * (P + P.T)
-    return Offsets(X[n:].copy(), P[n:, n:].copy(), rms, side, heard)
+    return FourOffsets(X[n:].copy(), P[n:, n:].copy(), rms, side, heard)
 
 
-def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> tuple[float, float]:
-    """Return a reading and its variance; of a tick, where between two boundaries z was when it
-    came.
-    """
+def _reading_and_variance(
+    y: float, side: int, moved: float, how: MotionRule, noise: float
+) -> tuple[float, float]:
+    """Return a reading and its variance; for a tick, the position of z between two boundaries."""
     if not how.quantum:
         return float(y), noise**2
     when, variance = detect_tick(np, y, side, moved, how.quantum)
@@ -306,8 +305,10 @@ def _reading(y: float, side: int, moved: float, how: Sensing, noise: float) -> t
 # --- With a plant that was fitted
 
 
-def along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Offsets:
-    """Return the four offsets, with a fitted plant taken for known.
+def four_offsets_along(
+    simulator: PlantSimulator, theta: Floats, rms: float, quantum: float
+) -> FourOffsets:
+    """Estimate the four offsets for a fitted plant, its parameters taken as known.
 
     Args:
         simulator: the plant, with its data.
@@ -316,15 +317,17 @@ def along(simulator: Simulator, theta: Floats, rms: float, quantum: float) -> Of
         quantum: of the readings, scaled.
     """
     data = simulator.data
-    z = simulator.z(theta)
-    longest = turns_between(z) / 8
-    how = sensing(data.y, data.ok, data.start, quantum, longest)
-    plant = moving(simulator, theta, rms, white_noise(data.y, data.ok, data.start))
-    return four_offsets(plant, data.u, data.y, data.ok, data.start, how)
+    z = simulator.simulate_z(theta)
+    longest = samples_between_turns(z) / 8
+    how = detect_motion_rule(data.y, data.ok, data.start, quantum, longest)
+    plant = to_moving_plant(simulator, theta, rms, white_noise_rms(data.y, data.ok, data.start))
+    return estimate_four_offsets(plant, data.u, data.y, data.ok, data.start, how)
 
 
-def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Moving:
-    """Return a fitted plant as the filter of the four offsets takes it.
+def to_moving_plant(
+    simulator: PlantSimulator, theta: Floats, rms: float, noise: float
+) -> MovingPlant:
+    """Convert a fitted plant to that of the four-offsets filter.
 
     Args:
         simulator: the plant.
@@ -333,10 +336,12 @@ def moving(simulator: Simulator, theta: Floats, rms: float, noise: float) -> Mov
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout
-    numbers = ca.DM(np.append(layout.denominator(theta[layout.a])[1:], theta[layout.b]))
-    F, B, G, H = (part.full() for part in matrices(layout.n, layout.m, WHITE, numbers))
+    numbers = ca.DM(np.append(layout.full_denominator(theta[layout.a])[1:], theta[layout.b]))
+    F, B, G, H = (
+        part.full() for part in observer_form_matrices(layout.n, layout.m, WHITE, numbers)
+    )
     power = 1.0
     if not layout.integrators:
-        power = input_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
+        power = input_noise_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
     q = max(rms, FAINTEST) / math.sqrt(max(power, 1e-9))
-    return Moving(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, FAINTEST))
+    return MovingPlant(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, FAINTEST))

@@ -1,4 +1,4 @@
-"""Models of where a zone may be: sensor, friction in the plant, input, or two of them (F).
+"""Models of the location of a zone: sensor, friction in the plant, input, or two of these (F).
 
 With friction the plant's recursion holds a dead zone of its own:
 w_t = - a_1 z_(t-1) - ... + b_1 u_(t-1) + ... - c_1 f_(t-1) - ... - c_n f_(t-n),
@@ -18,20 +18,25 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.elements import MapModel, linear, shift_beyond
+from undeadzone_identify.models.elements import MapModel, dead_zone_map, identity_map
 from undeadzone_identify.models.estimates import (
-    around,
-    best_top,
-    differences,
-    latest,
-    run_along,
-    weighing,
+    best_maximum,
+    cache_latest,
+    central_differences,
+    perturb_each,
+    run_lanes_along,
+    weight_row,
 )
-from undeadzone_identify.models.least_squares import Fitted, LeastSquares
+from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
-from undeadzone_identify.models.plant import Data, Simulator
-from undeadzone_identify.models.zone import Kind, Objective
-from undeadzone_identify.models.zone_fit import Fit, fit_linear, longest_record, refit
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.zone import Kind, ZoneObjective
+from undeadzone_identify.models.zone_fit import (
+    ZoneFit,
+    fit_linear,
+    refit_likelihood,
+    refit_longest_record,
+)
 
 WIDTH = 32
 RUN_AWAY = 1e6  # a z beyond it goes no further
@@ -43,14 +48,14 @@ WIDTHS = 7  # how many numbers these are
 # --- One sample
 
 
-def _zone(x: Any, right: Any, left: Any) -> Any:
-    """Return dz(x) on CasADi expressions."""
+def _zone_expression(x: Any, right: Any, left: Any) -> Any:
+    """Return Dz(x) on CasADi expressions."""
     return ca.fmax(x - right, 0.0) + ca.fmin(x + left, 0.0)
 
 
 @cache
-def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
-    """Return the compiled step.
+def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
+    """Build the compiled step of the plant with friction.
 
     Args:
         n: order of the plant.
@@ -71,7 +76,7 @@ def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     right, left, sigma, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
     past = ca.vertsplit(state)
     z_past, f_past, moved = past[:n], past[n : 2 * n], past[2 * n]
-    u = _zone(exogenous[: m * n], u_right, u_left)
+    u = _zone_expression(exogenous[: m * n], u_right, u_left)
     w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
     w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
     w = ca.fmax(ca.fmin(w, RUN_AWAY), -RUN_AWAY)
@@ -79,15 +84,15 @@ def kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     push = w - rest
     held = 1 + sigma * (moved == 0)
     slides = ca.logic_or(push > right * held, push < -left * held)
-    move = ca.if_else(slides, _zone(push, right, left), 0.0)
+    move = ca.if_else(slides, _zone_expression(push, right, left), 0.0)
     z = rest + move
     following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1], move)
     step = ca.Function("friction", [state, exogenous, numbers], [following, z])
     return lanes.build_kernel(step, params=list(range(numbers.shape[0])), width=WIDTH, fused=True)
 
 
-def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:
-    """Return z of a record for several sets of numbers.
+def simulate_friction(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:
+    """Simulate z of a record for several parameter sets.
 
     Args:
         n, m, position: as for `kernel`.
@@ -97,14 +102,14 @@ def simulate(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats)
     Returns:
         z (K x N).
     """
-    return run_along(kernel(n, m, position), exogenous, numbers)[0][:, :, 0]
+    return run_lanes_along(build_friction_kernel(n, m, position), exogenous, numbers)[0][:, :, 0]
 
 
 # --- The models
 
 
-class Shape(NamedTuple):
-    """Which parts a model has.
+class PlaceShape(NamedTuple):
+    """Parts of a model.
 
     Attributes:
         name: of the model.
@@ -127,15 +132,15 @@ class Shape(NamedTuple):
     sticks: bool = False
     free: int = 0
 
-    def holds(self, other: Shape) -> bool:
-        """Return whether another model is this one with some of its numbers 0."""
+    def contains_shape(self, other: PlaceShape) -> bool:
+        """Return whether a smaller model is this model with some of its parameters 0."""
         if other.inner and other.position != self.position:
             return False
         return all(mine >= theirs for mine, theirs in zip(self[2:], other[2:], strict=True))
 
 
 class PlaceModel:
-    """y on a plant with a zone somewhere, by a compiled recursion and differences.
+    """Plant with a zone at some location, by a compiled recursion and differences.
 
     theta = [a, b, x0, d_r, d_l, phi_r, phi_l, sigma, u_r, u_l, c_1 ... c_n]; what a shape lacks
     stays 0.
@@ -147,7 +152,7 @@ class PlaceModel:
 
     first, last, gain, has_level = 12, 40, 1e-3, True
 
-    def __init__(self, simulator: Simulator, shape: Shape) -> None:
+    def __init__(self, simulator: PlantSimulator, shape: PlaceShape) -> None:
         self.name = shape.name
         self.simulator = simulator
         self.shape = shape
@@ -160,24 +165,24 @@ class PlaceModel:
         pulses = np.eye(simulator.data.y.size, self.n)
         self.exogenous = np.hstack([simulator.lagged, pulses])
 
-    def along(self, data: Data) -> PlaceModel:
-        """Return the same model of other records."""
-        return PlaceModel(self.simulator.along(data), self.shape)
+    def along(self, data: RecordData) -> PlaceModel:
+        """Return the same model for other records."""
+        return PlaceModel(self.simulator.simulator_along(data), self.shape)
 
-    def part(self, theta: Floats, name: str) -> Floats:
-        """Return the numbers of a part, of one set or of several: sensor, inner, sigma, input; a
-        view.
+    def part_numbers(self, theta: Floats, name: str) -> Floats:
+        """Return a view of a part's parameters, of a single set or several: sensor, inner,
+        sigma, input.
         """
         return theta[..., self.base :][..., PARTS[name]]
 
-    def project(self, theta: Floats) -> Floats:
-        """Return widths and sigma brought back to 0 or above."""
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict widths and sigma to 0 or above."""
         widths = slice(self.base, self.base + WIDTHS)
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
-    def c(self, theta: Floats) -> Floats:
-        """Return c_1 to c_n: free ones, or those of friction where the input acts, or of one pole.
+    def friction_coefficients(self, theta: Floats) -> Floats:
+        """Return c_1 to c_n: free, or those of friction at the input, or of a single pole.
 
         Of one set of numbers, or of several (K x n).
         """
@@ -192,48 +197,50 @@ class PlaceModel:
 
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
-        return self._simulate_neighbours(theta)[0]
+        return self._simulate_around(theta)[0]
 
-    def readings(self, z: Floats, theta: Floats) -> Floats:
-        """Return the reading that z makes, of one set or of several: through the sensor's zone if
-        any.
+    def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
+        """Return the readings of z, of a single set or several, through the sensor's zone
+        if present.
         """
-        return dead_zone(z, *self.part(theta, "sensor").T[..., None])
+        return dead_zone(z, *self.part_numbers(theta, "sensor").T[..., None])
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free numbers (N x free)."""
-        steps = self._steps(theta)
-        read = self.readings(self._simulate_neighbours(theta), around(theta, self.free, steps))
-        return read[0], differences(read[1:], steps).T
+        """Return the readings (N), and their derivatives by the free parameters (N x
+        free).
+        """
+        steps = self._perturbation_steps(theta)
+        read = self.noise_free_readings(
+            self._simulate_around(theta), perturb_each(theta, self.free, steps)
+        )
+        return read[0], central_differences(read[1:], steps).T
 
-    @latest
-    def _simulate_neighbours(self, theta: Floats) -> Floats:
-        """Return z of the numbers, and of those around them ((1 + 2 free) x N)."""
-        points = around(theta, self.free, self._steps(theta))
+    @cache_latest
+    def _simulate_around(self, theta: Floats) -> Floats:
+        """Simulate z for theta and for the perturbed parameters ((1 + 2 free) x N)."""
+        points = perturb_each(theta, self.free, self._perturbation_steps(theta))
         plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
-        rows = np.hstack([plant, self.c(points), tail])
-        return simulate(self.n, self.m, self.shape.position, self.exogenous, rows)
+        rows = np.hstack([plant, self.friction_coefficients(points), tail])
+        return simulate_friction(self.n, self.m, self.shape.position, self.exogenous, rows)
 
-    def _steps(self, theta: Floats) -> Floats:
-        """By how much each free number is moved."""
+    def _perturbation_steps(self, theta: Floats) -> Floats:
+        """Return the perturbation of each free parameter (free)."""
         return STEP * np.maximum(np.abs(theta[self.free]), 0.02)
 
 
-PlaceFit = Fitted[PlaceModel]
+PlaceFit = FittedModel[PlaceModel]
 
 
-def fit_place(simulator: Simulator, shape: Shape, begun: list[Floats]) -> PlaceFit | None:
-    """Return the best of the climbs from several starts, all for 12 steps and the best two to the
-    end.
-    """
-    return LeastSquares(PlaceModel(simulator, shape)).best(begun)
+def fit_place(simulator: PlantSimulator, shape: PlaceShape, begun: list[Floats]) -> PlaceFit | None:
+    """Fit a model from several starts, each for 12 steps, the best two to the end."""
+    return LeastSquares(PlaceModel(simulator, shape)).fit_from_starts(begun)
 
 
 # --- Where climbs begin
 
 
-def numbers_of(plant: Floats, n: int, c: Floats | None = None, **parts: Floats) -> Floats:
-    """Return numbers of a model from those of a plant and of parts; what is not named is 0.
+def join_place_numbers(plant: Floats, n: int, c: Floats | None = None, **parts: Floats) -> Floats:
+    """Join parameters of a plant and of parts to those of a model; missing parts are 0.
 
     Args:
         plant: a, b, x0.
@@ -250,33 +257,33 @@ def numbers_of(plant: Floats, n: int, c: Floats | None = None, **parts: Floats) 
 
 
 class PlaceStarts:
-    """Where the climbs of the models begin.
+    """Start points for the fits of the models.
 
     Args:
         fit: plant and sensor zone of one record.
     """
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: ZoneFit) -> None:
         self.simulator = fit.objective.simulator
         self.n = self.simulator.layout.n
         base = self.simulator.layout.right
         self.plant = fit.theta[:base]
         self.plain = fit_linear(self.simulator, fit.objective.readings.ok).theta[:base]
         self.widths = np.clip([fit.right, fit.left], 0.02, 5.0)
-        gain = abs(float(self.simulator.gain(fit.theta)[0]))
+        gain = abs(float(self.simulator.dc_gain(fit.theta)[0]))
         usual = float(np.sqrt(np.mean(fit.z**2)))
         self.gain = gain if gain > 0.1 * usual else max(usual, 1e-3)
 
-    def none(self) -> list[Floats]:
-        """Return a plant without a zone."""
-        return [numbers_of(plant, self.n) for plant in (self.plain, self.plant)]
+    def without_zone(self) -> list[Floats]:
+        """Return the starts for a plant without a zone."""
+        return [join_place_numbers(plant, self.n) for plant in (self.plain, self.plant)]
 
-    def at_sensor(self) -> list[Floats]:
-        """Return the zone at the sensor."""
-        return [numbers_of(self.plant, self.n, sensor=self.widths)]
+    def zone_at_sensor(self) -> list[Floats]:
+        """Return the starts for a zone at the sensor."""
+        return [join_place_numbers(self.plant, self.n, sensor=self.widths)]
 
-    def levels(self) -> list[tuple[Floats, Floats]]:
-        """Return plants and levels in units of the input to begin with."""
+    def input_levels(self) -> list[tuple[Floats, Floats]]:
+        """Return start plants and levels in units of the input."""
         widths = self.widths / self.gain
         sizes: list[Floats] = [np.clip(part * widths, 0.02, 1.5) for part in (1.0, 0.4)]
         begun = [(self.plant, size) for size in sizes]
@@ -286,22 +293,26 @@ class PlaceStarts:
             begun.append((plant, np.full(2, level)))
         return begun
 
-    def at_input(self) -> list[Floats]:
-        """Return zones of the input."""
-        return [numbers_of(plant, self.n, input=level) for plant, level in self.levels()]
+    def zone_at_input(self) -> list[Floats]:
+        """Return the starts for zones of the input."""
+        return [
+            join_place_numbers(plant, self.n, input=level) for plant, level in self.input_levels()
+        ]
 
-    def friction(self) -> list[Floats]:
-        """Return friction where the input acts: c = b / b_1."""
+    def friction_at_input(self) -> list[Floats]:
+        """Return the starts for friction at the input's location: c = b / b_1."""
         begun = []
-        for plant, level in self.levels():
+        for plant, level in self.input_levels():
             moved, n = plant.copy(), self.n
             if moved[n] <= 1e-3:
                 moved[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
-            begun.append(numbers_of(moved, n, inner=level * moved[n]))
+            begun.append(join_place_numbers(moved, n, inner=level * moved[n]))
         return begun
 
-    def free(self, fits: dict[str, PlaceFit]) -> list[Floats]:
-        """Return friction elsewhere: c of the input's, or the product over all poles but one."""
+    def friction_elsewhere(self, fits: dict[str, PlaceFit]) -> list[Floats]:
+        """Return the starts for friction elsewhere, by c = b / b_1 or the product of all
+        poles but one.
+        """
         begun = []
         for name in ("friction", "sensor"):
             if name not in fits:
@@ -310,17 +321,17 @@ class PlaceStarts:
             a, b = theta[: self.n], theta[self.n : 2 * self.n]
             static = b.sum() / (1 + a.sum())
             if name == "friction":
-                level = model.part(theta, "inner") / max(abs(b[0]), 1e-9)
+                level = model.part_numbers(theta, "inner") / max(abs(b[0]), 1e-9)
             else:
-                level = model.part(theta, "sensor") / max(abs(static), 1e-6)
-            for c in self._shapes(a, b):
+                level = model.part_numbers(theta, "sensor") / max(abs(static), 1e-6)
+            for c in self._friction_shapes(a, b):
                 total = c.sum()
                 force = abs(b.sum() / total) if abs(total) > 1e-6 else abs(b[0])
                 inner = np.maximum(force * level, 1e-4)
-                begun.append(numbers_of(theta[: model.base], self.n, c[1:], inner=inner))
+                begun.append(join_place_numbers(theta[: model.base], self.n, c[1:], inner=inner))
         return begun
 
-    def _shapes(self, a: Floats, b: Floats) -> list[Floats]:
+    def _friction_shapes(self, a: Floats, b: Floats) -> list[Floats]:
         """Return candidates of (1, c_1, ... c_(n-1))."""
         shapes = [b / b[0]] if abs(b[0]) > 1e-6 else []
         poles = np.roots(np.append(1.0, a))
@@ -330,17 +341,17 @@ class PlaceStarts:
             shapes.append(np.eye(1, self.n)[0])
         return shapes
 
-    def sticking(self, fitted: PlaceFit) -> list[Floats]:
-        """Return the same with breakaway above sliding friction."""
+    def add_breakaway(self, fitted: PlaceFit) -> list[Floats]:
+        """Add breakaway above sliding friction to a fit; return the starts."""
         begun = []
         for sigma in (0.2, 0.02):
             theta = fitted.theta.copy()
-            fitted.model.part(theta, "sigma")[:] = sigma
+            fitted.model.part_numbers(theta, "sigma")[:] = sigma
             begun.append(theta)
         return begun
 
-    def with_sensor(self, fitted: PlaceFit) -> list[Floats]:
-        """Return the same with a zone of the sensor beside it, of several sizes."""
+    def add_sensor_zone(self, fitted: PlaceFit) -> list[Floats]:
+        """Add a zone of the sensor, of several sizes, to a fit; return the starts."""
         begun = []
         for part, rest in ((0.3, 0.7), (0.8, 0.3), (0.15, 1.0)):
             theta = fitted.theta.copy()
@@ -354,11 +365,11 @@ class PlaceStarts:
 # --- A zone of the input, and perhaps one of the sensor, measured
 
 LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))  # gain of a linear fit, and widths, to begin with
-ZonedTarget = Objective | LeastSquares[MapModel]
+ZonedTarget = ZoneObjective | LeastSquares[MapModel]
 
 
-class Zoned(NamedTuple):
-    """A plant behind a zone of its input, and perhaps ahead of one of the sensor.
+class InputZoneFit(NamedTuple):
+    """Plant behind a zone of its input, and perhaps before a zone of the sensor.
 
     Attributes:
         fit: by least squares, to simulate it.
@@ -366,45 +377,45 @@ class Zoned(NamedTuple):
             samples; then prediction errors, or the likelihood of pairs where noise falls silent.
     """
 
-    fit: Fitted[MapModel]
+    fit: FittedModel[MapModel]
     stages: Sequence[tuple[ZonedTarget, Floats]]
 
-    def width(self, *weights: float) -> tuple[float, float, float]:
-        """Return a sum of the input's and the sensor's widths, half its interval, degrees of
-        freedom.
+    def sum_width(self, *weights: float) -> tuple[float, float, float]:
+        """Return a weighted sum of the widths, half its interval, and degrees of freedom.
 
         The half is the widest of the stages', and by how much these differ is added to it.
         """
         first, values, halves = self.fit.model.simulator.layout.input.start, [], []
         for target, theta in self.stages:
-            row = weighing(target.free, theta.size, first, weights)
-            halves.append(target.spread(theta).half_and_degrees(row))
+            row = weight_row(target.free, theta.size, first, weights)
+            halves.append(target.robust_covariance(theta).half_and_degrees(row))
             values.append(float(np.dot(weights, theta[first : first + len(weights)])))
         half, degrees = max(halves)
         return values[-1], math.hypot(half, values[-1] - values[0]), degrees
 
 
-def fit_at_input(fits: Sequence[Fit]) -> Zoned | None:
-    """Return the plant of least BIC behind a zone of the input; None where none fits.
+def fit_input_zone(fits: Sequence[ZoneFit]) -> InputZoneFit | None:
+    """Fit plants behind a zone of the input; return that of least BIC, None without a fit.
 
     Args:
         fits: of every order, with a zone of the sensor, where climbs start.
     """
     tops = []
     for one in fits:
-        starts = PlaceStarts(longest_record(one))
-        simulator = Simulator(starts.simulator.data, starts.n, zoned=True)
-        squares = LeastSquares(MapModel(simulator, "input_zone", linear))
-        tops.append(squares.best([np.append(*begun) for begun in starts.levels()]))
+        starts = PlaceStarts(refit_longest_record(one))
+        simulator = PlantSimulator(starts.simulator.data, starts.n, zoned=True)
+        squares = LeastSquares(MapModel(simulator, "input_zone", identity_map))
+        tops.append(squares.fit_from_starts([np.append(*begun) for begun in starts.input_levels()]))
     best = min(filter(None, tops), key=lambda one: one.bic, default=None)
     if best is None:
         return None
-    last = best.squares.fit_predictions(best.theta)
-    return Zoned(best._replace(theta=last[1]), [(best.squares, best.theta), last])
+    last = best.squares.minimise_prediction_errors(best.theta)
+    return InputZoneFit(best._replace(theta=last[1]), [(best.squares, best.theta), last])
 
 
-def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
-    """Return the plant of least BIC between zones of input and sensor; None where none fits.
+def fit_input_and_sensor(fits: Sequence[ZoneFit], known: PlaceFit) -> InputZoneFit | None:
+    """Fit plants between zones of input and sensor; return that of least BIC, None without a
+    fit.
 
     Args:
         fits: of every order, with a zone of the sensor.
@@ -413,34 +424,42 @@ def fit_both_ends(fits: Sequence[Fit], known: PlaceFit) -> Zoned | None:
     ends = []
     for one in fits:
         old = one.objective
-        simulator = Simulator(old.data, old.layout.n, zoned=True)
+        simulator = PlantSimulator(old.data, old.layout.n, zoned=True)
         kind: Kind = "behind" if old.kind == "behind" else "singles"
-        objective = Objective(simulator, kind, old.limits)
-        top = best_top(objective, _between(fit_linear(old.simulator), objective, known), 10, 60)
+        objective = ZoneObjective(simulator, kind, old.limits)
+        top = best_maximum(
+            objective, _starts_between_zones(fit_linear(old.simulator), objective, known), 10, 60
+        )
         if top is not None:
-            ends.append(Fit(objective, *top))
+            ends.append(ZoneFit(objective, *top))
     if not ends:
         return None
     best = min(ends, key=lambda one: one.bic)
-    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", shift_beyond))
-    last: tuple[ZonedTarget, Floats] = squares.fit_predictions(best.theta[: squares.model.base + 2])
+    squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", dead_zone_map))
+    last: tuple[ZonedTarget, Floats] = squares.minimise_prediction_errors(
+        best.theta[: squares.model.base + 2]
+    )
     if best.objective.kind != "behind":
-        pairs = refit(best, "pairs")
-        best = refit(pairs, "singles")  # once more: kinks of the edges stop a climb early
+        pairs = refit_likelihood(best, "pairs")
+        best = refit_likelihood(
+            pairs, "singles"
+        )  # once more: kinks of the edges stop a climb early
         last = pairs.objective, pairs.theta
     theta = last[1][: squares.model.base + 2]
-    fit = Fitted(squares, theta, squares.density(theta))
-    return Zoned(fit, [(best.objective, best.theta), last])
+    fit = FittedModel(squares, theta, squares.autoregressive_density(theta))
+    return InputZoneFit(fit, [(best.objective, best.theta), last])
 
 
-def _between(plain: Fit, objective: Objective, known: PlaceFit) -> list[Floats]:
-    """Where climbs begin: a louder linear plant between zones of several sizes."""
+def _starts_between_zones(
+    plain: ZoneFit, objective: ZoneObjective, known: PlaceFit
+) -> list[Floats]:
+    """Return start points: a linear plant of raised gain between zones of several sizes."""
     layout, begun = objective.layout, list[Floats]()
     for gain, size in LOUDER:
         theta = np.zeros(layout.size)
         theta[layout.a], theta[layout.b] = plain.theta[layout.a], gain * plain.theta[layout.b]
-        theta[layout.input] = size * known.model.part(known.theta, "input")
-        sensor = size * known.model.part(known.theta, "sensor")
+        theta[layout.input] = size * known.model.part_numbers(known.theta, "input")
+        sensor = size * known.model.part_numbers(known.theta, "sensor")
         theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
         begun.append(theta)
     return begun

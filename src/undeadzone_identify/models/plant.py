@@ -1,4 +1,6 @@
-"""Records, a sampled plant A(q) z = B(q) u + x(0) along them, and noise through it."""
+"""Records, a sampled plant A(q) z = B(q) u + x(0) along the records, and noise through the
+plant.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Flags, Floats, Integers, later
-from undeadzone_identify.models.estimates import KeptClimbs, latest
+from undeadzone_identify.models.estimates import CachedMaxima, cache_latest
 from undeadzone_identify.models.likelihood import Readings, dead_zone
 
 MANY = 10_000  # samples of a log from which what costs many fits takes a part of it
@@ -34,8 +36,8 @@ SETTLED = 500  # samples after which the plant has forgotten its beginning
 # --- Records
 
 
-class Data(NamedTuple):
-    """Records scaled to rms 1, one after another.
+class RecordData(NamedTuple):
+    """Records scaled to rms 1, in sequence.
 
     Attributes:
         u: inputs (N x m), rms 1 each.
@@ -56,23 +58,25 @@ class Data(NamedTuple):
     silent_zeros: bool
     u_scale: Floats
     y_scale: float
-    climbs: KeptClimbs | None = None
+    climbs: CachedMaxima | None = None
 
-    def readings(self, use: Flags | None = None) -> Readings:
-        """What the likelihoods need; `use` (N): the samples that count, default all."""
+    def select_readings(self, use: Flags | None = None) -> Readings:
+        """Return the readings for the likelihoods; `use` (N) marks the samples, default
+        all.
+        """
         ok = self.ok if use is None else self.ok & use
         before = np.concatenate([[False], ok[:-1]])
         before[self.start] = False
         return Readings(self.y, self.side, ok, before)
 
-    def records(self) -> list[slice]:
+    def record_slices(self) -> list[slice]:
         """Return the samples of each record."""
         ends = np.append(self.start[1:], self.y.size)
         return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
 
 
-def delay_inputs(data: Data, samples: int) -> Data:
-    """Return the records with their inputs later; what is not known is held.
+def delay_inputs(data: RecordData, samples: int) -> RecordData:
+    """Return the records with delayed inputs; unknown inputs are held.
 
     Args:
         data: the records.
@@ -81,9 +85,9 @@ def delay_inputs(data: Data, samples: int) -> Data:
     return data._replace(u=later(data.u, samples, data.start))
 
 
-def part_of(data: Data, longest: int = STRETCH) -> Data:
-    """Return the busiest stretches of a log, `MANY` samples in all; the log itself if it is no
-    longer.
+def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
+    """Return the busiest stretches of a log, `MANY` samples in all; a shorter log is
+    unchanged.
 
     Args:
         data: the records.
@@ -92,9 +96,9 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
     if data.y.size <= MANY:
         return data
     stretches = []
-    for record in data.records():
+    for record in data.record_slices():
         stretches += _cut_record(record, longest)
-    stretches.sort(key=lambda one: _passages(data, one), reverse=True)
+    stretches.sort(key=lambda one: _count_passages(data, one), reverse=True)
     kept, count = stretches[:1], stretches[0].stop - stretches[0].start
     for one in stretches[1:]:
         count += one.stop - one.start
@@ -105,21 +109,21 @@ def part_of(data: Data, longest: int = STRETCH) -> Data:
 
 
 def _cut_record(record: slice, longest: int) -> list[slice]:
-    """Return a record in stretches of equal length, nearly."""
+    """Cut a record into stretches of nearly equal length."""
     size = record.stop - record.start
     ends = np.linspace(record.start, record.stop, -(-size // longest) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
 
 
-def _passages(data: Data, part: slice) -> tuple[int, int]:
-    """How often a stretch passes the edge that it passes less, and both."""
+def _count_passages(data: RecordData, part: slice) -> tuple[int, int]:
+    """Count how often a stretch passes its rarer edge, and both edges."""
     side = data.side[part][data.ok[part]]
     right, left = (int(np.count_nonzero(np.diff(1 * (side == sign)) > 0)) for sign in (1, -1))
     return min(right, left), right + left
 
 
-def select_samples(data: Data, parts: Sequence[slice]) -> Data:
-    """Return some samples of a log, each part a record of its own.
+def select_samples(data: RecordData, parts: Sequence[slice]) -> RecordData:
+    """Select samples of a log, each part as a separate record.
 
     Args:
         data: the records.
@@ -136,17 +140,16 @@ def select_samples(data: Data, parts: Sequence[slice]) -> Data:
     )
 
 
-def longest_of(data: Data) -> Data:
-    """Return the longest record alone, and of it no more than its busiest stretch; perhaps all
-    there is.
+def longest_record_of(data: RecordData) -> RecordData:
+    """Return the longest record, at most its busiest stretches; the log itself if that is all.
 
     Args:
         data: the records.
     """
-    longest = max(data.records(), key=lambda part: part.stop - part.start)
+    longest = max(data.record_slices(), key=lambda part: part.stop - part.start)
     if longest.stop - longest.start < data.y.size:
         data = select_samples(data, [longest])
-    return part_of(data, MANY)
+    return busiest_stretches(data, MANY)
 
 
 # --- The plant
@@ -154,7 +157,8 @@ def longest_of(data: Data) -> Data:
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the numbers in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh rho].
+    """Places of the parameters in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh
+    rho].
 
     Attributes:
         n: poles, and numerator terms from delay 1 of each input.
@@ -172,31 +176,33 @@ class Layout:
 
     @cached_property
     def a(self) -> slice:
-        """Return the denominator's free coefficients a_1, a_2, ..."""
+        """Return the places of the denominator's free coefficients a_1, a_2, ..."""
         return slice(0, self.n - self.integrators)
 
     @cached_property
     def b(self) -> slice:
-        """Return the numerators, input by input."""
+        """Return the places of the numerators, input by input."""
         return slice(self.a.stop, self.a.stop + self.n * self.m)
 
     @cached_property
     def x0(self) -> slice:
-        """Return the initial states, record by record."""
+        """Return the places of the initial states, record by record."""
         return slice(self.b.stop, self.b.stop + self.n * self.records)
 
     @cached_property
     def input(self) -> slice:
-        """Return the widths of the input's zone; empty where it has none."""
+        """Return the places of the widths of the input's zone; empty without a zone."""
         return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
 
     @cached_property
     def right(self) -> int:
-        """Return d_r; d_l, log s and atanh rho follow."""
+        """Return the place of d_r; d_l, log s and atanh rho follow."""
         return self.input.stop
 
-    def denominator(self, a: Floats) -> Floats:
-        """Return the coefficients 1, a_1 to a_n of the whole denominator, integrators included."""
+    def full_denominator(self, a: Floats) -> Floats:
+        """Return the coefficients 1, a_1 to a_n of the denominator, integrators included
+        (n + 1).
+        """
         whole = np.concatenate([[1.0], a])
         for _ in range(self.integrators):
             whole = np.convolve(whole, [1.0, -1.0])
@@ -204,11 +210,11 @@ class Layout:
 
     @cached_property
     def size(self) -> int:
-        """Return numbers in theta."""
+        """Return the number of parameters in theta."""
         return self.right + 4
 
     def at_rest(self, other: Layout, theta: Floats) -> Floats:
-        """Return numbers of the same plant along other records, which begin at rest.
+        """Return the parameters of the same plant along other records that begin at rest.
 
         Args:
             other: layout of the numbers.
@@ -218,8 +224,8 @@ class Layout:
         return np.concatenate([theta[: other.b.stop], x0, theta[other.x0.stop :]])
 
 
-class Simulator:
-    """z and its gradient for one order, with the lagged inputs kept.
+class PlantSimulator:
+    """Simulation of z and its gradient for a single order, with the lagged inputs cached.
 
     Args:
         data: the records.
@@ -228,14 +234,14 @@ class Simulator:
         zoned: whether the one input passes a dead zone.
     """
 
-    def __init__(self, data: Data, n: int, integrators: int = 0, zoned: bool = False) -> None:
+    def __init__(self, data: RecordData, n: int, integrators: int = 0, zoned: bool = False) -> None:
         self.data = data
         self.layout = Layout(n, data.u.shape[1], data.start.size, integrators, zoned)
-        self.records = data.records()
+        self.records = data.record_slices()
         self.longest = max(part.stop - part.start for part in self.records)
-        self.lagged = self._behind(data.u)
+        self.lagged = self._lag_inputs(data.u)
 
-    def _behind(self, u: Floats) -> Floats:
+    def _lag_inputs(self, u: Floats) -> Floats:
         """Return the last n samples of each input (N x m n)."""
         n = self.layout.n
         lagged = np.zeros((len(u), n * u.shape[1]))
@@ -244,27 +250,26 @@ class Simulator:
                 lagged[part.start + 1 + j : part.stop, j::n] = u[part.start : part.stop - 1 - j]
         return lagged
 
-    def along(self, data: Data) -> Simulator:
+    def simulator_along(self, data: RecordData) -> PlantSimulator:
         """Return the same plant along other records."""
-        return Simulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
+        return PlantSimulator(data, self.layout.n, self.layout.integrators, self.layout.zoned)
 
-    def pass_zone(self, theta: Floats) -> Floats:
-        """Return the inputs, as they come through the zone (N x m)."""
+    def pass_inputs(self, theta: Floats) -> Floats:
+        """Return the inputs after their dead zone (N x m)."""
         u, zone = self.data.u, theta[self.layout.input]
         return dead_zone(u, *zone) if self.layout.zoned else u
 
-    def z(self, theta: Floats) -> Floats:
-        """Return z (N) for parameters theta, of which those of the plant come first; not to be
-        changed.
-        """
-        return self._simulate(theta[: self.layout.right])
+    def simulate_z(self, theta: Floats) -> Floats:
+        """Simulate z (N) for theta, of which the plant's parameters come first; read-only."""
+        return self._simulate_plant(theta[: self.layout.right])
 
-    @latest
-    def _simulate(self, theta: Floats) -> Floats:
+    @cache_latest
+    def _simulate_plant(self, theta: Floats) -> Floats:
+        """Simulate z (N) for the plant's parameters; the latest result is cached."""
         layout = self.layout
-        denominator = layout.denominator(theta[layout.a])
+        denominator = layout.full_denominator(theta[layout.a])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
-        lagged = self._behind(self.pass_zone(theta)) if layout.zoned else self.lagged
+        lagged = self._lag_inputs(self.pass_inputs(theta)) if layout.zoned else self.lagged
         z = lagged @ theta[layout.b]  # what drives it, at first
         for part, state in zip(self.records, x0, strict=True):
             own = z[part]
@@ -273,11 +278,13 @@ class Simulator:
         z.flags.writeable = False
         return z
 
-    def gradient(self, theta: Floats, z: Floats) -> Floats:
-        """Return dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each input."""
+    def z_gradient(self, theta: Floats, z: Floats) -> Floats:
+        """Return dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each
+        input.
+        """
         layout = self.layout
         n = layout.n
-        whole, u = layout.denominator(theta[layout.a]), self.pass_zone(theta)
+        whole, u = layout.full_denominator(theta[layout.a]), self.pass_inputs(theta)
         slopes = np.zeros((z.size, layout.size))
         for r, part in enumerate(self.records):
             size = part.stop - part.start
@@ -296,41 +303,41 @@ class Simulator:
                 own[:, layout.input] = lfilter(gain, whole, moved, axis=0)
         return slopes
 
-    def gain(self, theta: Floats) -> Floats:
-        """Return DC gain from each input to z (m); with integrators, to their input."""
+    def dc_gain(self, theta: Floats) -> Floats:
+        """Return the DC gain from each input to z (m); with integrators, to their input."""
         layout = self.layout
         numerators = theta[layout.b].reshape(layout.m, layout.n)
         return numerators.sum(axis=1) / (1 + theta[layout.a].sum())
 
-    def poles(self, theta: Floats) -> Any:
-        """Return poles of the sampled plant (n), complex; integrators last."""
-        moving = roots(theta[self.layout.a])
+    def plant_poles(self, theta: Floats) -> Any:
+        """Return the poles of the sampled plant (n), complex; integrators last."""
+        moving = polynomial_roots(theta[self.layout.a])
         return np.append(moving, np.ones(self.layout.integrators))
 
-    def admissible(self, theta: Floats, margin: float = 1.0) -> bool:
-        """Return whether the poles are stable and settle, `margin` times over, within a record."""
+    def has_settling_poles(self, theta: Floats, margin: float = 1.0) -> bool:
+        """Return whether the poles are stable and settle, `margin` times over, within a
+        record.
+        """
         if not np.isfinite(theta).all():
             return False
-        for pole in roots(theta[self.layout.a]).tolist():
+        for pole in polynomial_roots(theta[self.layout.a]).tolist():
             slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
             if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
                 return False
         return True
 
-    def at_limit(self, theta: Floats) -> bool:
-        """Return whether a pole is as slow as is allowed, so that with x(0) it is an offset or a
-        sine.
-        """
-        return not self.admissible(theta, SLOWER)
+    def is_at_limit(self, theta: Floats) -> bool:
+        """Return whether a pole is so slow that with x(0) it equals an offset or a sine."""
+        return not self.has_settling_poles(theta, SLOWER)
 
-    def settles(self, theta: Floats) -> float:
-        """Time constants of the slowest pole within the longest record."""
-        slowest = np.abs(roots(theta[self.layout.a])).max(initial=1e-300)
+    def settling_constants(self, theta: Floats) -> float:
+        """Return the time constants of the slowest pole within the longest record [1]."""
+        slowest = np.abs(polynomial_roots(theta[self.layout.a])).max(initial=1e-300)
         return float(-np.log(slowest) * self.longest)
 
 
-def roots(a: Floats) -> Any:
-    """Return roots of z^n + a_1 z^(n-1) + ... + a_n (n): eigenvalues, complex where some are.
+def polynomial_roots(a: Floats) -> Any:
+    """Return the roots of z^n + a_1 z^(n-1) + ... + a_n (n), complex if needed.
 
     Args:
         a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
@@ -344,11 +351,11 @@ def roots(a: Floats) -> Any:
     return np.full(a.size, np.inf) if failed else found
 
 
-def stabilise(a: Floats, radius: float = 0.98) -> Floats:
-    """Return denominator coefficients a_1.. with poles beyond `radius` moved onto it, for
+def stabilise_poles(a: Floats, radius: float = 0.98) -> Floats:
+    """Return denominator coefficients a_1.. with poles beyond `radius` moved to it, for
     starts.
     """
-    poles = roots(a)
+    poles = polynomial_roots(a)
     if not np.isfinite(poles).all():
         return np.zeros(a.size)
     size = np.abs(poles)
@@ -359,8 +366,8 @@ def stabilise(a: Floats, radius: float = 0.98) -> Floats:
 # --- Noise through the plant
 
 
-class Ahead(NamedTuple):
-    """A first-order disturbance at the plant's first input.
+class InputDisturbance(NamedTuple):
+    """First-order disturbance at the plant's first input.
 
     Attributes:
         rms: of what it makes of z, in the scale of the fit.
@@ -373,8 +380,10 @@ class Ahead(NamedTuple):
     at_input: float
 
 
-def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags) -> Ahead:
-    """Return the disturbance whose colour, through the plant, is that of the residual.
+def find_input_disturbance(
+    layout: Layout, plant: Floats, residual: Floats, ok: Flags
+) -> InputDisturbance:
+    """Find the input disturbance with the residual's autocovariance after the plant.
 
     Args:
         layout: of the plant's numbers.
@@ -386,47 +395,45 @@ def disturbance_ahead(layout: Layout, plant: Floats, residual: Floats, ok: Flags
         The disturbance; lag 0 is not looked at, so that white noise of the readings is none of it.
     """
     lags = max(2, min(LAGS, residual.size // 10))
-    seen = correlations(residual, ok, lags)[1:]
-    best, error = Ahead(0.0, 0.0, 0.0), math.inf
+    seen = mean_lag_products(residual, ok, lags)[1:]
+    best, error = InputDisturbance(0.0, 0.0, 0.0), math.inf
     for phi in COLOURS:
-        w = shape_noise(layout, plant, white(1, LENGTH, phi))[0]
-        shape = correlations(w, np.ones(w.size, bool), lags)
+        w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
+        shape = mean_lag_products(w, np.ones(w.size, bool), lags)
         power = max(float(shape[1:] @ seen) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
         left = float(np.sum((seen - power * shape[1:]) ** 2))
         if left < error:
             rms = math.sqrt(power * shape[0])
-            best, error = Ahead(rms, phi, math.sqrt(power)), left
+            best, error = InputDisturbance(rms, phi, math.sqrt(power)), left
     return best
 
 
-def correlations(e: Floats, ok: Flags, lags: int) -> Floats:
-    """Return `products` over the number of readings."""
-    return np.array(products(e, ok, lags)) / max(int(ok.sum()), 1)
+def mean_lag_products(e: Floats, ok: Flags, lags: int) -> Floats:
+    """Return `lag_products` divided by the number of readings (lags)."""
+    return np.array(lag_products(e, ok, lags)) / max(int(ok.sum()), 1)
 
 
-def products(e: Floats, ok: Flags, lags: int) -> list[float]:
-    """Return the products of e with itself, less its mean, lags 0 to lags - 1."""
+def lag_products(e: Floats, ok: Flags, lags: int) -> list[float]:
+    """Return the products of e, less its mean, with itself at lags 0 to lags - 1."""
     centred = np.where(ok, e - e[ok].mean(), 0.0)
     return [float(centred[lag:] @ centred[: e.size - lag]) for lag in range(lags)]
 
 
-def white(runs: int, size: int, phi: float) -> Floats:
-    """Return first-order noise of rms 1, the same numbers for every colour (runs x (size +
-    SETTLED)).
-    """
+def first_order_noise(runs: int, size: int, phi: float) -> Floats:
+    """Return first-order noise of rms 1, equal draws for every phi (runs x (size + SETTLED))."""
     draws = np.random.default_rng(0).standard_normal((runs, size + SETTLED))
     return np.asarray(lfilter([math.sqrt(1 - phi**2)], [1.0, -phi], draws, axis=1))
 
 
-def shape_noise(layout: Layout, plant: Floats, noise: Floats) -> Floats:
-    """What the plant makes of noise at its first input (runs x size), settled."""
+def plant_response(layout: Layout, plant: Floats, noise: Floats) -> Floats:
+    """Return the plant's response to noise at its first input (runs x size), settled."""
     numerator = np.append(0.0, plant[layout.b][: layout.n])
-    denominator = layout.denominator(plant[layout.a])
+    denominator = layout.full_denominator(plant[layout.a])
     return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
 
 
-def input_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
-    """Return variance at z of unit noise at the inputs, first order with correlation phi.
+def input_noise_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
+    """Return the variance at z of unit first-order noise at the inputs, correlation phi.
 
     Args:
         a: denominator a_1, a_2, ...

@@ -1,4 +1,4 @@
-"""The likelihood of plant and dead zone by all their numbers, with scores and a Hessian."""
+"""Likelihood of plant and dead zone in all parameters, with scores and a Hessian."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import estimates, likelihood
-from undeadzone_identify.models.plant import Data, Simulator
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
 
 Kind = Literal["singles", "pairs", "behind"]
 FAR = 1e8  # outputs beyond this end a trial
 LARGEST_ATANH = 3.5  # |rho| below 0.998
 
 
-class Limits(NamedTuple):
-    """What is known of the widths.
+class WidthLimits(NamedTuple):
+    """Prior limits of the widths.
 
     Attributes:
         right, left: least and largest value, in rms of y; equal ones fix a width.
@@ -30,15 +30,15 @@ class Limits(NamedTuple):
     zone: bool = True
     tied: bool = False
 
-    def clip(self, right: float, left: float) -> tuple[float, float]:
-        """Return widths brought within these limits."""
+    def clip_widths(self, right: float, left: float) -> tuple[float, float]:
+        """Clip widths to these limits."""
         right = min(max(right, self.right[0]), self.right[1])
         if self.tied:
             return right, right
         return right, min(max(left, self.left[0]), self.left[1])
 
 
-class Objective:
+class ZoneObjective:
     """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
 
     Args:
@@ -52,28 +52,28 @@ class Objective:
 
     def __init__(
         self,
-        simulator: Simulator,
+        simulator: PlantSimulator,
         kind: Kind,
-        limits: Limits | None = None,
+        limits: WidthLimits | None = None,
         use: Flags | None = None,
     ) -> None:
         self.simulator = simulator
         self.layout = simulator.layout
-        self.data: Data = simulator.data
+        self.data: RecordData = simulator.data
         self.climbs = self.data.climbs
         self.kind = kind
-        self.limits = limits or Limits()
-        self.readings = self.data.readings(use)
+        self.limits = limits or WidthLimits()
+        self.readings = self.data.select_readings(use)
         rms = float(np.sqrt(np.mean(self.data.y[self.data.ok] ** 2)))
         self.x0_weight = 1 / (3 * rms + 1e-12) ** 2
-        self.free: Integers = np.flatnonzero(~self._fixed_numbers())
+        self.free: Integers = np.flatnonzero(~self._constant_places())
 
-    def along(self, data: Data) -> Objective:
-        """Return the same likelihood of other records."""
-        return Objective(self.simulator.along(data), self.kind, self.limits)
+    def objective_along(self, data: RecordData) -> ZoneObjective:
+        """Return the same likelihood for other records."""
+        return ZoneObjective(self.simulator.simulator_along(data), self.kind, self.limits)
 
-    def _fixed_numbers(self) -> Flags:
-        """Which numbers of theta stay where they are (P)."""
+    def _constant_places(self) -> Flags:
+        """Return the flags of constant parameters in theta (P)."""
         right = self.layout.right
         fixed = np.zeros(self.layout.size, bool)
         fixed[right] = self.limits.right[0] == self.limits.right[1]
@@ -82,58 +82,61 @@ class Objective:
         fixed[right + 3] = self.kind != "pairs"
         return fixed
 
-    def noise(self, theta: Floats) -> likelihood.Noise:
+    def zone_noise(self, theta: Floats) -> likelihood.ZoneNoise:
         """Return widths, rms and correlation in theta."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         rho = math.tanh(atanh_rho) if self.kind == "pairs" else 0.0
-        return likelihood.Noise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
+        return likelihood.ZoneNoise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
 
-    def admissible(self, theta: Floats) -> bool:
+    def is_admissible(self, theta: Floats) -> bool:
         """Return whether theta has a likelihood worth computing."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         if self.limits.zone and right + left < 0:
             return False
         if abs(log_s) > 30 or abs(atanh_rho) > LARGEST_ATANH:
             return False
-        return self.simulator.admissible(theta)
+        return self.simulator.has_settling_poles(theta)
 
-    def terms(self, theta: Floats, z: Floats) -> likelihood.Terms:
+    def density_terms(self, theta: Floats, z: Floats) -> likelihood.DensityTerms:
         """Return log densities of the samples and their derivatives."""
-        noise = self.noise(theta)
+        noise = self.zone_noise(theta)
         if self.kind == "behind":
-            return likelihood.behind(self.readings, z, noise, self.limits.zone)
+            return likelihood.densities_behind(self.readings, z, noise, self.limits.zone)
         if self.kind == "singles":
-            return likelihood.singles(self.readings, z, noise)
-        return likelihood.pairs(self.readings, z, noise)
+            return likelihood.single_densities(self.readings, z, noise)
+        return likelihood.pair_densities(self.readings, z, noise)
 
-    @estimates.latest
-    def at(self, theta: Floats) -> tuple[Floats, likelihood.Terms]:
-        """Return z (N) and the terms of theta; those that were asked for last are kept."""
-        z = self.simulator.z(theta)
-        return z, self.terms(theta, z)
+    @estimates.cache_latest
+    def z_and_terms(self, theta: Floats) -> tuple[Floats, likelihood.DensityTerms]:
+        """Return z (N) and the density terms of theta; the latest result is cached."""
+        z = self.simulator.simulate_z(theta)
+        return z, self.density_terms(theta, z)
 
-    def value(self, theta: Floats) -> float:
-        """Return the log likelihood, with the prior of x(0); -inf where theta makes no sense."""
-        if not (self.admissible(theta) and np.abs(self.simulator.z(theta)).max() < FAR):
+    def total_log_likelihood(self, theta: Floats) -> float:
+        """Return the log likelihood with the prior of x(0); -inf if theta is inadmissible."""
+        if not (self.is_admissible(theta) and np.abs(self.simulator.simulate_z(theta)).max() < FAR):
             return -math.inf
-        total = float(self.at(theta)[1].value.sum()) - self._prior(theta)
+        total = float(self.z_and_terms(theta)[1].value.sum()) - self._initial_state_penalty(theta)
         return total if math.isfinite(total) else -math.inf
 
-    def _prior(self, theta: Floats) -> float:
+    def _initial_state_penalty(self, theta: Floats) -> float:
+        """Return minus the log prior of x(0)."""
         x0 = theta[self.layout.x0]
         return 0.5 * self.x0_weight * float(x0 @ x0)
 
-    def project(self, theta: Floats) -> Floats:
-        """Return a trial with its widths brought back within their limits."""
+    def project_to_bounds(self, theta: Floats) -> Floats:
+        """Restrict the widths of a trial to their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
-        theta[widths] = self.limits.clip(*theta[widths])
+        theta[widths] = self.limits.clip_widths(*theta[widths])
         theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
         return theta
 
-    def scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return (log densities (N), scores (N x P), dz/dtheta (N x P)); fixed columns are 0."""
-        z, terms = self.at(theta)
-        slope = self.simulator.gradient(theta, z)
+    def sample_scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return log densities (N), scores (N x P), dz/dtheta (N x P); constant columns
+        are 0.
+        """
+        z, terms = self.z_and_terms(theta)
+        slope = self.simulator.z_gradient(theta, z)
         scores = terms.slopes[:, likelihood.Z : likelihood.Z + 1] * slope
         if self.kind == "pairs":
             scores[1:] += terms.slopes[1:, likelihood.Z_BEFORE, None] * slope[:-1]
@@ -147,18 +150,18 @@ class Objective:
         scores[:, fixed] = 0.0
         return terms.value, scores, slope
 
-    def score(self, theta: Floats) -> Floats:
+    def total_score(self, theta: Floats) -> Floats:
         """Return the derivative of the log likelihood by theta (P)."""
-        return self.scores(theta)[1].sum(axis=0)
+        return self.sample_scores(theta)[1].sum(axis=0)
 
-    def quadratic(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return (value, score, a positive Hessian of minus the log likelihood), of the free
-        numbers.
+    def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
+        """Return value, score, and a positive Hessian of -log likelihood, for the free
+        parameters.
 
         Gauss-Newton where a sample speaks, outer products of scores where it is silent.
         """
-        values, scores, slope = self.scores(theta)
-        rows, quiet = self._gauss_newton(theta, slope)
+        values, scores, slope = self.sample_scores(theta)
+        rows, quiet = self._gauss_newton_rows(theta, slope)
         hessian = rows.T @ rows
         right = self.layout.right
         spread = scores[quiet]
@@ -171,16 +174,16 @@ class Objective:
             hessian[right + 2 :, right + 2 :] = both.T @ both + 1e-9 * np.eye(2)
         x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
         hessian[x0, x0] += self.x0_weight
-        value = float(values.sum()) - self._prior(theta)
+        value = float(values.sum()) - self._initial_state_penalty(theta)
         free = self.free
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 
-    def _gauss_newton(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
-        """Return derivatives of what speaks, over its rms (M x P), and which samples are silent
-        (N).
+    def _gauss_newton_rows(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
+        """Return derivatives of outside samples over their rms (M x P), and the flags
+        inside (N).
         """
-        noise, ok = self.noise(theta), self.readings.ok
-        side = self.side(theta)
+        noise, ok = self.zone_noise(theta), self.readings.ok
+        side = self.branch_sides(theta)
         speaks = ok & (side != 0)
         change = slope.copy()
         change[:, self.layout.right] -= side > 0
@@ -196,27 +199,27 @@ class Objective:
             rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
         return rows[speaks], ok & ~speaks & (self.kind != "behind")
 
-    def side(self, theta: Floats) -> Integers:
-        """Return +1, 0, -1 (N): of the readings, or of z where noise is behind the zone."""
+    def branch_sides(self, theta: Floats) -> Integers:
+        """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
-        z, noise = self.at(theta)[0], self.noise(theta)
+        z, noise = self.z_and_terms(theta)[0], self.zone_noise(theta)
         if not self.limits.zone:
             return np.ones(z.size, int)
         return 1 * (z > noise.right) - 1 * (z < -noise.left)
 
-    @estimates.latest
-    def spread(self, theta: Floats) -> estimates.Spread:
-        """Return (I1): robust covariance of the free numbers of theta; the last one is kept."""
-        _, scores, _ = self.scores(theta)
-        return estimates.sandwich(scores[:, self.free], self.hessian(theta))
+    @estimates.cache_latest
+    def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:
+        """Return the robust covariance (I1) of the free parameters of theta; cached."""
+        _, scores, _ = self.sample_scores(theta)
+        return estimates.sandwich_covariance(scores[:, self.free], self.negative_hessian(theta))
 
-    def hessian(self, theta: Floats) -> Floats:
-        """Return minus the second derivative by the free numbers.
+    def negative_hessian(self, theta: Floats) -> Floats:
+        """Return minus the second derivative by the free parameters.
 
         Gauss-Newton for noise behind, and behind a zone of the input, at whose edges scores jump.
         """
-        _, _, approximate = self.quadratic(theta)
+        _, _, approximate = self.quadratic_model(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
         if self.kind == "behind" or self.layout.zoned:
             return approximate
@@ -227,31 +230,31 @@ class Objective:
             ahead = self._move_number(theta, int(index), step)
             back = self._move_number(theta, int(index), -step)
             rows[place] = approximate[place]
-            if self.admissible(ahead) and self.admissible(back):
-                difference = self.score(ahead) - self.score(back)
+            if self.is_admissible(ahead) and self.is_admissible(back):
+                difference = self.total_score(ahead) - self.total_score(back)
                 rows[place] = -difference[self.free] / (2 * step)
-        return estimates.positive(rows)
+        return estimates.raise_eigenvalues(rows)
 
     def _move_number(self, theta: Floats, index: int, step: float) -> Floats:
-        """Return theta with one number changed, and what is tied to it."""
+        """Return theta with a single parameter changed, and its tied parameter."""
         moved = theta.copy()
         moved[index] += step
         if self.limits.tied:
             moved[self.layout.right + 1] = moved[self.layout.right]
         return moved
 
-    def direction(self, right: float, left: float) -> Floats:
-        """Return the row that weighs d_r and d_l over the free numbers: (1, 1) is that of the
-        width.
+    def width_weights(self, right: float, left: float) -> Floats:
+        """Return the row of weights of d_r and d_l over the free parameters; (1, 1) for
+        the width.
         """
         size, first = self.layout.size, self.layout.right
-        return estimates.weighing(self.free, size, first, (right, left), self.limits.tied)
+        return estimates.weight_row(self.free, size, first, (right, left), self.limits.tied)
 
-    def residuals(self, theta: Floats) -> Floats:
-        """What is left of the readings (N): e where a sample speaks, y - Dz(z) for noise behind."""
-        z, noise = self.simulator.z(theta), self.noise(theta)
+    def unexplained_readings(self, theta: Floats) -> Floats:
+        """Return the residual (N): e outside the zone, y - Dz(z) for noise behind."""
+        z, noise = self.simulator.simulate_z(theta), self.zone_noise(theta)
         if self.kind != "behind":
-            return likelihood.residual(self.readings, z, noise.right, noise.left)
+            return likelihood.zone_residual(self.readings, z, noise.right, noise.left)
         if not self.limits.zone:
             return self.readings.y - z + noise.right
         return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)

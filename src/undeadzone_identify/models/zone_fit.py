@@ -1,4 +1,4 @@
-"""The fit of plant and widths to a record: starts, singles (L1), then pairs (L2)."""
+"""Fit of plant and widths to a record: starts, single samples (L1), then pairs (L2)."""
 
 from __future__ import annotations
 
@@ -9,18 +9,25 @@ import numpy as np
 from scipy.special import ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers, since_start
-from undeadzone_identify.models.estimates import Top, best_top, climb
+from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
 from undeadzone_identify.models.likelihood import dead_zone
-from undeadzone_identify.models.plant import Data, Simulator, longest_of, part_of, roots, stabilise
-from undeadzone_identify.models.zone import Kind, Limits, Objective
+from undeadzone_identify.models.plant import (
+    PlantSimulator,
+    RecordData,
+    busiest_stretches,
+    longest_record_of,
+    polynomial_roots,
+    stabilise_poles,
+)
+from undeadzone_identify.models.zone import Kind, WidthLimits, ZoneObjective
 
 SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
 SLOWEST = (0.14, 0.05, 0.02, 0.007)  # time constants tried first, in samples of a record
 FEW = 3  # runs a side, per number to be found, for the start from an ARX model a side
 
 
-class Fit(NamedTuple):
-    """A fitted record.
+class ZoneFit(NamedTuple):
+    """Fit of plant and zone to a record.
 
     Attributes:
         objective: the likelihood that was maximised.
@@ -28,14 +35,14 @@ class Fit(NamedTuple):
         value: the log likelihood there.
     """
 
-    objective: Objective
+    objective: ZoneObjective
     theta: Floats
     value: float
 
     @property
     def z(self) -> Floats:
-        """Return output of the fitted plant (N), scaled."""
-        return self.objective.simulator.z(self.theta)
+        """Return the output of the fitted plant (N), scaled."""
+        return self.objective.simulator.simulate_z(self.theta)
 
     @property
     def right(self) -> float:
@@ -54,38 +61,38 @@ class Fit(NamedTuple):
 
     @property
     def s(self) -> float:
-        """Return rms of what disturbs z, scaled."""
+        """Return the rms of the disturbance of z, scaled."""
         return math.exp(float(self.theta[self.objective.layout.right + 2]))
 
     @property
     def rho(self) -> float:
-        """Return correlation of the disturbance over one sample; 0 where it is not fitted."""
-        return self.objective.noise(self.theta).rho
+        """Return the disturbance correlation over a sample [1]; 0 if not fitted."""
+        return self.objective.zone_noise(self.theta).rho
 
     @property
     def bic(self) -> float:
-        """Return -2 L + p ln N."""
+        """Return the BIC, -2 L + p ln N."""
         count = int(self.objective.readings.ok.sum())
         return -2 * self.value + self.objective.free.size * math.log(count)
 
 
-def mean_reading(fit: Fit) -> Floats:
-    """Return E[y | z] (N): of the zone, rounded by noise ahead of it."""
+def mean_reading(fit: ZoneFit) -> Floats:
+    """Return E[y given z] (N): the zone's characteristic, rounded by noise ahead."""
     z, right, left, s = fit.z, fit.right, fit.left, fit.s
     if not fit.objective.limits.zone:
         return z - right
     if fit.objective.kind == "behind":
         return dead_zone(z, right, left)
-    return s * (_mean_of_maximum((z - right) / s) - _mean_of_maximum((-left - z) / s))
+    return s * (_mean_excess((z - right) / s) - _mean_excess((-left - z) / s))
 
 
-def _mean_of_maximum(x: Floats) -> Floats:
+def _mean_excess(x: Floats) -> Floats:
     """Return E max(x + e, 0) of a unit Gaussian e."""
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
 
-def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
-    """Return the fit of singles (L1) or of noise behind the zone, from several starts.
+def fit_zone(simulator: PlantSimulator, kind: Kind, limits: WidthLimits) -> ZoneFit:
+    """Fit singles (L1) or noise behind the zone, from several starts.
 
     Args:
         simulator: the plant of one order, with its data.
@@ -95,45 +102,46 @@ def fit_zone(simulator: Simulator, kind: Kind, limits: Limits) -> Fit:
     Returns:
         The best of the starts, all for 10 steps and the best two to the end.
     """
-    objective = Objective(simulator, kind, limits)
-    begun = starts(objective)
+    objective = ZoneObjective(simulator, kind, limits)
+    begun = zone_starts(objective)
     clearly = 0.02 * objective.readings.ok.sum()
-    top = best_top(objective, begun, 10, 50, clearly)
-    best = Fit(objective, *(top or Top(objective.project(begun[0]), -math.inf)))
-    return better(best, _with_equal_widths(objective, best.theta)) if limits.zone else best
+    top = best_maximum(objective, begun, 10, 50, clearly)
+    best = ZoneFit(objective, *(top or Maximum(objective.project_to_bounds(begun[0]), -math.inf)))
+    return improve_fit(best, _centre_zone(objective, best.theta)) if limits.zone else best
 
 
-def refit(fit: Fit, kind: Kind, use: Flags | None = None, steps: int = 60) -> Fit:
-    """Return a fit of another likelihood or of other samples, from where one ended."""
+def refit_likelihood(
+    fit: ZoneFit, kind: Kind, use: Flags | None = None, steps: int = 60
+) -> ZoneFit:
+    """Fit another likelihood or other samples, started from a fit."""
     old = fit.objective
-    objective = Objective(old.simulator, kind, old.limits, use)
+    objective = ZoneObjective(old.simulator, kind, old.limits, use)
     theta = fit.theta.copy()
     if kind == "pairs" and fit.rho == 0.0:
-        theta[-1] = math.atanh(speaking_correlation(fit))
-    top = climb(objective, theta, steps)
+        theta[-1] = math.atanh(outside_correlation(fit))
+    top = maximise_likelihood(objective, theta, steps)
     if (old.kind, kind) == ("singles", "pairs") and top.value < fit.value:  # as rho = 0 is (L1)
-        top = climb(objective, fit.theta, steps)
-    return Fit(objective, *top)
+        top = maximise_likelihood(objective, fit.theta, steps)
+    return ZoneFit(objective, *top)
 
 
-def better(fit: Fit, theta: Floats) -> Fit:
-    """Return the fit, or a better one to which a climb from other numbers leads."""
-    top = climb(fit.objective, theta, 60)
-    return Fit(fit.objective, *top) if top.value > fit.value else fit
+def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
+    """Return the fit, or a better fit that starts from other parameters."""
+    top = maximise_likelihood(fit.objective, theta, 60)
+    return ZoneFit(fit.objective, *top) if top.value > fit.value else fit
 
 
-def less_odd(fit: Fit, simulator: Simulator) -> Floats:
-    """Return numbers of a fit with fewer poles: the least of the real ones, or of all, are left
-    out.
-    """
-    poles = roots(fit.theta[fit.objective.layout.a]).astype(complex)
+def remove_odd_poles(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
+    """Remove the least real poles, or the least of all, from a fit; return its parameters."""
+    poles = polynomial_roots(fit.theta[fit.objective.layout.a]).astype(complex)
     order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
     kept = poles[order[poles.size - simulator.layout.a.stop :]]
-    return nearest(fit, simulator, np.atleast_1d(np.real(np.poly(kept)))[1:])
+    return nearest_numbers(fit, simulator, np.atleast_1d(np.real(np.poly(kept)))[1:])
 
 
-def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
-    """Return other poles for a fit, and the numerators with which z is nearest to what it was.
+def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Floats:
+    """Return parameters with new poles, and numerators for which z is nearest to its old
+    values.
 
     Args:
         fit: with the zone and the noise.
@@ -144,50 +152,52 @@ def nearest(fit: Fit, simulator: Simulator, a: Floats) -> Floats:
     theta = np.zeros(layout.size)
     theta[layout.a], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
     linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
-    columns = simulator.gradient(theta, fit.z)[:, linear]
+    columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
     missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
     theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
     return theta
 
 
-def polish_fit(fit: Fit) -> Fit:
-    """Return a fit after up to three Newton steps with the numerical Hessian, to the very top."""
+def polish_fit(fit: ZoneFit) -> ZoneFit:
+    """Return the fit after up to three Newton steps with the numerical Hessian."""
     objective, theta, value = fit.objective, fit.theta, fit.value
     if objective.kind == "behind":
         return fit
     for _ in range(3):
-        step = np.linalg.solve(objective.hessian(theta), objective.score(theta)[objective.free])
+        step = np.linalg.solve(
+            objective.negative_hessian(theta), objective.total_score(theta)[objective.free]
+        )
         trial = theta.copy()
         trial[objective.free] += step
-        trial = objective.project(trial)
-        reached = objective.value(trial)
+        trial = objective.project_to_bounds(trial)
+        reached = objective.total_log_likelihood(trial)
         if not reached > value:
             break
         gained = reached - value
         theta, value = trial, reached
         if gained < 1e-6:
             break
-    return Fit(objective, theta, value)
+    return ZoneFit(objective, theta, value)
 
 
-def fit_linear(simulator: Simulator, use: Flags | None = None) -> Fit:
-    """Return the output-error fit without a zone, about a level: y = z - d_r."""
+def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
+    """Fit the output error without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
-    objective = Objective(simulator, "behind", Limits(right=level, zone=False), use)
+    objective = ZoneObjective(simulator, "behind", WidthLimits(right=level, zone=False), use)
     theta: Floats = np.zeros(objective.layout.size)
-    a, b, _ = arx(simulator, None, use)
-    theta[objective.layout.a] = stabilise(a)
+    a, b, _ = fit_arx(simulator, None, use)
+    theta[objective.layout.a] = stabilise_poles(a)
     theta[objective.layout.b] = b
     if simulator.layout.integrators and a.size:
         theta = _of_slow_poles(objective, theta)
-    above = simulator.z(theta) - simulator.data.y
+    above = simulator.simulate_z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
     theta[objective.layout.right + 2] = math.log(0.5)
-    return Fit(objective, *climb(objective, theta, 40))
+    return ZoneFit(objective, *maximise_likelihood(objective, theta, 40))
 
 
-def _of_slow_poles(objective: Objective, begun: Floats) -> Floats:
+def _of_slow_poles(objective: ZoneObjective, begun: Floats) -> Floats:
     """Return numbers of a linear plant that leave least, of those begun and of slow poles.
 
     Noise hides the slow poles of an integrating plant from differences of its readings. For given
@@ -202,7 +212,7 @@ def _of_slow_poles(objective: Objective, begun: Floats) -> Floats:
 
     def left(theta: Floats) -> float:
         """Return the sum of squares that a plant leaves about its mean."""
-        return float(np.var((y - simulator.z(theta))[use]))
+        return float(np.var((y - simulator.simulate_z(theta))[use]))
 
     best: Floats = begun
     least = left(begun)
@@ -212,19 +222,19 @@ def _of_slow_poles(objective: Objective, begun: Floats) -> Floats:
         poles = pole ** (4.0 ** np.arange(layout.a.stop))
         theta = begun.copy()
         theta[layout.a] = np.real(np.poly(poles))[1:]
-        columns = simulator.gradient(theta, simulator.z(theta))[:, linear]
+        columns = simulator.z_gradient(theta, simulator.simulate_z(theta))[:, linear]
         theta[linear] = np.linalg.lstsq(columns[use], y[use], rcond=1e-10)[0]
-        if simulator.admissible(theta) and left(theta) < least:
+        if simulator.has_settling_poles(theta) and left(theta) < least:
             best, least = theta, left(theta)
     return best
 
 
-def speaking_correlation(fit: Fit) -> float:
-    """Return correlation of e over one sample, from speaking samples in a row; 0 if they are
+def outside_correlation(fit: ZoneFit) -> float:
+    """Return the correlation of e over a sample, from consecutive outside samples; 0.05 if
     few.
     """
     readings = fit.objective.readings
-    e = fit.objective.residuals(fit.theta)
+    e = fit.objective.unexplained_readings(fit.theta)
     speaks = readings.ok & (readings.side != 0)
     both = np.flatnonzero(speaks & readings.before)
     both = both[speaks[both - 1]]
@@ -234,38 +244,38 @@ def speaking_correlation(fit: Fit) -> float:
     return float(np.clip(rho, -0.9, 0.99)) or 0.05
 
 
-def starts(objective: Objective) -> list[Floats]:
-    """Where climbs begin: an ARX model a side, and the linear fit with widths of several sizes."""
+def zone_starts(objective: ZoneObjective) -> list[Floats]:
+    """Return start points: an ARX model per side, and the linear fit with widths of several
+    sizes.
+    """
     simulator, layout = objective.simulator, objective.layout
     use = objective.readings.ok
     linear = fit_linear(simulator, use)
-    sided = start_by_side(objective)
+    sided = start_by_branch(objective)
     begun = [] if sided is None else [sided]
     silent = float(np.mean(objective.readings.side[use] == 0))
     of_silence = float(np.quantile(np.abs(linear.z), silent))
     for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):
         theta = linear.theta.copy()
         theta[layout.b] *= 1 + 0.9 * share
-        theta[layout.right : layout.right + 2] = about_level(linear, share)
+        theta[layout.right : layout.right + 2] = widths_about_level(linear, share)
         theta[layout.right + 2] = math.log(0.4)
         theta[layout.right + 3] = 0.0
         begun.append(theta)
     return begun
 
 
-def about_level(linear: Fit, half: float) -> Floats:
-    """Return d_r and d_l of a zone that begins so wide a side, about the level of a linear fit."""
+def widths_about_level(linear: ZoneFit, half: float) -> Floats:
+    """Return d_r and d_l of a zone of a given half width about the level of a linear fit."""
     return half + linear.right * np.array([1.0, -1.0])
 
 
-def start_by_side(objective: Objective) -> Floats | None:
-    """Return an ARX model on runs of one side, with a constant a side whose difference is the
-    width.
-    """
+def start_by_branch(objective: ZoneObjective) -> Floats | None:
+    """Return an ARX start on runs of a single side, with a constant per side for the width."""
     layout = objective.layout
     if layout.integrators:
         return None  # differences hold no levels
-    a, b, levels = arx(objective.simulator, objective.readings.side, objective.readings.ok)
+    a, b, levels = fit_arx(objective.simulator, objective.readings.side, objective.readings.ok)
     if levels is None:
         return None
     total = 1 + a.sum()
@@ -274,7 +284,7 @@ def start_by_side(objective: Objective) -> Floats | None:
     width = np.clip((levels[1] - levels[0]) / total, 0.02, 6.0)
     shift = (levels[1] + levels[0]) / total / 2
     theta = np.zeros(layout.size)
-    theta[layout.a] = stabilise(a)
+    theta[layout.a] = stabilise_poles(a)
     theta[layout.b] = b
     theta[layout.right] = max(width / 2 - shift, 0.02)
     theta[layout.right + 1] = max(width / 2 + shift, 0.02)
@@ -282,10 +292,10 @@ def start_by_side(objective: Objective) -> Floats | None:
     return theta
 
 
-def arx(
-    simulator: Simulator, side: Integers | None, use: Flags | None
+def fit_arx(
+    simulator: PlantSimulator, side: Integers | None, use: Flags | None
 ) -> tuple[Floats, Floats, Floats | None]:
-    """Return least squares of y_t on past y and u; of differences of y where the plant integrates.
+    """Fit y_t on past y and u by least squares; for integrators, differences of y.
 
     Args:
         simulator: the order and the lagged inputs.
@@ -325,8 +335,8 @@ def arx(
     return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
 
 
-def _with_equal_widths(objective: Objective, theta: Floats) -> Floats:
-    """Return the same numbers with both widths equal and the plant at rest at first."""
+def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:
+    """Return the parameters with equal widths and the plant at rest at first."""
     layout = objective.layout
     again = theta.copy()
     again[layout.right : layout.right + 2] = max(
@@ -339,34 +349,35 @@ def _with_equal_widths(objective: Objective, theta: Floats) -> Floats:
 # --- Other records of the same plant
 
 
-def move_records(fit: Fit, data: Data) -> Fit:
-    """Return the fit of other records of the same plant, from where one ended.
+def refit_along(fit: ZoneFit, data: RecordData) -> ZoneFit:
+    """Fit other records of the same plant, started from a fit.
 
     Args:
         fit: of some records.
         data: the others.
     """
-    objective = fit.objective.along(data)
+    objective = fit.objective.objective_along(data)
     theta = objective.layout.at_rest(fit.objective.layout, fit.theta)
-    return refit(Fit(objective, theta, objective.value(theta)), objective.kind)
+    return refit_likelihood(
+        ZoneFit(objective, theta, objective.total_log_likelihood(theta)), objective.kind
+    )
 
 
-def reduce_record(fit: Fit) -> Fit:
-    """Return the fit of the busiest part of a long log alone; the same fit where the log is short.
+def refit_busiest_part(fit: ZoneFit) -> ZoneFit:
+    """Fit the busiest part of a long log; a short log's fit is unchanged.
 
     Args:
         fit: of the log.
     """
-    part = part_of(fit.objective.data)
-    return fit if part is fit.objective.data else move_records(fit, part)
+    part = busiest_stretches(fit.objective.data)
+    return fit if part is fit.objective.data else refit_along(fit, part)
 
 
-def longest_record(fit: Fit) -> Fit:
-    """Return the fit of the longest of several records alone, and of no more than its busiest
-    stretch.
+def refit_longest_record(fit: ZoneFit) -> ZoneFit:
+    """Fit the longest of several records, at most its busiest stretches.
 
     Args:
         fit: of one or several records.
     """
-    record = longest_of(fit.objective.data)
-    return fit if record is fit.objective.data else move_records(fit, record)
+    record = longest_record_of(fit.objective.data)
+    return fit if record is fit.objective.data else refit_along(fit, record)

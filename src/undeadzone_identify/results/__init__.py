@@ -1,1 +1,1 @@
-"""The answer in the units of the log: values, words, a scenario."""
+"""Answer in the units of the log: values, words, a scenario."""

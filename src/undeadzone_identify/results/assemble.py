@@ -1,4 +1,4 @@
-"""The answer to a log as values in the units of the log, with what to be careful about."""
+"""Answer to a log as values in the units of the log, with cautions."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import gap_of_input
-from undeadzone_identify.models.estimates import Interval, quantile
+from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
-from undeadzone_identify.models.kalman_fit import KalmanFit, innovations
-from undeadzone_identify.models.least_squares import CHANCE, Fitted
-from undeadzone_identify.models.plant import Layout, Simulator
-from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
+from undeadzone_identify.models.least_squares import CHANCE, FittedModel
+from undeadzone_identify.models.plant import Layout, PlantSimulator
+from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.alternatives import (
     Element,
-    Found,
+    Findings,
     fit_of,
-    held_out_error,
     held_out_error_of_fit,
+    validate_element,
 )
 from undeadzone_identify.selection.decision import (
     CHAINED,
     MODELS,
     UNEXPLAINED,
     Case,
-    Loop,
-    decide,
+    Feedback,
+    build_verdict,
     detect_feedback,
 )
 from undeadzone_identify.selection.decision import (
@@ -39,19 +39,19 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.orders import (
     OrderFit,
-    credible,
-    explained_by_readings,
+    credible_orders,
+    feedback_share,
+    has_input_residual,
     is_white,
-    reacts_to_input,
     training_samples,
 )
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     Excitation,
-    Widths,
-    excitation,
+    WidthEstimates,
     find_widths,
-    lower_bound,
+    lower_width_bound,
+    measure_excitation,
     widen_by_profile,
 )
 from undeadzone_identify.servo.gap import ServoGap
@@ -63,7 +63,7 @@ Shown = dict[str, Interval | None]  # right, left, width, centre
 
 
 class Disturbance(NamedTuple):
-    """What disturbs z.
+    """Disturbance of z.
 
     Attributes:
         rms: of all of it [y].
@@ -81,7 +81,7 @@ class Disturbance(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a log says.
+    """Answer to a log.
 
     Attributes:
         verdict: dead_zone, none, operating_point, saturation, jump, play, both (play and dead
@@ -107,13 +107,13 @@ class Answer(NamedTuple):
     width: Interval | None
     centre: Interval | None
     remarks: list[str]
-    loop: Loop
+    loop: Feedback
     case: Case
-    found: Found
+    found: Findings
     chosen: OrderFit
     excitation: Excitation
-    widths: Widths
-    named: Fitted[Any] | None = None
+    widths: WidthEstimates
+    named: FittedModel[Any] | None = None
 
     @property
     def zone(self) -> bool:
@@ -121,40 +121,40 @@ class Answer(NamedTuple):
         return self.verdict in ("dead_zone", "unreached", "filtered_zone")
 
     @property
-    def fit(self) -> Fit:
+    def fit(self) -> ZoneFit:
         """Return the fit that every sample enters: (L2), or that of noise behind the zone."""
         return self.chosen.pairs
 
     @property
     def scale(self) -> float:
-        """Return rms of y, by which the fit is scaled [y]."""
+        """Return the rms of y, by which the fit is scaled [y]."""
         return self.fit.objective.data.y_scale
 
     @property
     def element(self) -> Element | None:
-        """What stands in the place of a sensor's dead zone."""
+        """Return the element in place of a sensor's dead zone; None without an element."""
         return self.found.element
 
     @property
     def servo(self) -> ServoGap | None:
-        """Return the servo behind a play that it is; None where it is not one."""
+        """Return the servo behind a play; None if the element is not a servo."""
         fit = None if self.element is None else self.element.fit
         return fit if isinstance(fit, ServoGap) else None
 
     @property
     def z(self) -> Floats:
-        """Return output of the plant (N), scaled."""
+        """Return the output of the plant (N), scaled."""
         return self.fit.z if self.element is None else self.element.z
 
     @property
-    def plant(self) -> tuple[Simulator, Floats]:
-        """Return the plant along the log, and its numbers, scaled."""
+    def plant(self) -> tuple[PlantSimulator, Floats]:
+        """Return the plant along the log and its parameters, scaled."""
         if self.element is None:
             return self.fit.objective.simulator, self.fit.theta
         return self.element.simulator, self.element.theta
 
     @property
-    def named_plant(self) -> tuple[Simulator, Floats]:
+    def named_plant(self) -> tuple[PlantSimulator, Floats]:
         """Return the plant of the model that is named, and its numbers, scaled."""
         if self.named is None:
             return self.plant
@@ -162,29 +162,29 @@ class Answer(NamedTuple):
 
     @property
     def order(self) -> int:
-        """Return poles of the plant."""
+        """Return the number of poles of the plant."""
         return self.named_plant[0].layout.n
 
     @property
     def poles(self) -> Any:
-        """Return poles of the plant (n) [1/s], complex."""
+        """Return the poles of the plant (n) [1/s], complex."""
         simulator, theta = self.named_plant
         with np.errstate(divide="ignore"):
-            return np.log(simulator.poles(theta).astype(complex)) / self.case.grid.step
+            return np.log(simulator.plant_poles(theta).astype(complex)) / self.case.grid.step
 
     @property
     def gain(self) -> Floats:
-        """Return DC gain from each input (m) [y/u]; with integrators, of the rates."""
+        """Return the DC gain from each input (m) [y/u]; with integrators, of the rates."""
         simulator, theta = self.named_plant
-        gain = simulator.gain(theta) * self.case.data.y_scale / self.case.data.u_scale
+        gain = simulator.dc_gain(theta) * self.case.data.y_scale / self.case.data.u_scale
         return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
     @property
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
-        """Return layout, a, b in units of y and u, and their covariance together."""
+        """Return layout, a, b in units of y and u, and their joint covariance."""
         simulator, theta = self.plant
         layout, data = simulator.layout, simulator.data
-        told = self.fit.objective.spread(theta) if self.element is None else self.element
+        told = self.fit.objective.robust_covariance(theta) if self.element is None else self.element
         count = layout.b.stop
         scale = np.ones(count)
         factors = np.repeat(data.y_scale / data.u_scale, layout.n)
@@ -194,76 +194,82 @@ class Answer(NamedTuple):
 
     @property
     def disturbance(self) -> Disturbance:
-        """What disturbs z."""
+        """Return the disturbance of z, in units of the log."""
         step, scale = self.case.grid.step, self.scale
         element, fit = self.element, self.fit
         if element is not None:
             phi = 0.0 if element.ahead is None else element.ahead.phi
             time = -step / math.log(phi) if phi > 0 else None
             model = None if element.ahead is None else NAMES[AT_INPUT]
-            return Disturbance(element.unseen * scale, time, element.noise * scale, model, True)
+            return Disturbance(
+                element.disturbance_rms * scale, time, element.noise * scale, model, True
+            )
         time = -step / math.log(fit.rho) if 0.05 < fit.rho < 1 else None
         if fit.objective.kind == "behind":  # the climb to s ends early at a zone without width
-            left = fit.objective.residuals(fit.theta)[fit.objective.readings.ok]
+            left = fit.objective.unexplained_readings(fit.theta)[fit.objective.readings.ok]
             rms = math.sqrt(float(np.mean(left**2)))
             return Disturbance(rms * scale, time, None, None, False)
         if not self.found.kalman:
             return Disturbance(fit.s * scale, time, None, None, True)
         best = self.found.kalman[0]
-        return Disturbance(fit.s * scale, time, best.r * scale, NAMES[best.model], True)
+        return Disturbance(fit.s * scale, time, best.white_rms * scale, NAMES[best.model], True)
 
 
 # --- From what was found
 
 
-def to_answer(case: Case, found: Found) -> Answer:
-    """Return the answer in the units of the log.
+def to_answer(case: Case, found: Findings) -> Answer:
+    """Convert the findings to an answer in the units of the log.
 
     Args:
         case: the log, fitted with a zone of the sensor.
         found: the verdict, and what stands in the zone's place.
     """
     element = found.element
-    doubt = element and (_not_wide(element.widths) or _not_wide(element.input))
+    doubt = element and (_doubt_of_zero(element.widths) or _doubt_of_zero(element.input))
     if doubt:
-        verdict = decide("undecided", *found.verdict.reasons, doubt)
+        verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict, odds={})
     if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
         found = found._replace(odds={})
     named, data = named_fit(case, found), case.data
-    chosen = _check_held_out(case, found, named)
+    chosen = _validate_findings(case, found, named)
     found = _withhold_poor_fit(found, chosen.share)
-    best, orders = next(iter(found.kalman), None), credible(case.fitted.fits)
-    widths = find_widths(case.chosen, orders, case.fitted.alike, best, case.quantum, case.offset)
+    best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
+    widths = find_widths(
+        case.chosen, orders, case.fitted.alike, best, case.quantum, case.offset_prior
+    )
     edges = widths.right.value, widths.left.value
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
         **dict.fromkeys(DIRECTIONS),
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
-        loop=Loop(1.0, None),
+        loop=Feedback(1.0, None),
         case=case,
         found=found,
         chosen=chosen,
-        excitation=excitation(data.readings(), case.chosen.pairs.z, *edges, data.silent_zeros),
+        excitation=measure_excitation(
+            data.select_readings(), case.chosen.pairs.z, *edges, data.silent_zeros
+        ),
         widths=widths,
         named=named,
     )
-    answer = _in_loop(answer)
+    answer = _add_feedback(answer)
     if found.element is not None:
-        remarks = [*found.element.remarks, *_late(answer)]
-        return _showing(answer, found.element.widths, remarks)
+        remarks = [*found.element.remarks, *_delay_remarks(answer)]
+        return _set_widths(answer, found.element.widths, remarks)
     if answer.verdict == "input_play" and named is not None:
         return _with_gap_ahead(answer, gap_of_input(named))
-    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jumps):
-        return _with_edges(answer)
+    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
+        return _add_edges(answer)
     return answer
 
 
 def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
     """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
-    width = gap.scale_interval(float(answer.case.data.u_scale[0]))
-    doubt = _not_wide({"width": width})
+    width = gap.scale_by(float(answer.case.data.u_scale[0]))
+    doubt = _doubt_of_zero({"width": width})
     if doubt:
         found = answer.found._replace(odds={})
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
@@ -278,7 +284,7 @@ OF_THEIR_OWN = (
 )  # words of models with a plant of their own
 
 
-def named_fit(case: Case, found: Found) -> Fitted[Any] | None:
+def named_fit(case: Case, found: Findings) -> FittedModel[Any] | None:
     """Return the model that is named, where neither an element nor a sensor's zone stands for it.
 
     Args:
@@ -292,7 +298,7 @@ def named_fit(case: Case, found: Found) -> Fitted[Any] | None:
     return fit_of(case, found, word) if is_likeliest else None
 
 
-def _withhold_poor_fit(found: Found, share: float) -> Found:
+def _withhold_poor_fit(found: Findings, share: float) -> Findings:
     """What is found, without a name that explains less than half of what it was not fitted to."""
     word = found.verdict.word
     if word not in MODELS or share >= LEAST_SHARE:
@@ -301,71 +307,69 @@ def _withhold_poor_fit(found: Found, share: float) -> Found:
         f"{MODELS[word]} is the likeliest, but fitted to a part of the log it explains"
         f" {100 * max(share, 0.0):.0f} % of the other readings: nothing is named{UNEXPLAINED}"
     )
-    return found._replace(verdict=decide("unclear", reason), element=None, odds={})
+    return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
 
 
-def _check_held_out(case: Case, found: Found, named: Fitted[Any] | None) -> OrderFit:
-    """Return the chosen order with the check on held-out data of what was found in the end."""
+def _validate_findings(case: Case, found: Findings, named: FittedModel[Any] | None) -> OrderFit:
+    """Return the chosen order with the held-out check of the final findings."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
-        chosen = chosen._replace(**held_out_error(found.element, held_out)._asdict())
+        chosen = chosen._replace(**validate_element(found.element, held_out)._asdict())
     elif named is not None:
         chosen = chosen._replace(**held_out_error_of_fit(named, held_out)._asdict())
     if found.kalman:
-        chosen = chosen._replace(white=_white_after_filter(found.kalman[0], held_out))
+        chosen = chosen._replace(white=_has_white_innovations(found.kalman[0], held_out))
     return chosen
 
 
-def _with_edges(answer: Answer) -> Answer:
+def _add_edges(answer: Answer) -> Answer:
     """Return the answer with the edges of a sensor's zone."""
-    heard = reacts_to_input(answer.fit)
-    shown = _jump_edges(answer.case) or _widths_in_units(answer, 2.0 if heard else 1.0)
-    remarks = [*_late(answer), *_edge_remarks(answer, shown, heard)]
-    remarks += _hardly_passed(answer, shown)
-    doubt = _not_wide(shown) or _unfound_widths(answer, shown)
+    heard = has_input_residual(answer.fit)
+    shown = _jump_widths(answer.case) or _log_unit_widths(answer, 2.0 if heard else 1.0)
+    remarks = [*_delay_remarks(answer), *_edge_remarks(answer, shown, heard)]
+    remarks += _widen_rare_edges(answer, shown)
+    doubt = _doubt_of_zero(shown) or _doubt_of_unmoved(answer, shown)
     if doubt:
         found = answer.found._replace(odds={})  # the likeliest model's own test denies it
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
     word = "unreached" if answer.case.unreached else answer.verdict
-    return _showing(answer, shown, remarks)._replace(verdict=word)
+    return _set_widths(answer, shown, remarks)._replace(verdict=word)
 
 
-def _not_wide(shown: dict[str, Any]) -> str:
-    """That a width may be 0; empty where it is not, or where there is none."""
+def _doubt_of_zero(shown: dict[str, Any]) -> str:
+    """Return the remark that a width may be 0; empty if it is not or is missing."""
     width = shown.get("width")
     if width is None or not width.low <= 0 < width.half:
         return ""
     return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
 
 
-def _unfound_widths(answer: Answer, shown: Shown) -> str:
-    """That a width was never found; empty where each was, or the user knows of it."""
+def _doubt_of_unmoved(answer: Answer, shown: Shown) -> str:
+    """Return the remark that an edge moves no reading; empty if each does or is known."""
     for name in ("right", "left"):
-        low, high = answer.case.options.bounds(name)
+        low, high = answer.case.options.parse_bounds(name)
         edge = shown[name]
         if edge is not None and low < high and edge.low == edge.high:
             return f"the {name} edge moves no reading: the fit never found the zone"
     return ""
 
 
-def _showing(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
-    """Return the answer with widths, and more to be careful about."""
+def _set_widths(answer: Answer, shown: Shown, remarks: list[str]) -> Answer:
+    """Return the answer with widths and further remarks."""
     right, left, width, centre = (shown[name] for name in DIRECTIONS)
     remarks = [*answer.remarks, *remarks]
     return answer._replace(right=right, left=left, width=width, centre=centre, remarks=remarks)
 
 
-def _white_after_filter(kalman: KalmanFit, held_out: float) -> bool:
-    """Return whether the filter's one-step errors on the held-out part are white, where it
-    speaks.
-    """
+def _has_white_innovations(kalman: KalmanFit, held_out: float) -> bool:
+    """Return whether the filter's held-out innovations are white outside the zone."""
     data = kalman.objective.data
     use = data.ok & (data.side != 0) & ~training_samples(data, held_out)
-    return is_white(innovations(kalman), use)
+    return is_white(filter_innovations(kalman), use)
 
 
-def _late(answer: Answer) -> list[str]:
-    """That the input acts late, where it does."""
+def _delay_remarks(answer: Answer) -> list[str]:
+    """Return the remark on an input delay, empty without a delay."""
     delay, grid = answer.found.delay, answer.case.grid
     if not delay:
         return []
@@ -373,8 +377,8 @@ def _late(answer: Answer) -> list[str]:
     return [f"the input acts {delay} samples late{time}"]
 
 
-def _in_loop(answer: Answer) -> Answer:
-    """Return the answer with whether the input answers to the readings, and what that means."""
+def _add_feedback(answer: Answer) -> Answer:
+    """Return the answer with the evidence of feedback and its consequences."""
     servo, loop = answer.servo, detect_feedback(answer.case)
     holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
     holds += " off by more than their intervals where a disturbance is strong"
@@ -382,30 +386,30 @@ def _in_loop(answer: Answer) -> Answer:
         loop = loop._replace(chance=servo.log.loop)
         what = "gap" if answer.verdict == "play" else "friction"
         holds = f"The {what} holds in it: each error is that of one prediction"
-    is_closed = loop.is_closed or (servo is not None and servo.log.has_feedback)
+    is_closed = loop.is_closed or (servo is not None and servo.log.is_closed_loop)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
-    remarks += _of_reference(answer.case.grid, answer.case.data.ok, loop)
+    remarks += _reference_remarks(answer.case.grid, answer.case.data.ok, loop)
     return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 
 
-def _of_reference(grid: Grid, ok: Flags, loop: Loop) -> list[str]:
-    """What is to be known of a reference that was recorded."""
+def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
+    """Return the remarks on a recorded reference."""
     if not grid.r.shape[1]:
         return []
     if loop.answered is None:
         return ["the reference never moves: it is not used"]
     if loop.answered == 0:
         return ["the reference alone makes the input: no loop is closed"]
-    if explained_by_readings(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
+    if feedback_share(grid.r, grid.y, ok, grid.r[:, :0], grid.start)[1] > CHANCE:
         return []
     words = "the reference answers to the readings as well: an outer loop makes it, or columns are"
     return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
 def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
-    """What to know of edges that are given."""
-    remarks = [] if answer.case.jumps else list(answer.widths.remarks)
+    """Return the remarks on reported edges."""
+    remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
     if heard:
         remarks.append(
             "past inputs explain part of the one-step residual: a delay, or too few poles; the"
@@ -417,7 +421,7 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
             f"no reading lies beyond the {name} edge: record with a larger input, or say"
             f" --{name} inf if there is none"
         )
-    if _edges_are_tied(answer):
+    if _has_tied_edges(answer):
         remarks.append(
             "z of an integrating plant has no zero of its own: it counts from the middle of the"
             " zone, so both edges are half of the width; the place of the zone is not asked"
@@ -432,15 +436,15 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
     return remarks
 
 
-def _edges_are_tied(answer: Answer) -> bool:
-    """Return whether both edges are one number, of a plant that integrates."""
+def _has_tied_edges(answer: Answer) -> bool:
+    """Return whether both edges share a parameter, as for an integrating plant."""
     return answer.fit.objective.limits.tied
 
 
-def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
-    """Return widen the intervals of edges that are hardly passed, and say so."""
+def _widen_rare_edges(answer: Answer, shown: Shown) -> list[str]:
+    """Return remarks on rarely passed edges; their intervals in `shown` are widened in place."""
     remarks: list[str] = []
-    if answer.case.jumps or _edges_are_tied(answer):
+    if answer.case.jump_edges or _has_tied_edges(answer):
         return remarks
     for name, visits in zip(("right", "left"), answer.excitation.visits, strict=True):
         edge = shown[name]
@@ -451,7 +455,7 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
         shown[name] = wider
         for sum_of_both, further in (("width", more), ("centre", [max(more) / 2] * 2)):
             interval = shown[sum_of_both]
-            shown[sum_of_both] = None if interval is None else interval.reaching(*further)
+            shown[sum_of_both] = None if interval is None else interval.extend_by(*further)
         remarks.append(
             f"the {name} edge is passed {visits} times only: hardly known; its interval is that of"
             " the profile likelihood where that is wider"
@@ -459,39 +463,39 @@ def _hardly_passed(answer: Answer, shown: Shown) -> list[str]:
     return remarks
 
 
-def _jump_edges(case: Case) -> Shown:
-    """Return the edges of a jump sensor in the units of the log; the others are on the safe
-    side.
+def _jump_widths(case: Case) -> Shown:
+    """Return the edges of a jump sensor in the units of the log; width and centre
+    conservative.
     """
-    if case.jumps is None:
+    if case.jump_edges is None:
         return {}
     scale, sides = case.data.y_scale, []
-    for edge in case.jumps:
+    for edge in case.jump_edges:
         wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
         low, high = edge.low * scale - wider, edge.high * scale + wider
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
     apart = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": apart.scale_interval(0.5)}
+    return {"right": right, "left": left, "width": width, "centre": apart.scale_by(0.5)}
 
 
-def _widths_in_units(answer: Answer, wider: float) -> Shown:
-    """Return the widths in the units of the log; an edge never reached has a lower bound alone."""
+def _log_unit_widths(answer: Answer, wider: float) -> Shown:
+    """Return the widths in the units of the log; an unreached edge has only a lower bound."""
     case, scale = answer.case, answer.scale
     shown: Shown = {}
     for name in DIRECTIONS:
-        shown[name] = getattr(answer.widths, name).scale_interval(scale).grow_interval(wider)
+        shown[name] = getattr(answer.widths, name).scale_by(scale).stretch_by(wider)
     for name in ("right", "left"):
-        low, high = case.options.bounds(name)
+        low, high = case.options.parse_bounds(name)
         if low == high:
             shown[name] = None if low == math.inf else Interval(low, low, high)
         if low == math.inf:
             shown["width"] = shown["centre"] = None
-    if _edges_are_tied(answer):
+    if _has_tied_edges(answer):
         shown["centre"] = None
     for name in case.unreached:
-        bound = lower_bound(case.chosen.singles, name) * scale
+        bound = lower_width_bound(case.chosen.singles, name) * scale
         shown[name] = Interval(bound, bound, math.inf)
         shown["width"] = shown["centre"] = None
     return shown
@@ -500,8 +504,8 @@ def _widths_in_units(answer: Answer, wider: float) -> Shown:
 # --- What an observer is told
 
 
-def range_of_width(answer: Answer, side: str) -> tuple[float, float]:
-    """Return the 99.9 % interval of a width, within the bounds that the user gave [y].
+def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
+    """Return the 99.9 % interval of a width, within the user's bounds [y].
 
     Each half of the shown interval grows as Student's quantile does for the degrees of freedom that
     it has, which are few where the edge is passed a few times; an edge of a jump sensor has
@@ -519,39 +523,41 @@ def range_of_width(answer: Answer, side: str) -> tuple[float, float]:
     """
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
-    low, high = answer.case.options.bounds(side)
-    told = _range_999(answer, side, edge)
+    low, high = answer.case.options.parse_bounds(side)
+    told = _interval_of_prior(answer, side, edge)
     low, high = max(told.low, low, 0.0), min(told.high, high)
     if not math.isfinite(high):
         raise InputError(
             f"scenario: the log gives no upper bound of d_{side}; bound it by --{side} LOW,HIGH"
         )
-    return _not_too_narrow(low, high)
+    return _widen_to_rounding(low, high)
 
 
-def range_of_element(element: Element, interval: Interval) -> tuple[float, float]:
-    """Return the 99.9 % interval of a width of an element that is no dead zone, not below 0 [y]."""
-    told = interval.grow_interval(_growth(element.degrees))
-    return _not_too_narrow(max(told.low, 0.0), told.high)
+def prior_element_range(element: Element, interval: Interval) -> tuple[float, float]:
+    """Return the 99.9 % interval, not below 0, of a width of another element than a dead zone
+    [y].
+    """
+    told = interval.stretch_by(_interval_growth(element.degrees))
+    return _widen_to_rounding(max(told.low, 0.0), told.high)
 
 
-def _not_too_narrow(low: float, high: float) -> tuple[float, float]:
+def _widen_to_rounding(low: float, high: float) -> tuple[float, float]:
     """Return a range that is wider than rounding."""
     margin = LEAST * max(high, LEAST)
     return (low, high) if high - low > margin else (max(low - margin, 0.0), high + margin)
 
 
-def _growth(degrees: float) -> float:
-    """By how much a 99.9 % interval is wider than one of 95 %."""
-    return quantile(degrees, SURE) / quantile(degrees)
+def _interval_growth(degrees: float) -> float:
+    """Return the ratio of a 99.9 % interval to a 95 % interval [1]."""
+    return student_quantile(degrees, SURE) / student_quantile(degrees)
 
 
-def _range_999(answer: Answer, side: str, edge: Interval) -> Interval:
+def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     """Return the 99.9 % interval of a width [y]."""
-    jumps, element = answer.case.jumps, answer.element
+    jumps, element = answer.case.jump_edges, answer.element
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]
         below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale
-        return edge.grow_interval(1.0)._replace(low=edge.value - below)
+        return edge.stretch_by(1.0)._replace(low=edge.value - below)
     degrees = answer.widths.degrees[side] if element is None else element.degrees
-    return edge.grow_interval(_growth(degrees))
+    return edge.stretch_by(_interval_growth(degrees))

@@ -1,4 +1,4 @@
-"""What to record next: the input that narrows the widest interval most, or parts two names best.
+"""Input to record next: it narrows the widest interval most, or separates two classes best.
 
 Candidates are steps of both signs, slow triangles and sweeps of sines. They stay within the
 amplitude of the log's own input, change no faster than it did, and move z no further. With the
@@ -24,14 +24,14 @@ from scipy.signal import chirp, sawtooth
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.elements import MapModel, PlayModel, linear, shift_beyond
-from undeadzone_identify.models.estimates import weighing
-from undeadzone_identify.models.least_squares import Fitted
-from undeadzone_identify.models.plant import Data
-from undeadzone_identify.models.zone_fit import Fit, fit_linear
+from undeadzone_identify.models.elements import MapModel, PlayModel, dead_zone_map, identity_map
+from undeadzone_identify.models.estimates import weight_row
+from undeadzone_identify.models.least_squares import FittedModel
+from undeadzone_identify.models.plant import RecordData
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.selection.alternatives import Element
-from undeadzone_identify.selection.servo import element_of
+from undeadzone_identify.selection.servo import build_servo_element
 
 SECONDS = 30.0  # that the next log lasts
 FEWEST, MOST = 300, 20_000  # samples of it
@@ -42,8 +42,8 @@ GAINS = 0.9  # of an interval that is left, from which nothing is worth a record
 PARTS_THEM = 3.0  # nats from which two names are parted
 
 
-class Next(NamedTuple):
-    """The input of the next log.
+class NextLog(NamedTuple):
+    """Input of the next log.
 
     Attributes:
         t: times (N) [s].
@@ -65,7 +65,7 @@ class Next(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What it is, and what it is worth."""
+        """Return the signal and its expected gain in words."""
         if self.left is None:
             gain = f"{self.what}: {self.nats:.3g} nats apart"
         else:
@@ -74,27 +74,29 @@ class Next(NamedTuple):
 
     @property
     def table(self) -> str:
-        """Return the input as CSV."""
+        """Return the input as CSV text."""
         rows = [",".join(self.heads)]
         for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
             rows.append(",".join(f"{number:.9g}" for number in (t, *u)))
         return "\n".join(rows) + "\n"
 
 
-class Account(NamedTuple):
-    """A model of the log with its numbers, scaled."""
+class ModelAccount(NamedTuple):
+    """Model of the log with its parameters, scaled."""
 
     model: Any
     theta: Floats
 
-    def along(self, data: Data) -> Account:
-        """Return the same at rest, at the start of another record."""
+    def account_along(self, data: RecordData) -> ModelAccount:
+        """Return the same model at rest, at the start of another record."""
         model = self.model.along(data)
         layout, own = model.simulator.layout, self.model.simulator.layout
-        return Account(model, layout.at_rest(own, self.theta))
+        return ModelAccount(model, layout.at_rest(own, self.theta))
 
-    def rows(self, begins_at_rest: bool) -> tuple[Floats, Floats]:
-        """What is read (N), and its derivatives by the numbers but those of the start (N x K)."""
+    def information_rows(self, begins_at_rest: bool) -> tuple[Floats, Floats]:
+        """Return the readings (N) and their derivatives without those by the start (N x
+        K).
+        """
         model, x0 = self.model, self.model.simulator.layout.x0
         ok = model.simulator.data.ok
         y, slopes = (part[ok] for part in model.slopes(self.theta))
@@ -106,21 +108,21 @@ class Account(NamedTuple):
         basis = np.linalg.qr(np.hstack(unknown))[0]
         return y - basis @ (basis.T @ y) if begins_at_rest else y, rows - basis @ (basis.T @ rows)
 
-    def weights(self, name: str) -> Floats:
-        """Return the row of right, left, width or centre over the numbers but those of the
-        start.
+    def interval_weights(self, name: str) -> Floats:
+        """Return the row of right, left, width or centre, parameters of the start left
+        out.
         """
         model, x0 = self.model, self.model.simulator.layout.x0
         first, size = model.base, self.theta.size
-        if isinstance(model, MapModel) and model.shape is linear:
+        if isinstance(model, MapModel) and model.shape is identity_map:
             first = model.simulator.layout.input.start
         tied = isinstance(model, PlayModel) and model.tied
-        row = weighing(model.free, size, first, DIRECTIONS[name], tied)
+        row = weight_row(model.free, size, first, DIRECTIONS[name], tied)
         return row[(model.free < x0.start) | (model.free >= x0.stop)]
 
 
-def next_log(answer: Answer) -> Next:
-    """Return the best of the candidates.
+def best_next_log(answer: Answer) -> NextLog:
+    """Return the best of the candidate inputs.
 
     Args:
         answer: what the log says.
@@ -131,16 +133,16 @@ def next_log(answer: Answer) -> Next:
     own = _least_known_width(answer)
     if own is not None:
         name, account = own
-        scored = _narrowing(answer, name, account)
-        return _worth(min(scored, key=lambda one: one.left or 0.0, default=None), name)
-    first, second = _two(answer)
-    scored = _parting(answer, first, second)
+        scored = _score_by_interval(answer, name, account)
+        return _require_gain(min(scored, key=lambda one: one.left or 0.0, default=None), name)
+    first, second = _likeliest_pair(answer)
+    scored = _score_by_separation(answer, first, second)
     names = f"{first} from {second}"
-    return _worth(max(scored, key=lambda one: one.nats or 0.0, default=None), names)
+    return _require_gain(max(scored, key=lambda one: one.nats or 0.0, default=None), names)
 
 
-def _worth(best: Next | None, what: str) -> Next:
-    """Return the best candidate. Raises InputError where it gains nothing."""
+def _require_gain(best: NextLog | None, what: str) -> NextLog:
+    """Require that the best candidate gains something. Raise InputError."""
     gains = best is not None and (best.left or 0.0) < GAINS
     if best is None or not gains or (best.nats is not None and best.nats < PARTS_THEM):
         raise InputError(
@@ -153,11 +155,11 @@ def _worth(best: Next | None, what: str) -> Next:
 # --- Models
 
 
-def _least_known_width(answer: Answer) -> tuple[str, Account] | None:
-    """Return the width that is known least, and the model that has it; None where there is none."""
+def _least_known_width(answer: Answer) -> tuple[str, ModelAccount] | None:
+    """Return the least known width and its model; None without a width."""
     servo, element = answer.case.servo, answer.element
-    if element is None and servo is not None and servo.turns_too_seldom:
-        element = element_of(answer.case, servo)
+    if element is None and servo is not None and servo.has_few_reversals:
+        element = build_servo_element(answer.case, servo)
     if element is not None:
         widths = element.widths
     elif answer.verdict == "dead_zone":
@@ -172,29 +174,29 @@ def _least_known_width(answer: Answer) -> tuple[str, Account] | None:
     if not half:
         return None
     widest = max(half, key=lambda name: half[name])
-    return widest, _of_zone(answer.fit) if element is None else _of_element(element)
+    return widest, _zone_account(answer.fit) if element is None else _element_account(element)
 
 
-def _of_zone(fit: Fit) -> Account:
-    """Return a dead zone of the sensor."""
-    model = MapModel(fit.objective.simulator, "dead_zone", shift_beyond)
-    return Account(model, np.append(fit.theta[: model.base], [fit.right, fit.left]))
+def _zone_account(fit: ZoneFit) -> ModelAccount:
+    """Return the model of a dead zone of the sensor."""
+    model = MapModel(fit.objective.simulator, "dead_zone", dead_zone_map)
+    return ModelAccount(model, np.append(fit.theta[: model.base], [fit.right, fit.left]))
 
 
-def _of_element(element: Element) -> Account:
-    """Return a play, or a zone of the input."""
-    if isinstance(element.fit, Fitted):
-        return Account(element.fit.model, element.fit.theta)
+def _element_account(element: Element) -> ModelAccount:
+    """Return the model of a play, or of a zone of the input."""
+    if isinstance(element.fit, FittedModel):
+        return ModelAccount(element.fit.model, element.fit.theta)
     model = PlayModel(element.simulator)
     gap, scale = element.widths["width"], model.data.y_scale
     assert gap is not None
     half = gap.value / 2 / scale
-    return Account(model, np.append(element.theta[: model.base], [half, half, 0.0, 0.0]))
+    return ModelAccount(model, np.append(element.theta[: model.base], [half, half, 0.0, 0.0]))
 
 
-def _two(answer: Answer) -> tuple[str, str]:
-    """Return the two likeliest names. Raises InputError where there are none to part."""
-    known = _accounts(answer)
+def _likeliest_pair(answer: Answer) -> tuple[str, str]:
+    """Return the two likeliest classes. Raise InputError without a pair to separate."""
+    known = _accounts_by_word(answer)
     likely = [word for word in answer.found.odds if word in known][:2]
     if answer.verdict != "undecided" or len(likely) < 2:
         raise InputError(
@@ -204,73 +206,76 @@ def _two(answer: Answer) -> tuple[str, str]:
     return likely[0], likely[1]
 
 
-def _accounts(answer: Answer) -> dict[str, Account]:
-    """Models of the log by their words."""
+def _accounts_by_word(answer: Answer) -> dict[str, ModelAccount]:
+    """Return models of the log by their classes."""
     fit, found = answer.fit, answer.found
     plain = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
-    model = MapModel(fit.objective.simulator, "none", linear)
-    accounts = {"none": Account(model, plain.theta[: model.base]), "dead_zone": _of_zone(fit)}
+    model = MapModel(fit.objective.simulator, "none", identity_map)
+    accounts = {
+        "none": ModelAccount(model, plain.theta[: model.base]),
+        "dead_zone": _zone_account(fit),
+    }
     fits = dict(found.places) | ({} if found.plays is None else dict(found.plays.fits))
-    return accounts | {word: Account(one.model, one.theta) for word, one in fits.items()}
+    return accounts | {word: ModelAccount(one.model, one.theta) for word, one in fits.items()}
 
 
 # --- Scores
 
 
-def _narrowing(answer: Answer, name: str, account: Account) -> Iterator[Next]:
+def _score_by_interval(answer: Answer, name: str, account: ModelAccount) -> Iterator[NextLog]:
     """Yield the candidates with the share of an interval that each leaves."""
-    row, (_, rows) = account.weights(name), account.rows(begins_at_rest=False)
+    row, (_, rows) = account.interval_weights(name), account.information_rows(begins_at_rest=False)
     told = rows.T @ rows
     scale = 1 / np.sqrt(np.diag(told) + 1e-300)
     told, row = told * np.outer(scale, scale) + 1e-12 * np.eye(scale.size), row * scale
     before = float(row @ np.linalg.solve(told, row))
-    for kind, data in _candidates(answer, account):
-        new = account.along(data).rows(begins_at_rest=True)[1] * scale
+    for kind, data in _candidate_records(answer, account):
+        new = account.account_along(data).information_rows(begins_at_rest=True)[1] * scale
         after = float(row @ np.linalg.solve(told + new.T @ new, row))
-        yield _candidate_in_units(answer, kind, data, name, math.sqrt(after / before), None)
+        yield _to_next_log(answer, kind, data, name, math.sqrt(after / before), None)
 
 
-def _parting(answer: Answer, first: str, second: str) -> Iterator[Next]:
-    """Yield the candidates with the nats by which each parts two names."""
-    known = _accounts(answer)
+def _score_by_separation(answer: Answer, first: str, second: str) -> Iterator[NextLog]:
+    """Yield the candidates with the nats by which each separates two classes."""
+    known = _accounts_by_word(answer)
     one, other = known[first], known[second]
-    _, rows = other.rows(begins_at_rest=False)
+    _, rows = other.information_rows(begins_at_rest=False)
     told = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
     noise = max(answer.chosen.error, answer.case.quantum / math.sqrt(12), 1e-6)
-    for kind, data in _candidates(answer, one):
-        here, _ = one.along(data).rows(begins_at_rest=True)
-        there, new = other.along(data).rows(begins_at_rest=True)
+    for kind, data in _candidate_records(answer, one):
+        here, _ = one.account_along(data).information_rows(begins_at_rest=True)
+        there, new = other.account_along(data).information_rows(begins_at_rest=True)
         apart = here - there
         gradient = new.T @ apart
         left = float(apart @ apart - gradient @ np.linalg.solve(told + new.T @ new, gradient))
         nats = max(left, 0.0) / (2 * noise**2)
-        yield _candidate_in_units(answer, kind, data, f"{first} from {second}", None, nats)
+        yield _to_next_log(answer, kind, data, f"{first} from {second}", None, nats)
 
 
-def _candidate_in_units(
-    answer: Answer, kind: str, data: Data, what: str, left: float | None, nats: float | None
-) -> Next:
-    """Return a candidate in units of the log."""
+def _to_next_log(
+    answer: Answer, kind: str, data: RecordData, what: str, left: float | None, nats: float | None
+) -> NextLog:
+    """Convert a candidate to units of the log."""
     grid = answer.case.grid
     t = grid.step * np.arange(data.y.size)
     heads = ("t [s]", *(f"{name} [{grid.input_unit}]" for name in grid.inputs))
-    return Next(t, data.u * data.u_scale, kind, what, left, nats, heads)
+    return NextLog(t, data.u * data.u_scale, kind, what, left, nats, heads)
 
 
 # --- Candidates
 
 
-def _candidates(answer: Answer, account: Account) -> Iterator[tuple[str, Data]]:
-    """Yield inputs within what the log's did, along which z moves no further (name, record)."""
+def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[str, RecordData]]:
+    """Yield inputs within the log's limits that move z no further (name, record)."""
     own, step = account.model.simulator.data, answer.case.grid.step
     size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
     reach = FURTHER * float(np.ptp(answer.z))
     blank = np.zeros(size)
     integrates = account.model.simulator.layout.integrators > 0
-    for kind, pattern in _patterns(_slowest(answer), size):
+    for kind, pattern in _unit_patterns(_slowest_constant(answer), size):
         for share in SIZES:
             u = np.column_stack(
-                [_within(column, share * pattern, integrates) for column in own.u.T]
+                [_limit_pattern(column, share * pattern, integrates) for column in own.u.T]
             )
             turned = [np.roll(column, k * size // 2) for k, column in enumerate(u.T)]
             data = own._replace(
@@ -281,19 +286,19 @@ def _candidates(answer: Answer, account: Account) -> Iterator[tuple[str, Data]]:
                 side=np.zeros(size, int),
                 climbs=None,
             )
-            moved = account.along(data)
+            moved = account.account_along(data)
             if np.ptp(moved.model.output(moved.theta)) <= reach:
                 yield kind, data
 
 
-def _slowest(answer: Answer) -> float:
-    """Return the slowest time constant of the plant, in samples."""
+def _slowest_constant(answer: Answer) -> float:
+    """Return the slowest time constant of the plant [samples]."""
     rates = np.abs(answer.poles) * answer.case.grid.step
     moving = rates[np.isfinite(rates) & (rates > 1e-4)]
     return float(1 / moving.min()) if moving.size else 50.0
 
 
-def _patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
+def _unit_patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
     """Yield signals between -1 and 1 (name, N)."""
     k, draw = np.arange(size), np.random.default_rng(0)
     periods = {float(np.clip(share * slowest, 20, size / 6)) for share in PERIODS}
@@ -305,8 +310,8 @@ def _patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
         yield "a sweep of sines", chirp(k, 0.25 / period, size, 2 / period, phi=-90)
 
 
-def _within(own: Floats, pattern: Floats, integrates: bool) -> Floats:
-    """Return a pattern within the amplitude of an input, changing no faster than it did (N)."""
+def _limit_pattern(own: Floats, pattern: Floats, integrates: bool) -> Floats:
+    """Limit a pattern to the amplitude and the rate of an input (N)."""
     low, high = float(own.min()), float(own.max())
     middle, reach = (low + high) / 2, (high - low) / 2
     if integrates or low * high < 0:  # about 0, which keeps z from running away

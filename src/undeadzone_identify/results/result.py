@@ -1,4 +1,6 @@
-"""What `identify` returns: the answer with what can be made of it, of one output or of several."""
+"""Result of `identify`: the answer with states, scenario and next log, for any number of
+outputs.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,13 @@ from undeadzone.util.arrays import Floats, finite
 from undeadzone.util.files import write_text
 from undeadzone.util.shown import Block
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.kalman_fit import smooth_with_spread
-from undeadzone_identify.models.plant import Simulator
+from undeadzone_identify.models.kalman_fit import smooth_with_deviation
+from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.results.next_log import Next, next_log
-from undeadzone_identify.results.to_continuous import observer_form
+from undeadzone_identify.results.next_log import NextLog, best_next_log
+from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
-from undeadzone_identify.results.words import in_words, numbers
+from undeadzone_identify.results.words import answer_numbers, summarise_answer
 
 WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
 
@@ -69,7 +71,7 @@ def save_numbers(found: Identified | IdentifiedOutputs, path: str | os.PathLike[
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Identified:
-    """What a log says of plant and dead zone, and what can be made of it.
+    """Estimate of plant and dead zone from a log, with its products.
 
     Attributes:
         answer: every value; the properties below are its most used ones.
@@ -79,7 +81,9 @@ class Identified:
 
     @property
     def verdict(self) -> str:
-        """Return one word: dead_zone, none, play, both, friction, input_zone, undecided, ..."""
+        """Return the class as a word: dead_zone, none, play, both, friction, input_zone,
+        undecided, ...
+        """
         return self.answer.verdict
 
     @property
@@ -89,41 +93,41 @@ class Identified:
 
     @property
     def right(self) -> Interval | None:
-        """Return d_r, of a play c_r [y], of an input zone b_r [u]: (value, low, high)."""
+        """Return d_r, for a play c_r [y], for an input zone b_r [u]: (value, low, high)."""
         return self.answer.right
 
     @property
     def left(self) -> Interval | None:
-        """Return d_l, of a play c_l [y], of an input zone b_l [u]: (value, low, high)."""
+        """Return d_l, for a play c_l [y], for an input zone b_l [u]: (value, low, high)."""
         return self.answer.left
 
     @property
     def width(self) -> Interval | None:
-        """Return the sum of both as (value, low, high)."""
+        """Return the sum of both widths as (value, low, high)."""
         return self.answer.width
 
     @property
     def centre(self) -> Interval | None:
-        """Return half of their difference as (value, low, high)."""
+        """Return the centre (d_r - d_l)/2, of c or of b alike, as (value, low, high)."""
         return self.answer.centre
 
     @property
     def order(self) -> int:
-        """Return poles of the plant."""
+        """Return the number of poles of the plant."""
         return self.answer.order
 
     @property
     def plant(self) -> dict[str, Any]:
-        """Return poles [1/s] and DC gains [y/u] of the plant."""
+        """Return the poles [1/s] and DC gains [y/u] of the plant."""
         return {"poles": self.answer.poles, "gain": self.answer.gain}
 
     @property
     def alternatives(self) -> dict[str, Any]:
-        """Return nats per sample by which other models are behind the best."""
+        """Return the nats per sample by which other models are behind the best."""
         return dict(self.numbers()["alternatives"])
 
     def states(self) -> States:
-        """Return z and the plant's states along the log, with deviations.
+        """Return z and the plant's states along the log, with standard deviations.
 
         Returns:
             The smoothed states where a disturbance was found ahead of the zone, else those of the
@@ -132,22 +136,23 @@ class Identified:
         answer, scale = self.answer, self.answer.scale
         t, kalman = answer.case.grid.t, answer.found.kalman
         if answer.element is None and kalman and kalman[0].model != 0:
-            smoothed, std = smooth_with_spread(kalman[0])
+            smoothed, std = smooth_with_deviation(kalman[0])
             return States(t, smoothed.z * scale, std * scale, smoothed.x[:, : self.order] * scale)
         simulator, theta = answer.plant
-        slope = simulator.gradient(theta, answer.z)
+        slope = simulator.z_gradient(theta, answer.z)
         if answer.element is None:
             objective, unseen = answer.fit.objective, 0.0
-            slope, V = slope[:, objective.free], objective.spread(theta).V
+            slope, V = slope[:, objective.free], objective.robust_covariance(theta).V
         else:
             slope, V = slope[:, : len(answer.element.V)], answer.element.V
-            unseen = answer.element.unseen
+            unseen = answer.element.disturbance_rms
         variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
-        x = _states_of_simulation(simulator, theta)
+        x = _simulate_states(simulator, theta)
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
     def scenario(self, title: str = "Identified log") -> str:
-        """Return a scenario as TOML text, which `run`, `check`, `design` and `watch` take as it is.
+        """Return a scenario as TOML text, a direct input of `run`, `check`, `design` and
+        `watch`.
 
         Args:
             title: of the scenario, of which code that is exported has its name.
@@ -160,12 +165,12 @@ class Identified:
         """
         if self.verdict in UNWRITTEN:
             raise InputError(f"scenario: {UNWRITTEN[self.verdict]}")
-        if not (self.answer.zone or self.answer.case.jumps or self.verdict in WRITTEN):
+        if not (self.answer.zone or self.answer.case.jump_edges or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)
 
-    def next_log(self) -> Next:
-        """Return the input to record next: of 30 s, within the amplitude and the rate of this
+    def next_log(self) -> NextLog:
+        """Return the input to record next: 30 s, within the amplitude and the rate of this
         log's.
 
         Returns:
@@ -175,15 +180,15 @@ class Identified:
         Raises:
             InputError: nothing would be gained.
         """
-        return next_log(self.answer)
+        return best_next_log(self.answer)
 
     def numbers(self) -> dict[str, Any]:
-        """Return all numbers of the answer, as `--json` prints them."""
-        return dict(finite(numbers(self.answer)))
+        """Return all numbers of the answer, as `--json` prints."""
+        return dict(finite(answer_numbers(self.answer)))
 
     def summary(self) -> dict[str, Any]:
-        """Return the answer in words, as the command prints it."""
-        return in_words(self.answer)
+        """Return the answer in words, as the command prints."""
+        return summarise_answer(self.answer)
 
     def blocks(self) -> list[Block]:
         """Return the table that `undeadzone identify` prints."""
@@ -199,14 +204,14 @@ class Identified:
     save = save_numbers
 
 
-def _states_of_simulation(simulator: Simulator, theta: Floats) -> Floats:
-    """States of the simulation in observer form (N x n), scaled."""
+def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
+    """Simulate the states in observer form (N x n), scaled."""
     layout, data = simulator.layout, simulator.data
-    F, B, _ = observer_form(theta[layout.a], theta[layout.b], layout)
+    F, B, _ = observer_matrices(theta[layout.a], theta[layout.b], layout)
     drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     x = np.empty((data.y.size, layout.n))
-    for part, state in zip(data.records(), x0, strict=True):
+    for part, state in zip(data.record_slices(), x0, strict=True):
         now = state
         for t in range(part.start, part.stop):
             x[t] = now
@@ -216,7 +221,7 @@ def _states_of_simulation(simulator: Simulator, theta: Floats) -> Floats:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class IdentifiedOutputs:
-    """The answers of several outputs, each with a plant of its own from all inputs.
+    """Answers for several outputs, each with a separate plant from all inputs.
 
     Attributes:
         names: of the outputs.
@@ -228,7 +233,9 @@ class IdentifiedOutputs:
 
     @property
     def verdict(self) -> str:
-        """Return dead_zone where every output has one, else the first other verdict."""
+        """Return dead_zone if every output has a dead zone, else the first different
+        verdict.
+        """
         words = [one.verdict for one in self.outputs]
         return next((word for word in words if word != "dead_zone"), "dead_zone")
 
@@ -238,7 +245,8 @@ class IdentifiedOutputs:
         return all(one.zone for one in self.outputs)
 
     def scenario(self, title: str = "Identified log") -> str:
-        """Return one scenario as TOML text: the outputs' plants side by side, with the same inputs.
+        """Return a joint scenario as TOML text: the outputs' plants side by side, with the
+        same inputs.
 
         Args:
             title: of the scenario.
@@ -255,7 +263,7 @@ class IdentifiedOutputs:
         return scenario_text([one.answer for one in self.outputs], title)
 
     def numbers(self) -> dict[str, Any]:
-        """Return all numbers of the answers, as `--json` prints them."""
+        """Return all numbers of the answers, as `--json` prints."""
         each = {}
         for name, one in zip(self.names, self.outputs, strict=True):
             each[name] = one.numbers()

@@ -1,4 +1,4 @@
-"""The fitted plant in continuous time, in companion form, with the spread of its entries."""
+"""Fitted plant in continuous time, in companion form, with the uncertainty of its entries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from undeadzone_identify.models.plant import Layout
 SMALL = 1e-3  # a static gain below this part of the largest makes no good scale
 
 
-def observer_form(a: Floats, b: Floats, layout: Layout) -> Matrices:
+def observer_matrices(a: Floats, b: Floats, layout: Layout) -> Matrices:
     """Return the sampled plant in observer form: x+ = F x + B u, z = first state.
 
     Args:
@@ -25,12 +25,13 @@ def observer_form(a: Floats, b: Floats, layout: Layout) -> Matrices:
         F (n x n), B (n x m), C (1 x n).
     """
     F = np.eye(layout.n, k=1)
-    F[:, 0] = -layout.denominator(a)[1:]
+    F[:, 0] = -layout.full_denominator(a)[1:]
     return Matrices(F, b.reshape(layout.m, layout.n).T.copy(), np.eye(1, layout.n))
 
 
-def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
-    """Return the plant that becomes the sampled one under a zero-order hold, in companion form.
+def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
+    """Convert to the plant that becomes the sampled plant under zero-order hold, in companion
+    form.
 
     Args:
         a, b, layout: as for `sampled_matrices`.
@@ -42,7 +43,7 @@ def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
     Raises:
         InputError: a pole that no plant in continuous time has: negative and real, or a delay.
     """
-    sampled = observer_form(a, b, layout)
+    sampled = observer_matrices(a, b, layout)
     n = layout.n
     poles = np.linalg.eigvals(sampled.A)
     real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)
@@ -62,13 +63,13 @@ def continuous(a: Floats, b: Floats, layout: Layout, step: float) -> Matrices:
     block[n:, n:] = np.eye(layout.m)
     both = np.real(logm(block)) / step
     A, B, C = both[:n, :n], both[:n, n:], sampled.C
-    polynomial = _polynomial(A, layout.integrators)
+    polynomial = _characteristic_polynomial(A, layout.integrators)
     if layout.m == 1:
         return _controller_companion(A, B, C, polynomial)
     return _observer_companion(A, B, C, polynomial)
 
 
-def _polynomial(A: Floats, integrators: int) -> Floats:
+def _characteristic_polynomial(A: Floats, integrators: int) -> Floats:
     """Return the characteristic polynomial, highest power first; its integrators exact."""
     polynomial = np.real(np.poly(A))
     if integrators:
@@ -77,7 +78,7 @@ def _polynomial(A: Floats, integrators: int) -> Floats:
 
 
 def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return a with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
+    """Return A with -alpha in the last row, B = [0 ... 0 g], C = numerator over g."""
     n = A.shape[0]
     markov = [float((C @ np.linalg.matrix_power(A, k) @ B)[0, 0]) for k in range(n)]
     numerator = np.convolve(polynomial, markov)[:n][::-1]  # lowest power first
@@ -89,13 +90,16 @@ def _controller_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -
 
 
 def _observer_companion(A: Floats, B: Floats, C: Floats, polynomial: Floats) -> Matrices:
-    """Return the states z, z', ... of the free motion: A companion, C = [1 0 ... 0]."""
+    """Return the plant in the states z, z', ... of the free motion:
+
+    A companion, C = [1 0 ... 0].
+    """
     n = A.shape[0]
     T = np.vstack([C @ np.linalg.matrix_power(A, k) for k in range(n)])
     return companion_form(polynomial[:0:-1])._replace(B=T @ B, C=np.eye(1, n))
 
 
-def entry_spread(
+def continuous_with_spread(
     a: Floats, b: Floats, layout: Layout, step: float, V: Floats
 ) -> tuple[Matrices, Floats, Floats]:
     """Return the plant in continuous time and relative standard deviations of A and B.
@@ -110,7 +114,7 @@ def entry_spread(
     Raises:
         InputError: as `continuous`.
     """
-    plant = continuous(a, b, layout, step)
+    plant = to_continuous_plant(a, b, layout, step)
     values, vectors = np.linalg.eigh(0.5 * (V + V.T))
     variance_A, variance_B = np.zeros_like(plant.A), np.zeros_like(plant.B)
     for value, vector in zip(values, vectors.T, strict=True):
@@ -118,15 +122,19 @@ def entry_spread(
             continue
         move = 0.05 * np.sqrt(value) * vector
         try:
-            moved = continuous(a + move[: a.size], b + move[a.size :], layout, step)
+            moved = to_continuous_plant(a + move[: a.size], b + move[a.size :], layout, step)
         except InputError:
             continue
         variance_A += ((moved.A - plant.A) / 0.05) ** 2
         variance_B += ((moved.B - plant.B) / 0.05) ** 2
-    return plant, _relative(variance_A, plant.A), _relative(variance_B, plant.B)
+    return (
+        plant,
+        _relative_deviations(variance_A, plant.A),
+        _relative_deviations(variance_B, plant.B),
+    )
 
 
-def _relative(variance: Floats, entries: Floats) -> Floats:
-    """Return deviations over entries; 0 where an entry is 0."""
+def _relative_deviations(variance: Floats, entries: Floats) -> Floats:
+    """Return standard deviations over entries [1]; 0 if an entry is 0."""
     size = np.abs(entries)
     return np.where(size > 0, np.sqrt(variance) / np.maximum(size, 1e-300), 0.0)

@@ -1,4 +1,4 @@
-"""From the answer to a scenario that `run`, `check`, `design` and `watch` take as it is."""
+"""From the answer to a scenario, a direct input of `run`, `check`, `design` and `watch`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import fill_words, printable
-from undeadzone_identify.logs.grid import rounding_of
+from undeadzone_identify.logs.grid import rounding_step
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman import AT_OUTPUT
-from undeadzone_identify.models.plant import input_gain
-from undeadzone_identify.results.assemble import Answer, range_of_element, range_of_width
-from undeadzone_identify.results.to_continuous import entry_spread
+from undeadzone_identify.models.plant import input_noise_gain
+from undeadzone_identify.results.assemble import Answer, prior_element_range, prior_width_range
+from undeadzone_identify.results.to_continuous import continuous_with_spread
 from undeadzone_identify.selection.alternatives import Element
 from undeadzone_identify.selection.decision import MEMORY
 from undeadzone_identify.servo.gap import ServoGap
@@ -48,29 +48,31 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         InputError: no plant in continuous time fits, outputs whose delays differ, or a zone that
             does not hold z = 0.
     """
-    plants, spreads_A, spreads_B = zip(*[_plant(answer) for answer in answers], strict=True)
+    plants, spreads_A, spreads_B = zip(
+        *[_plant_with_spread(answer) for answer in answers], strict=True
+    )
     first, plant = answers[0], _join_plants(plants)
     step = first.case.grid.step
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
         "title": json.dumps(title, ensure_ascii=False),
-        **{name.lower(): _rows(matrix) for name, matrix in plant._asdict().items()},
-        "delay": _delay(answers),
+        **{name.lower(): _toml_matrix(matrix) for name, matrix in plant._asdict().items()},
+        "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
-        **_zones(answers),
+        **_zone_fields(answers),
         "bare": first.verdict == "input_zone",
-        **_gap(first),
-        **_noise(answers),
-        "range": _range(answers),
+        **_gap_fields(first),
+        **_noise_fields(answers),
+        "range": _range_field(answers),
         "driven": driven,
-        "amplitude": _numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
-        "frequency": _number(_frequency(first, plant.A)),
-        **_disturbance(answers),
-        "tolerance": _tolerance(block_diag(*spreads_A), np.vstack(spreads_B)),
-        "duration": _number(_duration(answers, plant.A)),
+        "amplitude": _toml_numbers(np.quantile(np.abs(one.z) * one.scale, 0.98) for one in answers),
+        "frequency": _toml_number(_reference_frequency(first, plant.A)),
+        **_disturbance_fields(answers),
+        "tolerance": _tolerance_table(block_diag(*spreads_A), np.vstack(spreads_B)),
+        "duration": _toml_number(_run_duration(answers, plant.A)),
         "step": repr(float(f"{step:.12g}")),
-        "output": _text(first.case.grid.output_unit),
-        "input": _text(first.case.grid.input_unit),
+        "output": _toml_text(first.case.grid.output_unit),
+        "input": _toml_text(first.case.grid.input_unit),
     }
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
@@ -80,74 +82,76 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     return fill_words(template.read_text(encoding="utf-8"), words)
 
 
-def _zones(answers: Sequence[Answer]) -> dict[str, str]:
-    """Return widths of sensor and actuator, and what is told of them; empty where there is no zone.
+def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return widths of sensor and actuator with the observer's ranges; empty without a zone.
 
     Raises:
         InputError: a width that no scenario has.
     """
     first, none = answers[0], ("", "")
-    own = _widths([_edges(answer) for answer in answers]), _widths_for_observer(answers)
+    own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.element is not None and first.element.input:
         right, left = (first.element.input[side] for side in SIDES)
-        told = [[range_of_element(first.element, edge)] for edge in (right, left)]
-        actuator = _widths([_sound(first, right, left)]), _width_ranges(told)
+        told = [[prior_element_range(first.element, edge)] for edge in (right, left)]
+        actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(told)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
 
 
-def _widths(zones: Sequence[tuple[Interval, Interval]]) -> str:
-    """Return the widths of the zones of all outputs."""
+def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:
+    """Return the lines with the widths of all outputs' zones."""
     lines = []
     for side, ends in zip(SIDES, zip(*zones, strict=True), strict=True):
-        lines.append(f"{side} = {_numbers(one.value for one in ends)}  # 95 %: {_intervals(ends)}")
+        lines.append(
+            f"{side} = {_toml_numbers(one.value for one in ends)}  # 95 %: {_interval_remark(ends)}"
+        )
     return "\n".join(lines)
 
 
-def _widths_for_observer(answers: Sequence[Answer]) -> str:
-    """Return the widths as the observer knows them. Raises InputError."""
+def _prior_range_lines(answers: Sequence[Answer]) -> str:
+    """Return the lines with the observer's width ranges. Raise InputError."""
     element = answers[0].element
     if element is not None and element.edges is not None:
-        return _width_ranges(
-            [[range_of_element(element, edge)] for edge in element.edges], ", if c_r = c_l"
+        return _range_lines(
+            [[prior_element_range(element, edge)] for edge in element.edges], ", if c_r = c_l"
         )
-    return _width_ranges([[range_of_width(one, side) for one in answers] for side in SIDES])
+    return _range_lines([[prior_width_range(one, side) for one in answers] for side in SIDES])
 
 
-def _width_ranges(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
-    """Return the ranges of the widths of all outputs, right and left."""
+def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "") -> str:
+    """Return the lines with the ranges of the widths of all outputs, right and left."""
     lines = []
     for side, own in zip(SIDES, ranges, strict=True):
         lines.append(
-            f"{side} = {_list_texts([_pair(*one) for one in own])}  # 99.9 % interval{where}"
+            f"{side} = {_toml_list([_toml_pair(*one) for one in own])}  # 99.9 % interval{where}"
         )
     return "\n".join(lines)
 
 
-def _gap(answer: Answer) -> dict[str, str]:
-    """Return the gap of a play ahead of the dead zone; empty without one. Raises InputError."""
+def _gap_fields(answer: Answer) -> dict[str, str]:
+    """Return the gap of a play ahead of the dead zone; empty without a play. Raise InputError."""
     element, gap = answer.element, answer.width
     if answer.verdict != "both":
         return {"gap": ""}
     if element is None or gap is None:
         raise InputError("scenario: both widths must be known")
-    low, high = range_of_element(element, gap)
+    low, high = prior_element_range(element, gap)
     return {
-        "gap": _pair(gap.value / 2, gap.value / 2),
-        "gap_interval": _intervals([gap]),
-        "told_gap": _pair(low / 2, high / 2),
+        "gap": _toml_pair(gap.value / 2, gap.value / 2),
+        "gap_interval": _interval_remark([gap]),
+        "told_gap": _toml_pair(low / 2, high / 2),
     }
 
 
-def _plant(answer: Answer) -> tuple[Matrices, Floats, Floats]:
-    """Return the plant of one output, and relative spreads of its A and B. Raises InputError."""
+def _plant_with_spread(answer: Answer) -> tuple[Matrices, Floats, Floats]:
+    """Return the plant of an output, and relative spreads of its A and B. Raise InputError."""
     layout, a, b, V = answer.plant_numbers
-    return entry_spread(a, b, layout, answer.case.grid.step, V)
+    return continuous_with_spread(a, b, layout, answer.case.grid.step, V)
 
 
-def _delay(answers: Sequence[Answer]) -> int:
-    """Samples by which the plant is late, not its recording. Raises InputError."""
+def _common_delay(answers: Sequence[Answer]) -> int:
+    """Return the samples of the plant's delay, not its recording's. Raise InputError."""
     late = {one.found.delay * (one.case.options.delay == "auto") for one in answers}
     if len(late) > 1:
         raise InputError(
@@ -158,7 +162,7 @@ def _delay(answers: Sequence[Answer]) -> int:
 
 
 def _join_plants(plants: Sequence[Matrices]) -> Matrices:
-    """Return plants side by side, with the same inputs."""
+    """Join plants side by side, with the same inputs."""
     return Matrices(
         block_diag(*[plant.A for plant in plants]),
         np.vstack([plant.B for plant in plants]),
@@ -166,38 +170,40 @@ def _join_plants(plants: Sequence[Matrices]) -> Matrices:
     )
 
 
-def _numbers(values: Iterable[float]) -> str:
-    """Return the numbers of all outputs: one, or a list."""
-    return _list_texts([_number(value) for value in values])
+def _toml_numbers(values: Iterable[float]) -> str:
+    """Return the numbers of all outputs in TOML: a number, or a list."""
+    return _toml_list([_toml_number(value) for value in values])
 
 
-def _intervals(edges: Sequence[Interval]) -> str:
+def _interval_remark(edges: Sequence[Interval]) -> str:
     """Return the 95 % intervals of all outputs, for a remark."""
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
-def _pair(low: float, high: float) -> str:
+def _toml_pair(low: float, high: float) -> str:
     """Return two numbers in TOML."""
-    return f"[{_number(low)}, {_number(high)}]"
+    return f"[{_toml_number(low)}, {_toml_number(high)}]"
 
 
-def _list_texts(texts: Sequence[str]) -> str:
-    """Return one text as it is, several as a list in TOML."""
+def _toml_list(texts: Sequence[str]) -> str:
+    """Return a single text unchanged, several as a list in TOML."""
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"
 
 
-def _edges(answer: Answer) -> tuple[Interval, Interval]:
-    """Return both widths. Raises InputError."""
+def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
+    """Return both widths. Raise InputError if a width is unknown."""
     right, left = answer.right, answer.left
     if answer.element is not None and answer.element.edges is not None:
         right, left = answer.element.edges
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
-    return _sound(answer, right, left)
+    return _require_nonnegative(answer, right, left)
 
 
-def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, Interval]:
-    """Return widths that a scenario may have. Raises InputError."""
+def _require_nonnegative(
+    answer: Answer, right: Interval, left: Interval
+) -> tuple[Interval, Interval]:
+    """Return widths that a scenario may have. Raise InputError."""
     for name, edge in (("right", right), ("left", left)):
         if not math.isfinite(edge.value):
             raise InputError(
@@ -215,30 +221,28 @@ def _sound(answer: Answer, right: Interval, left: Interval) -> tuple[Interval, I
     return right, left
 
 
-def _noise(answers: Sequence[Answer]) -> dict[str, str]:
-    """Return noise of the sensor beside its rounding, threshold, quantum; empty where there is
-    none.
-    """
+def _noise_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return sensor noise beside rounding, threshold, quantum; empty without noise."""
     cases = [one.case for one in answers]
-    rms = np.array([_rms_of_noise(answer) for answer in answers]).T
-    quanta = np.array([rounding_of(one.grid.y[one.grid.ok]) for one in cases])
+    rms = np.array([_noise_rms_pair(answer) for answer in answers]).T
+    quanta = np.array([rounding_step(one.grid.y[one.grid.ok]) for one in cases])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
     silent = [max(0.5 * one.grid.quantum, one.options.threshold or 0.0) for one in cases]
     rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none
     ahead, behind = np.sqrt(np.maximum(rms**2 - rounding**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
-    shown = {name: bool(values.any()) * _numbers(values) for name, values in noise.items()}
-    return shown | {"threshold": bool(rms[0].any()) * _numbers(silent)}
+    shown = {name: bool(values.any()) * _toml_numbers(values) for name, values in noise.items()}
+    return shown | {"threshold": bool(rms[0].any()) * _toml_numbers(silent)}
 
 
-def _range(answers: Sequence[Answer]) -> str:
-    """Where the readings of all outputs end; empty where none sticks at an end."""
+def _range_field(answers: Sequence[Answer]) -> str:
+    """Return the range ends of all outputs' readings; empty if no reading sticks."""
     ends = [one.case.fitted.prepared.ends for one in answers]
-    return any(ends) * _list_texts([one or "[-inf, inf]" for one in ends])
+    return any(ends) * _toml_list([one or "[-inf, inf]" for one in ends])
 
 
-def _rms_of_noise(answer: Answer) -> tuple[float, float]:
-    """Return rms of white noise ahead of the sensor's zone and behind it; of other elements
+def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
+    """Return the rms of white noise ahead of the sensor's zone and behind; other elements:
     behind.
     """
     disturbance = answer.disturbance
@@ -249,83 +253,85 @@ def _rms_of_noise(answer: Answer) -> tuple[float, float]:
     return (white, 0.0) if at_zone else (0.0, white)
 
 
-def _frequency(answer: Answer, A: Floats) -> float:
-    """Return a frequency that plant and samples follow [Hz]; integrators alone: that of the log."""
+def _reference_frequency(answer: Answer, A: Floats) -> float:
+    """Return a frequency that plant and samples follow [Hz]; integrators alone: that of the
+    log.
+    """
     rates = np.abs(np.linalg.eigvals(A))
     moving = rates[rates > 1e-6 * rates.max()]
-    slowest = float(moving.min()) if moving.size else _rate_of_motion(answer)
+    slowest = float(moving.min()) if moving.size else _rate_of_output(answer)
     return float(f"{min(0.5 * slowest / (2 * math.pi), 0.02 / answer.case.grid.step):.3g}")
 
 
-def _rate_of_motion(answer: Answer) -> float:
-    """Return rms of z' over that of z along the log [1/s]: of a sine its frequency."""
+def _rate_of_output(answer: Answer) -> float:
+    """Return the rms of z' over that of z along the log [1/s]: the frequency of a sine."""
     grid = answer.case.grid
     around = float(np.std(answer.z))
     return float(np.std(np.diff(answer.z))) / (grid.step * around) if around else 0.02 / grid.step
 
 
-def _duration(answers: Sequence[Answer], A: Floats) -> float:
-    """Return a whole number of steps that hold 20 periods of the reference, 20,000 at most."""
+def _run_duration(answers: Sequence[Answer], A: Floats) -> float:
+    """Return a whole number of steps with 20 periods of the reference, 20,000 at most [s]."""
     step = answers[0].case.grid.step
-    periods = 20 / _frequency(answers[0], A)
+    periods = 20 / _reference_frequency(answers[0], A)
     return float(f"{step * math.ceil(min(periods / step, 20000)):.12g}")
 
 
-def _disturbance(answers: Sequence[Answer]) -> dict[str, str]:
-    """What disturbs the input, for the observer: the strongest of the outputs' disturbances."""
-    claims = [_claim(answer) for answer in answers]
+def _disturbance_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return the input disturbance for the observer: the strongest of all outputs."""
+    claims = [_disturbance_prior(answer) for answer in answers]
     known = [claim for claim in claims if claim is not None]
     if len(known) < len(claims):
         return {"disturbance": ""}  # something disturbs z: the observer's own default
     rms, time = max(known)
-    return {"disturbance": _number(rms), "correlation_time": _number(time)}
+    return {"disturbance": _toml_number(rms), "correlation_time": _toml_number(time)}
 
 
-def _claim(answer: Answer) -> tuple[float, float] | None:
-    """Return rms at the input and correlation time [s] of what disturbs an output; None: not
-    known.
+def _disturbance_prior(answer: Answer) -> tuple[float, float] | None:
+    """Return rms at the input and correlation time [s] of an output's disturbance; None if
+    unknown.
     """
     step = answer.case.grid.step
     kalman = answer.found.kalman
     data = answer.fit.objective.data
     if answer.element is not None and isinstance(answer.element.fit, ServoGap):
-        return answer.element.fit.disturbance
+        return answer.element.fit.motor_disturbance
     if answer.element is not None:
-        return _claim_ahead(answer.element, step, float(data.u_scale[0]))
+        return _element_disturbance_prior(answer.element, step, float(data.u_scale[0]))
     if not kalman:
         return (0.0, 0.5 * step) if answer.chosen.white else None
     best = kalman[0]
-    phi = best.phi
-    rms = best.q / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
+    phi = best.disturbance_memory
+    rms = best.driving_rms / math.sqrt(1 - phi * phi) * float(data.u_scale[0])
     if best.model == AT_OUTPUT:
         layout, a, b, _ = answer.plant_numbers
-        at_z = best.q / math.sqrt(1 - phi * phi) * answer.scale
-        rms = at_z / math.sqrt(input_gain(a, b[: layout.n], layout.n, phi))
+        at_z = best.driving_rms / math.sqrt(1 - phi * phi) * answer.scale
+        rms = at_z / math.sqrt(input_noise_gain(a, b[: layout.n], layout.n, phi))
     return rms, _correlation_time(phi, step)
 
 
 def _correlation_time(phi: float, step: float) -> float:
-    """Return the correlation time [s] of a correlation over one step."""
+    """Return the correlation time [s] for a correlation over a step."""
     if phi <= 0.01:
         return 0.5 * step
     return float(np.clip(-step / math.log(phi), 0.11 * step, 1e5 * step))
 
 
-def _claim_ahead(element: Element, step: float, scale: float) -> tuple[float, float] | None:
-    """Return rms at the input and correlation time [s] of what disturbs the plant behind an
-    element.
-    """
+def _element_disturbance_prior(
+    element: Element, step: float, scale: float
+) -> tuple[float, float] | None:
+    """Return rms at the input and correlation time [s] of the disturbance ahead of an element."""
     if element.ahead is None:
         return None
     unseen = UNSEEN * element.noise
     if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
         layout, theta = element.simulator.layout, element.theta
-        gain = input_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
+        gain = input_noise_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
         return unseen / math.sqrt(gain) * scale, 0.5 * step
     return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
 
 
-def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
+def _tolerance_table(spread_A: Floats, spread_B: Floats) -> str:
     """Return relative deviations of the entries of A and B, as a TOML table in a line."""
     entries = []
     for name, spread in (("A", spread_A), ("B", spread_B)):
@@ -334,16 +340,16 @@ def _tolerance(spread_A: Floats, spread_B: Floats) -> str:
     return "{ " + ", ".join(entries) + " }"
 
 
-def _rows(matrix: Any) -> str:
+def _toml_matrix(matrix: Any) -> str:
     """Return a matrix in TOML."""
     return str(np.asarray(matrix, dtype=float).tolist())
 
 
-def _number(value: float) -> str:
-    """Return a number in TOML, every digit of it."""
+def _toml_number(value: float) -> str:
+    """Return a number in TOML with all digits."""
     return repr(float(value))
 
 
-def _text(value: str) -> str:
+def _toml_text(value: str) -> str:
     """Return a text in TOML."""
     return json.dumps(printable(value), ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""The answer as numbers for JSON and as words for the terminal.
+"""Answer as numbers for JSON and as words for the terminal.
 
 A servo behind gear play in numbers and words: what it is made of, and every crossing.
 """
@@ -17,8 +17,8 @@ from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.selection.decision import MODELS
-from undeadzone_identify.selection.location import levels_of
-from undeadzone_identify.selection.odds import behind
+from undeadzone_identify.selection.location import input_levels_of
+from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.servo.likelihood import At
 
 WITHOUT_GAP = ("none", "friction")  # words of a servo whose gap is excluded
@@ -27,7 +27,7 @@ SIDES = {1: "right", -1: "left"}
 
 
 def servo_numbers(answer: Answer) -> dict[str, Any] | None:
-    """Return the servo in units of the log, and its crossings column by column; None without one.
+    """Return the servo in units of the log with its crossings by column; None without a servo.
 
     Args:
         answer: what a log says.
@@ -51,14 +51,13 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
         "delay": float(theta[At.DELAY]) * log.seconds,
         "torque": math.exp(theta[At.TORQUE]) * log.u_scale,
         "slow_torque": math.exp(theta[At.SLOW]) * log.u_scale if "slow" in parts else 0.0,
-        "trends": servo.trends,
+        "trends": servo.trend_remarks,
         "crossings": {name: column.tolist() for name, column in crossing_columns(answer).items()},
     }
 
 
-def joints(answer: Answer) -> list[Joint]:
-    """Return the gears of a servo, for MuJoCo; none of another answer, or of a servo without
-    inertia.
+def servo_joints(answer: Answer) -> list[Joint]:
+    """Return the gears of a servo for MuJoCo; none for other answers, or without inertia.
 
     Args:
         answer: of a log whose input is a torque [N m] and whose output is an angle [rad].
@@ -73,7 +72,7 @@ def joints(answer: Answer) -> list[Joint]:
 
 
 def crossing_columns(answer: Answer) -> dict[str, Floats]:
-    """Return the crossings of a servo's gap column by column; empty where there is no servo."""
+    """Return the crossings of a servo's gap by column; empty without a servo."""
     servo = answer.servo
     if servo is None or answer.verdict in WITHOUT_GAP:
         return {}
@@ -88,8 +87,8 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
     }
 
 
-def crossings_in_words(answer: Answer, unit: str) -> list[str]:
-    """Return the first crossings, and what all of them say."""
+def describe_crossings(answer: Answer, unit: str) -> list[str]:
+    """Describe the first crossings, and the median and range of all."""
     columns, servo = crossing_columns(answer), answer.servo
     if servo is None or not columns or not columns["t"].size:
         return []
@@ -102,7 +101,7 @@ def crossings_in_words(answer: Answer, unit: str) -> list[str]:
         )
     low, high = np.quantile(columns["gap"], [0.1, 0.9])
     lines.append(
-        f"all {columns['t'].size}: median {servo.crossings.median:.4g}{unit}, 80 % within"
+        f"all {columns['t'].size}: median {servo.crossings.median_gap:.4g}{unit}, 80 % within"
         f" {low:.4g} to {high:.4g}{unit}; every one is in the page and in the JSON"
     )
     return lines
@@ -146,7 +145,7 @@ AT_ZERO = "  assumes z = 0 at u = 0"
 # --- Numbers
 
 
-def numbers(answer: Answer) -> dict[str, Any]:
+def answer_numbers(answer: Answer) -> dict[str, Any]:
     """Return all numbers of an answer, as nested dictionaries.
 
     Args:
@@ -162,22 +161,22 @@ def numbers(answer: Answer) -> dict[str, Any]:
         "zone": answer.zone,
         "verdict": answer.verdict,
         "reasons": answer.reasons,
-        **{name: _as_triple(getattr(answer, name)) for name in DIRECTIONS},
+        **{name: _interval_list(getattr(answer, name)) for name in DIRECTIONS},
         "input_widths": None
         if not at_input
-        else {k: _as_triple(one) for k, one in at_input.items()},
+        else {k: _interval_list(one) for k, one in at_input.items()},
         "order": answer.order,
         "plant": {
             "poles": [[float(pole.real), float(pole.imag)] for pole in answer.poles],
             "gain": answer.gain.tolist(),
         },
         "disturbance": answer.disturbance._asdict(),
-        "zone_width": None if answer.element is None else _as_triple(answer.element.zone),
-        "offsets": _offsets(answer),
+        "zone_width": None if answer.element is None else _interval_list(answer.element.zone),
+        "offsets": _offset_numbers(answer),
         "odds": answer.found.odds,
-        "alternatives": behind(answer.found.models),
-        "levels": _levels(answer),
-        "friction": _as_triple(answer.found.friction),
+        "alternatives": nats_behind_best(answer.found.models),
+        "levels": _level_numbers(answer),
+        "friction": _interval_list(answer.found.friction),
         "servo": servo_numbers(answer),
         "held_out": {
             "error": chosen.error * answer.scale,
@@ -203,7 +202,7 @@ def numbers(answer: Answer) -> dict[str, Any]:
             "silent": answer.excitation.silent,
             "longest_silence": answer.excitation.longest * grid.step,
         },
-        "stages": _stages(answer),
+        "stages": _stage_numbers(answer),
         "record": {
             "samples": int(grid.t.size),
             "readings": int(grid.ok.sum()),
@@ -216,29 +215,33 @@ def numbers(answer: Answer) -> dict[str, Any]:
     }
 
 
-def _as_triple(interval: Interval | None) -> list[float] | None:
-    """Return [value, low, high]."""
+def _interval_list(interval: Interval | None) -> list[float] | None:
+    """Return [value, low, high], or None."""
     return None if interval is None else [float(number) for number in interval]
 
 
-def _offsets(answer: Answer) -> dict[str, Any] | None:
-    """What the four offsets of the readings say."""
+def _offset_numbers(answer: Answer) -> dict[str, Any] | None:
+    """Return the four-offset estimates of play and dead zone."""
     offsets = answer.found.offsets
     if offsets is None:
         return None
-    pairs = zip(offsets.widths * answer.scale, offsets.std * answer.scale, strict=True)
+    pairs = zip(
+        offsets.play_and_zone_widths * answer.scale,
+        offsets.width_deviations * answer.scale,
+        strict=True,
+    )
     play, zone, rest = ([float(value), float(std)] for value, std in pairs)
-    return {"name": offsets.name, "play": play, "dead_zone": zone, "rest": rest}
+    return {"name": offsets.element_name, "play": play, "dead_zone": zone, "rest": rest}
 
 
-def _levels(answer: Answer) -> dict[str, list[float]]:
+def _level_numbers(answer: Answer) -> dict[str, list[float]]:
     """Return friction and the zone of the input, right and left [u]."""
     u_scale = answer.fit.objective.data.u_scale[0]
-    levels = levels_of(answer.found.places)
+    levels = input_levels_of(answer.found.places)
     return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
 
 
-def _stages(answer: Answer) -> dict[str, Any]:
+def _stage_numbers(answer: Answer) -> dict[str, Any]:
     """Return widths and half intervals by stage of the fit."""
     widths = answer.widths
     stages = {}
@@ -256,7 +259,7 @@ def _stages(answer: Answer) -> dict[str, Any]:
 # --- Words
 
 
-def in_words(answer: Answer) -> dict[str, Any]:
+def summarise_answer(answer: Answer) -> dict[str, Any]:
     """Return the answer as lines of the terminal: name and text, or a list of texts.
 
     Args:
@@ -265,72 +268,70 @@ def in_words(answer: Answer) -> dict[str, Any]:
     Returns:
         The lines in order.
     """
-    lines: dict[str, Any] = {"record": _record(answer), "plant": _plant(answer)}
-    lines["dead zone"] = HEADS[answer.verdict] + _certainty(answer)
+    lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
+    lines["dead zone"] = HEADS[answer.verdict] + _describe_certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
     if answer.found.odds:
-        lines["odds"] = odds_in_words(answer)
-    unit = _unit(answer.case.grid.output_unit)
-    lines |= _widths(answer)
+        lines["odds"] = describe_probabilities(answer)
+    unit = _unit_suffix(answer.case.grid.output_unit)
+    lines |= _describe_widths(answer)
     if answer.found.friction is not None:
-        of_input = _unit(answer.case.grid.input_unit)
-        lines["friction"] = f"{_in_words(answer.found.friction, of_input)}, of the motor"
-    crossings = crossings_in_words(answer, unit)
+        of_input = _unit_suffix(answer.case.grid.input_unit)
+        lines["friction"] = f"{_describe_interval(answer.found.friction, of_input)}, of the motor"
+    crossings = describe_crossings(answer, unit)
     if crossings:
         lines["crossings"] = crossings
-    lines["disturbance"] = _disturbance(answer, unit)
+    lines["disturbance"] = _describe_disturbance(answer, unit)
     lines["held out"] = _describe_held_out(answer, unit)
     if answer.remarks:
         lines["note"] = answer.remarks
     return lines
 
 
-def _widths(answer: Answer) -> dict[str, str]:
-    """Return the widths of the sensor's zone, or of what stands in its place, and the four
-    offsets.
-    """
+def _describe_widths(answer: Answer) -> dict[str, str]:
+    """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
-    letter, unit = "d", _unit(grid.output_unit)
+    letter, unit = "d", _unit_suffix(grid.output_unit)
     if answer.verdict == "input_play":
-        letter, unit = "c", _unit(grid.input_unit)
+        letter, unit = "c", _unit_suffix(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
         if element.kind == "input_zone":
-            letter, unit = "b", _unit(grid.input_unit)
+            letter, unit = "b", _unit_suffix(grid.input_unit)
     lines = {}
     for place, name in enumerate(DIRECTIONS):
         interval: Interval | None = getattr(answer, name)
         if interval is None:
             continue
-        title = _title(letter, name).removeprefix("d ")
-        lines[title] = _in_words(interval, unit)
+        title = _width_title(letter, name).removeprefix("d ")
+        lines[title] = _describe_interval(interval, unit)
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
         if name == "centre" and letter != "b" and np.isfinite(interval.high):
             lines[title] += AT_ZERO
     for name, interval in ({} if element is None else element.input).items():
-        lines[_title("b", name)] = _in_words(interval, _unit(grid.input_unit))
+        lines[_width_title("b", name)] = _describe_interval(interval, _unit_suffix(grid.input_unit))
     if element is not None and element.zone is not None:
-        lines["d width"] = _in_words(element.zone, unit)
+        lines["d width"] = _describe_interval(element.zone, unit)
     if element is not None and answer.found.offsets is not None:
-        lines["four offsets"] = answer.found.offsets.name.replace("_", " ")
+        lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
 
 
-def _title(letter: str, name: str) -> str:
-    """What a width is called: d_right, c width."""
+def _width_title(letter: str, name: str) -> str:
+    """Return the title of a width: d_right, c width."""
     return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
 
 
-def _unit(unit: str) -> str:
+def _unit_suffix(unit: str) -> str:
     """Return a unit behind a number."""
     return "" if unit == "1" else f" {unit}"
 
 
-def _in_words(interval: Interval, unit: str) -> str:
-    """Return a value with its interval, digits as far as they mean something."""
+def _describe_interval(interval: Interval, unit: str) -> str:
+    """Describe a value with its interval, with significant digits only."""
     value, low, high = interval
     if not np.isfinite(high):
         if not np.isfinite(low):
@@ -342,8 +343,8 @@ def _in_words(interval: Interval, unit: str) -> str:
     return f"{bracket_interval(value, low, high, f'.{min(digits, 12)}f')}{unit}"
 
 
-def _record(answer: Answer) -> str:
-    """Samples, step, names and units, silence."""
+def _describe_record(answer: Answer) -> str:
+    """Describe samples, step, names and units, share of samples inside the zone."""
     grid = answer.case.grid
     names = ", ".join(f"{name} [{grid.input_unit}]" for name in grid.inputs)
     step = "times count samples" if grid.counted else f"{grid.step:.6g} s"
@@ -358,8 +359,8 @@ def _record(answer: Answer) -> str:
     return text + f"; no silence at 0: noise behind the zone; {100 * silent:.0f} % of z inside it"
 
 
-def _plant(answer: Answer) -> str:
-    """Order, poles, gains."""
+def _describe_plant(answer: Answer) -> str:
+    """Describe order, poles, gains."""
     grid = answer.case.grid
     rate = "1/sample" if grid.counted else "1/s"
     shown = []
@@ -381,22 +382,22 @@ def _plant(answer: Answer) -> str:
     return f"order {answer.order} (BIC), poles {', '.join(shown)} {rate}, {kind} {gains}{unit}"
 
 
-def _certainty(answer: Answer) -> str:
-    """How sure the zone is."""
+def _describe_certainty(answer: Answer) -> str:
+    """Describe the certainty of the zone."""
     if not answer.zone:
         return ""
     if answer.fit.objective.kind != "behind":
         return " (silence)"
-    return f" ({chance_in_words(answer.case.no_zone.chance)})"
+    return f" ({describe_p_value(answer.case.no_zone.chance)})"
 
 
-def chance_in_words(chance: float) -> str:
-    """Return a probability of chance alone; how small a very small one is says nothing."""
+def describe_p_value(chance: float) -> str:
+    """Describe a p value; very small values are not resolved."""
     return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
 
 
-def odds_in_words(answer: Answer) -> str:
-    """What may be there, by how likely it is: sensor 97 %, friction 3 %."""
+def describe_probabilities(answer: Answer) -> str:
+    """Describe the classes by posterior probability: sensor 97 %, friction 3 %."""
     shown = []
     for word, share in answer.found.odds.items():
         if share >= LEAST_SHOWN:
@@ -405,8 +406,8 @@ def odds_in_words(answer: Answer) -> str:
     return ", ".join(shown)
 
 
-def _disturbance(answer: Answer, unit: str) -> str:
-    """Return rms and correlation time."""
+def _describe_disturbance(answer: Answer, unit: str) -> str:
+    """Describe rms and correlation time of the disturbance."""
     disturbance = answer.disturbance
     where = "at z" if disturbance.ahead else "behind the zone"
     if not disturbance.ahead and not answer.zone:
@@ -421,7 +422,7 @@ def _disturbance(answer: Answer, unit: str) -> str:
 
 
 def _describe_held_out(answer: Answer, unit: str) -> str:
-    """How the fit does on data that had no part in it."""
+    """Describe the fit on held-out data."""
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
@@ -431,8 +432,10 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
     )
 
 
-def rivals_in_words(answer: Answer) -> list[tuple[str, str, float]]:
-    """Return every model with its odds in words and how far it is behind, in nats per reading."""
+def describe_rivals(answer: Answer) -> list[tuple[str, str, float]]:
+    """Describe every model with its probability and its distance behind the best
+    [nats/reading].
+    """
     odds = {word: f"{100 * share:.1f} %" for word, share in answer.found.odds.items()}
-    rivals = sorted(behind(answer.found.models).items(), key=lambda row: row[1])
+    rivals = sorted(nats_behind_best(answer.found.models).items(), key=lambda row: row[1])
     return [(MODELS[word], odds.get(word, "-"), nats) for word, nats in rivals]

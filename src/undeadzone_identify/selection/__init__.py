@@ -1,1 +1,1 @@
-"""What a log shows: orders, delays, which nonlinearity, where, how wide."""
+"""Decision on a log: orders, delays, the nonlinearity, its location, its widths."""

@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
-from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, Fitted
+from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel
 
 SHARE = 0.05  # of the innovations' variance, from which a direction is real
 SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
@@ -84,7 +84,7 @@ class Remainder(NamedTuple):
         ]
 
 
-def largest_remainder(fit: Fitted[Any], word: str) -> Remainder | None:
+def largest_remainder(fit: FittedModel[Any], word: str) -> Remainder | None:
     """Return what a model's innovations depend on most, if that is real; else None.
 
     Args:
@@ -99,7 +99,7 @@ def largest_remainder(fit: Fitted[Any], word: str) -> Remainder | None:
     return max(real, key=lambda one: one.share, default=None)
 
 
-def remainders(fit: Fitted[Any]) -> list[Remainder]:
+def remainders(fit: FittedModel[Any]) -> list[Remainder]:
     """Return what a model's innovations depend on, direction by direction.
 
     Args:
@@ -109,20 +109,20 @@ def remainders(fit: Fitted[Any]) -> list[Remainder]:
         return []
     squares = fit.squares.fit_coloured(fit.theta)
     data = squares.data
-    e, rows = (squares.whiten(one) for one in squares.rows(fit.theta))
+    e, rows = (squares.whiten(one) for one in squares.residual_and_slopes(fit.theta))
     use = data.ok.copy()
-    for part in data.records():
+    for part in data.record_slices():
         use[part.start : part.start + BEGIN] = False
     own = np.column_stack([rows, np.ones(len(rows))])[use]
     if len(own) < 4 * own.shape[1]:
         return []
-    target = least_squares.unexplained_by(own, e[use])
+    target = least_squares.regression_residual(own, e[use])
     found = []
     for name, columns in _directions(fit).items():
         centred = np.where(data.ok[:, None], columns - columns[data.ok].mean(axis=0), 0.0)
         left = _left_over(own, squares.whiten(centred)[use])
         if left is not None:
-            share, chance = least_squares.explain_residual(left, target)[2:]
+            share, chance = least_squares.regress_residual(left, target)[2:]
             found.append(Remainder(name, share, chance))
     return found
 
@@ -132,7 +132,7 @@ def _left_over(own: Floats, columns: Floats) -> Floats | None:
 
     None where they explain all.
     """
-    left = least_squares.unexplained_by(own, columns)
+    left = least_squares.regression_residual(own, columns)
     scale = left.std(axis=0)
     kept = scale > VANISHING * np.maximum(columns.std(axis=0), 1e-12)
     if not kept.any():
@@ -141,7 +141,7 @@ def _left_over(own: Floats, columns: Floats) -> Floats | None:
     return np.asarray(basis[:, sizes > ALIKE * sizes[0]] * math.sqrt(len(left)))
 
 
-def _directions(fit: Fitted[Any]) -> dict[str, Floats]:
+def _directions(fit: FittedModel[Any]) -> dict[str, Floats]:
     """Return what a wrong model would leave, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
@@ -169,7 +169,7 @@ def _directions(fit: Fitted[Any]) -> dict[str, Floats]:
 def _hats(values: Floats, count: int) -> Floats:
     """Return hat functions of a signal (N x K)."""
     centres = np.unique(np.quantile(values, np.linspace(0.01, 0.99, count)))
-    return least_squares.hats(values, centres)
+    return least_squares.hat_functions(values, centres)
 
 
 def _by_turn(turn: Floats, signal: Floats) -> Floats:
@@ -189,7 +189,7 @@ def _late(signal: Floats, lag: int) -> Floats:
     return np.append(np.full(lag, signal[0]), signal[:-lag])
 
 
-def _through_plant(fit: Fitted[Any], columns: Floats) -> Floats:
+def _through_plant(fit: FittedModel[Any], columns: Floats) -> Floats:
     """Return what the plant makes of columns at its first input (N x K)."""
     layout, theta = fit.model.simulator.layout, fit.theta
     numerator = np.append(0.0, theta[layout.b][: layout.n])

@@ -1,4 +1,4 @@
-"""Which nonlinearity is it, if no dead zone of the sensor: a play, both, a zone of the input?
+"""Other nonlinearities than the sensor's dead zone: a play, both, a zone of the input.
 
 What is found stands in its place, with its plant. u is known, so what a zone of the input passes is
 known for every pair of widths: least squares of the simulated output is consistent whatever
@@ -21,22 +21,27 @@ from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
     PlayModel,
-    fit_both,
     fit_play,
+    fit_play_and_zone,
 )
-from undeadzone_identify.models.estimates import Interval, best_top
+from undeadzone_identify.models.estimates import Interval, best_maximum
 from undeadzone_identify.models.kalman_fit import KalmanFit
-from undeadzone_identify.models.least_squares import LEAST_ODD, Fitted, LeastSquares
+from undeadzone_identify.models.least_squares import LEAST_ODD, FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
-from undeadzone_identify.models.motion import THERE, Offsets, along, white_noise
-from undeadzone_identify.models.place import (
-    PlaceFit,
-    Zoned,
-    fit_at_input,
-    fit_both_ends,
+from undeadzone_identify.models.motion import (
+    THERE,
+    FourOffsets,
+    four_offsets_along,
+    white_noise_rms,
 )
-from undeadzone_identify.models.play_gap import RUNS, Gap, find_gap
-from undeadzone_identify.models.zone_fit import Fit, reduce_record
+from undeadzone_identify.models.place import (
+    InputZoneFit,
+    PlaceFit,
+    fit_input_and_sensor,
+    fit_input_zone,
+)
+from undeadzone_identify.models.play_gap import RUNS, PlayGap, find_play_gap
+from undeadzone_identify.models.zone_fit import ZoneFit, refit_busiest_part
 from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
@@ -46,14 +51,19 @@ from undeadzone_identify.selection.decision import (
     UNLIKELY,
     Case,
     Verdict,
-    classify,
-    decide,
+    build_verdict,
+    classify_by_probabilities,
     detect_feedback,
 )
 from undeadzone_identify.selection.delays import GLITCH, RARE
-from undeadzone_identify.selection.odds import Family, odds_of
-from undeadzone_identify.selection.orders import HeldOut, judge_errors, one_step, training_samples
-from undeadzone_identify.selection.widths import with_offset
+from undeadzone_identify.selection.odds import Family, model_probabilities
+from undeadzone_identify.selection.orders import (
+    HeldOutScore,
+    predict_one_step,
+    score_held_out,
+    training_samples,
+)
+from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
 
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
@@ -71,7 +81,7 @@ LAST = {
 
 
 class Element(NamedTuple):
-    """An element that is no dead zone of the sensor, with the plant of its own fit.
+    """Element other than a dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
         kind: play, both, input_zone, two_zones; none or friction of a servo without a gap.
@@ -94,15 +104,15 @@ class Element(NamedTuple):
     """
 
     kind: str
-    fit: PlayFit | Fitted[MapModel] | ServoGap
-    simulator: plant.Simulator
+    fit: PlayFit | FittedModel[MapModel] | ServoGap
+    simulator: plant.PlantSimulator
     theta: Floats
     V: Floats
     z: Floats
     readings: Floats
     side: Integers
     widths: dict[str, Interval | None]
-    ahead: plant.Ahead | None
+    ahead: plant.InputDisturbance | None
     noise: float
     degrees: float
     rms: float
@@ -112,13 +122,13 @@ class Element(NamedTuple):
     input: dict[str, Interval] = {}
 
     @property
-    def unseen(self) -> float:
-        """Return rms of what z does that no input made, scaled."""
+    def disturbance_rms(self) -> float:
+        """Return the rms of the motion of z that no input explains, scaled."""
         return self.rms if self.ahead is None else self.ahead.rms
 
 
-class Plays(NamedTuple):
-    """Fits of a play, and of a play and a dead zone, as far as there are any.
+class PlayFits(NamedTuple):
+    """Fits of a play, and of a play with a dead zone, as far as available.
 
     Attributes:
         fits: by the verdict's word, play or both.
@@ -126,11 +136,11 @@ class Plays(NamedTuple):
     """
 
     fits: dict[str, PlayFit]
-    whole: plant.Data
+    whole: plant.RecordData
 
 
-class Found(NamedTuple):
-    """What was found of a case so far.
+class Findings(NamedTuple):
+    """Findings on a case so far.
 
     Attributes:
         verdict: so far.
@@ -151,8 +161,8 @@ class Found(NamedTuple):
     delay: int
     models: tuple[Family, ...]
     odds: dict[str, float]
-    offsets: Offsets | None = None
-    plays: Plays | None = None
+    offsets: FourOffsets | None = None
+    plays: PlayFits | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
     denied: frozenset[str] = frozenset()
@@ -160,25 +170,29 @@ class Found(NamedTuple):
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
 
-    def judge_again(self, case: Case, *models: Family, without: Collection[str] = ()) -> Found:
-        """What is found with more models, and perhaps without some words."""
+    def add_models(self, case: Case, *models: Family, without: Collection[str] = ()) -> Findings:
+        """Return the findings with more models and a new decision, perhaps without some
+        classes.
+        """
         every = (*self.models, *models)
-        odds = odds_of(every, {*without, *self.denied, *excluded_words(case)})
+        odds = model_probabilities(every, {*without, *self.denied, *impossible_words(case)})
         plays = {} if self.plays is None else self.plays.fits
         fits = dict(self.places) | dict(self.chains) | dict(plays)
-        return self._replace(models=every, odds=odds, verdict=classify(case, odds, every, fits))
+        return self._replace(
+            models=every, odds=odds, verdict=classify_by_probabilities(case, odds, every, fits)
+        )
 
 
-def excluded_words(case: Case) -> Collection[str]:
-    """Return words that are out of the question: by what the user said, or since noise falls
-    silent.
+def impossible_words(case: Case) -> Collection[str]:
+    """Return the classes that are impossible: by the user's options, or by exact zeros under
+    noise.
     """
     out = set(MEMORY) if case.options.kind == "deadzone" else set()
     fit = case.chosen.singles
-    if not case.data.silent_zeros or case.jumps:
+    if not case.data.silent_zeros or case.jump_edges:
         return out
     speaks = case.data.ok & (case.data.side != 0)
-    loud = white_noise(fit.objective.residuals(fit.theta), speaks, case.data.start)
+    loud = white_noise_rms(fit.objective.unexplained_readings(fit.theta), speaks, case.data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= {"input_curve", "input_play"}
@@ -188,70 +202,78 @@ def excluded_words(case: Case) -> Collection[str]:
 # --- Is it a play, or a play and a dead zone?
 
 
-def with_play(case: Case, found: Found) -> Found:
-    """What is found where a play, or a play and a dead zone, may explain the log better.
+def add_play(case: Case, found: Findings) -> Findings:
+    """Add a play, or a play with a dead zone, if either may explain the log better.
 
     Args:
         case: with static maps.
         found: the odds of these.
     """
-    brief = reduce_record(case.chosen.pairs)
-    offsets = along(brief.objective.simulator, brief.theta, brief.s, case.quantum)
+    brief = refit_busiest_part(case.chosen.pairs)
+    offsets = four_offsets_along(brief.objective.simulator, brief.theta, brief.s, case.quantum)
     found = found._replace(offsets=offsets)
-    if not _is_asked(case, found, offsets, brief):
+    if not _needs_play_test(case, found, offsets, brief):
         return found
     late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
     logs = [case.recorded, case.data] if late else [case.data]
-    plays = [Plays(_tops(case, data), data) for data in logs]
+    plays = [PlayFits(_fit_plays(case, data), data) for data in logs]
     best = min(plays, key=lambda one: min((fit.bic for fit in one.fits.values()), default=math.inf))
     if not best.fits:
         return found
     models = {"none": case.rivals["none"]} | {word: fit.density for word, fit in best.fits.items()}
-    return found._replace(plays=best).judge_again(case, models)
+    return found._replace(plays=best).add_models(case, models)
 
 
-def _tops(case: Case, data: plant.Data) -> dict[str, PlayFit]:
-    """Return the fits of a play, and of a play and a dead zone, by word; none where none is
+def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
+    """Fit a play, and a play with a dead zone; return the fits by class, none if none is
     stable.
     """
     begun = [
-        reduce_record(one.pairs) for one in (case.chosen, *case.fitted.fits) if data is case.data
+        refit_busiest_part(one.pairs)
+        for one in (case.chosen, *case.fitted.fits)
+        if data is case.data
     ]
-    play = fit_play(plant.part_of(data), case.fitted.prepared.orders, case.options.integrators)
+    play = fit_play(
+        plant.busiest_stretches(data), case.fitted.prepared.orders, case.options.integrators
+    )
     if play is None:
         return {}
-    play = _without_glitches(play)
-    both = fit_both([play, *begun])
+    play = _refit_without_glitches(play)
+    both = fit_play_and_zone([play, *begun])
     return {"play": play} | ({} if both is None else {"both": both})
 
 
-def _is_asked(case: Case, found: Found, offsets: Offsets, brief: Fit) -> bool:
-    """Return whether a play is looked for: it explains the log, or something with a memory may."""
+def _needs_play_test(case: Case, found: Findings, offsets: FourOffsets, brief: ZoneFit) -> bool:
+    """Return whether a play must be tested: it explains the log, or a memory may."""
     kind = case.options.kind
     if kind in ("jump", "deadzone"):
         return False
     perhaps = found.verdict.word in ("other", "unclear", "undecided", "friction") or kind == "play"
     perhaps |= found.odds.get("zone_and_friction", 0.0) > UNLIKELY  # a memory beside the zone
-    if perhaps or offsets.name in ("play", "both"):
+    if perhaps or offsets.element_name in ("play", "both"):
         return True
-    both = fit_both([brief])  # a lag of the plant may pass for a play
+    both = fit_play_and_zone([brief])  # a lag of the plant may pass for a play
     models = {"none": case.rivals["none"]} | ({} if both is None else {"both": both.density})
-    return odds_of((*found.models, models), excluded_words(case)).get("both", 0.0) > UNLIKELY
+    return (
+        model_probabilities((*found.models, models), impossible_words(case)).get("both", 0.0)
+        > UNLIKELY
+    )
 
 
-def _without_glitches(fit: PlayFit) -> PlayFit:
-    """Return the fit without the few readings that it cannot have produced."""
-    data, e = fit.squares.data, fit.squares.residual(fit.theta)
+def _refit_without_glitches(fit: PlayFit) -> PlayFit:
+    """Fit again without the few readings that the model cannot have produced."""
+    data, e = fit.squares.data, fit.squares.reading_residual(fit.theta)
     usual = float(np.median(np.abs(e[data.ok]))) / 0.6745
     odd = data.ok & (np.abs(e) > GLITCH * max(usual, LEAST_ODD))
     if not odd.any() or odd.sum() > RARE * data.ok.sum():
         return fit
     regular = data._replace(ok=data.ok & ~odd, y=np.where(odd, 0.0, data.y))
-    return LeastSquares(fit.model.along(regular)).best([fit.theta]) or fit
+    return LeastSquares(fit.model.along(regular)).fit_from_starts([fit.theta]) or fit
 
 
-def with_gap(case: Case, found: Found) -> Found:
-    """Return the widths of a play, and perhaps of a dead zone; without widths above 0 it is none.
+def add_play_gap(case: Case, found: Findings) -> Findings:
+    """Add the widths of a play, and perhaps of a dead zone; the play is dropped if a width may
+    be 0.
 
     Args:
         case: the log.
@@ -259,53 +281,55 @@ def with_gap(case: Case, found: Found) -> Found:
     """
     assert found.plays is not None
     fit, whole = found.plays.fits[found.verdict.word], found.plays.whole
-    gap = find_gap(fit, case.quantum, detect_feedback(case).is_closed)
+    gap = find_play_gap(fit, case.quantum, detect_feedback(case).is_closed)
     case.advance(1)
-    rms = gap.fit.squares.rms(gap.fit.theta)
-    offsets = along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
+    rms = gap.fit.squares.residual_rms(gap.fit.theta)
+    offsets = four_offsets_along(gap.fit.model.simulator, gap.theta, rms, case.quantum)
     found = found._replace(offsets=offsets)
-    if _is_denied(gap, offsets):
+    if _is_gap_denied(gap, offsets):
         smaller = {"both"} if fit.model.zone else set(MEMORY)
-        found = found.judge_again(case, without=smaller)
-        return with_gap(case, found) if found.verdict.word in MEMORY else found
-    element = of_play(gap, whole, case.offset)
+        found = found.add_models(case, without=smaller)
+        return add_play_gap(case, found) if found.verdict.word in MEMORY else found
+    element = build_play_element(gap, whole, case.offset_prior)
     delay = case.fitted.delay if whole is case.data else 0
     return found._replace(element=element, delay=delay)
 
 
-def _is_denied(gap: Gap, offsets: Offsets) -> bool:
-    """Return whether a width is not above 0 for certain; the four offsets must not deny both of
-    them.
+def _is_gap_denied(gap: PlayGap, offsets: FourOffsets) -> bool:
+    """Return whether a width may be 0, or the four offsets reject both widths.
 
     Offsets that are known so badly that this gap would not show deny nothing.
     """
     width = gap.intervals["width"]
     if gap.fit.model.zone:
-        there = is_there(width) and is_there(gap.intervals["zone"])
-        denies = offsets.name not in ("both", "play") and THERE * offsets.std[0] < width.value
+        there = is_surely_positive(width) and is_surely_positive(gap.intervals["zone"])
+        denies = (
+            offsets.element_name not in ("both", "play")
+            and THERE * offsets.width_deviations[0] < width.value
+        )
         return not there or bool(denies)
-    return gap.sure and not is_there(width)
+    return gap.sure and not is_surely_positive(width)
 
 
-def is_there(interval: Interval) -> bool:
-    """Return whether a gap is above 0 for certain, and no less than matters."""
+def is_surely_positive(interval: Interval) -> bool:
+    """Return whether a gap is above 0 with certainty, and large enough to matter."""
     return interval.low > 0 and interval.value > LEAST_GAP
 
 
 # --- A play, and perhaps a dead zone after it
 
 
-def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
-    """Return the element of a play, and of the dead zone after it.
+def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | None) -> Element:
+    """Build the element of a play, and of the dead zone after it.
 
     Args:
         gap: what was found, of the log or of its busiest part.
         whole: all records.
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
-    model, theta = _of_all(gap, whole)
+    model, theta = _extend_to_records(gap, whole)
     z = model.output(theta)
-    level, moved = model.level(z, theta)
+    level, moved = model.play_level(z, theta)
     moves = np.append(False, np.diff(level) != 0)
     element = Element(
         kind="both" if model.zone else "play",
@@ -314,28 +338,28 @@ def of_play(gap: Gap, whole: plant.Data, offset: float | None) -> Element:
         theta=theta,
         V=gap.V,
         z=z,
-        readings=model.readings(z, theta),
+        readings=model.noise_free_readings(z, theta),
         side=np.where(moves, moved, 0.0).astype(int),
         widths=dict.fromkeys(DIRECTIONS),
         ahead=gap.ahead,
         noise=gap.noise,
         degrees=RUNS - 1,
-        rms=gap.fit.squares.rms(gap.fit.theta),
+        rms=gap.fit.squares.residual_rms(gap.fit.theta),
         remarks=[],
     )
     if gap.ahead is not None and not gap.sure:
-        element = _hide_widths(element, gap.ahead.rms * whole.y_scale)
+        element = _withhold_widths(element, gap.ahead.rms * whole.y_scale)
     elif model.zone:
-        element = _with_zone(element, gap, whole.y_scale)
+        element = _add_zone_widths(element, gap, whole.y_scale)
     else:
-        element = element._replace(widths=_sides(gap, offset))
+        element = element._replace(widths=_play_widths(gap, offset))
     if model.simulator.layout.integrators:
         element.remarks.append(f"z of an integrating plant has no zero of its own: {EVEN}")
     return element
 
 
-def _of_all(gap: Gap, whole: plant.Data) -> tuple[PlayModel, Floats]:
-    """Return the model of all records, and its numbers; at rest at first where a part was
+def _extend_to_records(gap: PlayGap, whole: plant.RecordData) -> tuple[PlayModel, Floats]:
+    """Return the model and its parameters for all records; at rest at first if a part was
     fitted.
     """
     old = gap.fit.model
@@ -345,8 +369,8 @@ def _of_all(gap: Gap, whole: plant.Data) -> tuple[PlayModel, Floats]:
     return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
 
 
-def _hide_widths(element: Element, strong: float) -> Element:
-    """No widths: a disturbance of that rms [y] hides them."""
+def _withhold_widths(element: Element, strong: float) -> Element:
+    """Return the element without widths: a disturbance of that rms [y] hides its widths."""
     remark = (
         f"a disturbance of rms {strong:.3g} moves z ahead of the play, and turns that no input"
         " made hide the gap: no width is given; record with a larger input"
@@ -354,9 +378,9 @@ def _hide_widths(element: Element, strong: float) -> Element:
     return element._replace(remarks=[remark])
 
 
-def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
-    """Return the widths of a play and of the dead zone after it."""
-    shown = {name: interval.scale_interval(scale) for name, interval in gap.intervals.items()}
+def _add_zone_widths(element: Element, gap: PlayGap, scale: float) -> Element:
+    """Return the element with the widths of a play and of the dead zone after it."""
+    shown = {name: interval.scale_by(scale) for name, interval in gap.intervals.items()}
     zone = shown["zone"]
     remark = (
         f"the play's gap is the width above; the dead zone's, d_r + d_l, is {zone.value:.4g}"
@@ -370,15 +394,13 @@ def _with_zone(element: Element, gap: Gap, scale: float) -> Element:
     )
 
 
-def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
-    """Return the play's widths [y]; what an offset of the output leaves of its sides and its
-    centre.
-    """
+def _play_widths(gap: PlayGap, offset: float | None) -> dict[str, Interval | None]:
+    """Return the play's widths [y]; an output offset widens its sides and its centre."""
     shown: dict[str, Interval | None] = {}
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        half = with_offset(interval.half, row, offset)
-        shown[name] = Interval.around(interval.value, half).scale_interval(
+        half = widen_by_offset(interval.half, row, offset)
+        shown[name] = Interval.from_half_width(interval.value, half).scale_by(
             gap.fit.model.data.y_scale
         )
     if gap.fit.model.tied:
@@ -389,8 +411,8 @@ def _sides(gap: Gap, offset: float | None) -> dict[str, Interval | None]:
 # --- A dead zone of the actuator, and perhaps one of the sensor
 
 
-def at_input(case: Case, found: Found) -> Element | None:
-    """Return the zone of the input, or of both ends, with the plant; None where none fits.
+def build_input_element(case: Case, found: Findings) -> Element | None:
+    """Build the zone of the input, or of both ends, with the plant; None without a fit.
 
     Args:
         case: the log.
@@ -398,41 +420,44 @@ def at_input(case: Case, found: Found) -> Element | None:
     """
     word, fits = found.verdict.word, [one.pairs for one in case.fitted.fits]
     both = word == "two_zones"
-    zoned = fit_both_ends(fits, found.places[word]) if both else fit_at_input(fits)
-    return None if zoned is None else _of_zones(zoned, case)
+    zoned = fit_input_and_sensor(fits, found.places[word]) if both else fit_input_zone(fits)
+    return None if zoned is None else _zones_element(zoned, case)
 
 
-def _of_zones(zoned: Zoned, case: Case) -> Element:
-    """Return the element of a fit of the longest record, or of all; along all of them."""
+def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
+    """Return the element of a fit to the longest or all records, along all records."""
     fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
     whole, data, layout = case.data, model.simulator.data, model.simulator.layout
     passed = dead_zone(whole.u, *numbers[layout.input])
-    simulator = plant.Simulator(whole._replace(u=passed), layout.n)
+    simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n)
     theta = np.zeros(simulator.layout.size)
     known = layout.x0.stop if data.y.size == whole.y.size else layout.b.stop  # else at rest
     theta[:known] = numbers[:known]
-    z = simulator.z(theta)
-    both, readings = model.name == "two_zones", model.readings(z, numbers)
-    widths, degrees = _zone_of(zoned, (), float(whole.u_scale[0]), 0.0)
+    z = simulator.simulate_z(theta)
+    both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
+    widths, degrees = _zone_intervals(zoned, (), float(whole.u_scale[0]), 0.0)
     at_both, remarks = {}, ["the widths are those of the input, in its unit"]
     if both:
         at_both, remarks = widths, []
-        widths, degrees = _zone_of(zoned, (0.0, 0.0), whole.y_scale, case.offset)
+        widths, degrees = _zone_intervals(zoned, (0.0, 0.0), whole.y_scale, case.offset_prior)
     target, last = zoned.stages[-1]
-    e, heard = fit.squares.residual(numbers), data.ok & ((data.side != 0) | (not data.silent_zeros))
+    e, heard = (
+        fit.squares.reading_residual(numbers),
+        data.ok & ((data.side != 0) | (not data.silent_zeros)),
+    )
     rms = float(np.sqrt(np.mean(e[heard] ** 2)))
     return Element(
         kind=model.name,
         fit=fit,
         simulator=simulator,
         theta=theta,
-        V=target.spread(last).V[: layout.b.stop, : layout.b.stop],
+        V=target.robust_covariance(last).V[: layout.b.stop, : layout.b.stop],
         z=z,
         readings=readings,
         side=np.sign(readings if both else passed[:, 0]).astype(int),
         widths=dict(widths),
-        ahead=plant.disturbance_ahead(layout, numbers, e, data.ok),
-        noise=min(white_noise(data.y, data.ok, data.start), rms),
+        ahead=plant.find_input_disturbance(layout, numbers, e, data.ok),
+        noise=min(white_noise_rms(data.y, data.ok, data.start), rms),
         degrees=degrees,
         rms=rms,
         remarks=remarks,
@@ -440,8 +465,8 @@ def _of_zones(zoned: Zoned, case: Case) -> Element:
     )
 
 
-def _zone_of(
-    zoned: Zoned, before: tuple[float, ...], scale: float, offset: float | None
+def _zone_intervals(
+    zoned: InputZoneFit, before: tuple[float, ...], scale: float, offset: float | None
 ) -> tuple[dict[str, Interval], float]:
     """Return the widths of a zone, and their least degrees of freedom.
 
@@ -453,9 +478,9 @@ def _zone_of(
     """
     widths, least = {}, math.inf
     for name, row in DIRECTIONS.items():
-        value, half, degrees = zoned.width(*before, *row)
-        half = with_offset(math.hypot(half, heaviest(row) * FINEST), row, offset)
-        widths[name] = Interval.around(value, half).scale_interval(scale)
+        value, half, degrees = zoned.sum_width(*before, *row)
+        half = widen_by_offset(math.hypot(half, heaviest(row) * FINEST), row, offset)
+        widths[name] = Interval.from_half_width(value, half).scale_by(scale)
         least = min(least, degrees)
     return widths, least
 
@@ -463,7 +488,7 @@ def _zone_of(
 # --- Whether what explains the log best leaves nothing known
 
 
-def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
+def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
     """Return the best fit of a word's models, by BIC per reading; None where there is none.
 
     Args:
@@ -473,21 +498,21 @@ def fit_of(case: Case, found: Found, word: str) -> Fitted[Any] | None:
     """
     plays = {} if found.plays is None else found.plays.fits
     there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
-    fits: list[Fitted[Any]] = [one for one in there if one is not None]
+    fits: list[FittedModel[Any]] = [one for one in there if one is not None]
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
 
-def has_a_model(case: Case, found: Found) -> bool:
+def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
     word, top = found.verdict.word, next(iter(found.odds), "")
     is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
-    return bool(top) and not (is_said or of_servo or case.jumps)
+    return bool(top) and not (is_said or of_servo or case.jump_edges)
 
 
-def with_adequacy(case: Case, found: Found) -> Found:
+def with_adequacy(case: Case, found: Findings) -> Findings:
     """What is found, unless what the likeliest model leaves depends on something known.
 
     Args:
@@ -502,11 +527,11 @@ def with_adequacy(case: Case, found: Found) -> Found:
     if remainder is None:
         return found if word not in found.chains else _in_numbers(case, found)
     return found._replace(
-        verdict=decide("unclear", *remainder.in_words(MODELS[word])), element=None
+        verdict=build_verdict("unclear", *remainder.in_words(MODELS[word])), element=None
     )
 
 
-def _in_numbers(case: Case, found: Found) -> Found:
+def _in_numbers(case: Case, found: Findings) -> Findings:
     """What is found, with the numbers of a chain that is named."""
     word, verdict, data = found.verdict.word, found.verdict, case.data
     if word not in CHAINED:
@@ -516,7 +541,7 @@ def _in_numbers(case: Case, found: Found) -> Found:
     return found._replace(verdict=verdict._replace(reasons=[said]))
 
 
-def without_needless(case: Case, found: Found) -> Found:
+def without_needless(case: Case, found: Findings) -> Findings:
     """What is found, unless the sensor's zone alone leaves no more of held-out data.
 
     A larger model must simulate them better, too: one-step errors alone are decided by the colour
@@ -539,25 +564,27 @@ def without_needless(case: Case, found: Found) -> Found:
     if errors[1] < errors[0]:
         return found
     denied = found.denied | {found.verdict.word}
-    return found._replace(denied=denied).judge_again(case)
+    return found._replace(denied=denied).add_models(case)
 
 
 # --- How it does on data that had no part in its fit
 
 
-def held_out_error(element: Element, held_out: float) -> HeldOut:
-    """Return error, share and whiteness on blocks of a log, fitted to the others.
+def validate_element(element: Element, held_out: float) -> HeldOutScore:
+    """Validate an element on held-out blocks: return error, share and whiteness.
 
     Args:
         element: a play, or a zone of the input.
         held_out: share of the samples that checks.
     """
     if isinstance(element.fit, ServoGap):
-        return _held_out_error_of_servo(element, element.fit, held_out)
+        return _validate_servo(element, element.fit, held_out)
     return held_out_error_of_fit(element.fit, held_out, LAST[element.kind])
 
 
-def held_out_error_of_fit(fit: Fitted[Any], held_out: float, last: int = LONGEST) -> HeldOut:
+def held_out_error_of_fit(
+    fit: FittedModel[Any], held_out: float, last: int = LONGEST
+) -> HeldOutScore:
     """Return the same of any model that simulates the readings.
 
     Args:
@@ -568,20 +595,22 @@ def held_out_error_of_fit(fit: Fitted[Any], held_out: float, last: int = LONGEST
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
-    top = best_top(trained, [fit.theta], fit.model.first, last)
+    top = best_maximum(trained, [fit.theta], fit.model.first, last)
     theta = fit.theta if top is None else top.theta
     test = data.ok & ~train
-    e = fit.squares.residual(theta)
-    return judge_errors(e, data, test, one_step(e, test, test, data.start))
+    e = fit.squares.reading_residual(theta)
+    return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
 
 
-def _held_out_error_of_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOut:
-    """Return the same of a servo's predictor, which hears every reading up to the one before."""
+def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:
+    """Validate a servo's predictor on held-out blocks; readings up to the previous sample
+    enter.
+    """
     data, log = element.simulator.data, gap.log
     test = data.ok & ~training_samples(data, held_out)
-    one = gap.fit_training_samples(~test)
+    one = gap.fit_to_samples(~test)
     readings = gap.predict_readings(one)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
-    counted, ends = log.counted_samples(False), np.zeros(1, int)
-    r = gap.errors(one)
-    errors = one_step(r, test[counted], np.ones(r.size, bool), ends)
-    return judge_errors(readings - data.y, data, test, errors)
+    counted, ends = log.error_samples(False), np.zeros(1, int)
+    r = gap.normalised_errors(one)
+    errors = predict_one_step(r, test[counted], np.ones(r.size, bool), ends)
+    return score_held_out(readings - data.y, data, test, errors)

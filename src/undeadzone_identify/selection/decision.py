@@ -1,4 +1,4 @@
-"""A log fitted with a zone of the sensor, and the verdict: is it one, or what else, or nothing?"""
+"""Log fitted with a zone of the sensor, and the verdict on the nonlinearity in the log."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from undeadzone_identify.logs.log import Options
 from undeadzone_identify.logs.prepare import JumpEdge
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.elements import MapModel
-from undeadzone_identify.models.estimates import long_run_covariance, quantile
-from undeadzone_identify.models.least_squares import Density, Fitted
-from undeadzone_identify.models.plant import Data
-from undeadzone_identify.models.zone_fit import Fit, fit_linear
+from undeadzone_identify.models.estimates import long_run_covariance, student_quantile
+from undeadzone_identify.models.least_squares import Density, FittedModel
+from undeadzone_identify.models.plant import RecordData
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.delays import FittedOrders
 from undeadzone_identify.selection.location import STEPS
@@ -87,7 +87,7 @@ MODELS = {
 
 
 class Case(NamedTuple):
-    """A log fitted with a zone of the sensor; nothing is judged.
+    """Log fitted with a zone of the sensor, without a decision.
 
     Attributes:
         grid: the log on its grid.
@@ -106,20 +106,20 @@ class Case(NamedTuple):
 
     grid: Grid
     options: Options
-    recorded: Data
+    recorded: RecordData
     unreached: tuple[str, ...]
     fitted: FittedOrders
     chosen: orders.OrderFit
-    no_zone: orders.NoZone
+    no_zone: orders.ZoneTest
     residuals: orders.ResidualMap
-    maps: dict[str, Fitted[MapModel]]
+    maps: dict[str, FittedModel[MapModel]]
     suited: orders.OrderFit
     advance: Callable[[int], None]
     servo: ServoGap | None = None
 
     @property
-    def data(self) -> Data:
-        """Return the records as they were fitted."""
+    def data(self) -> RecordData:
+        """Return the records as fitted."""
         return self.fitted.prepared.data
 
     @property
@@ -129,45 +129,45 @@ class Case(NamedTuple):
 
     @property
     def quantum(self) -> float:
-        """Of the readings, scaled."""
+        """Return the quantum of the readings, scaled."""
         return self.fitted.prepared.quantum
 
     @property
-    def jumps(self) -> tuple[JumpEdge, JumpEdge] | None:
-        """Return edges of a jump sensor, scaled, where the log was taken for one's; None
-        elsewhere.
+    def jump_edges(self) -> tuple[JumpEdge, JumpEdge] | None:
+        """Return the edges of a jump sensor, scaled; None if the log is treated as another
+        sensor's.
         """
         return self.fitted.prepared.jumps
 
     @property
-    def offset(self) -> float | None:
-        """Return rms of an unknown offset of the output, scaled; None: free."""
-        rms = self.options.offset_rms()
+    def offset_prior(self) -> float | None:
+        """Return the prior rms of an output offset, scaled; None if free."""
+        rms = self.options.parse_offset_rms()
         return None if rms is None else rms / self.data.y_scale
 
 
 class Verdict(NamedTuple):
-    """The verdict and why; cautions: what to know of the widths that are given."""
+    """Verdict with its reasons; cautions: remarks on the reported widths."""
 
     word: str
     reasons: list[str]
     cautions: list[str]
 
-    def with_cautions(self, *cautions: str) -> Verdict:
-        """Return the same with more to know."""
+    def add_cautions(self, *cautions: str) -> Verdict:
+        """Return the verdict with further cautions."""
         return self._replace(cautions=[*self.cautions, *cautions])
 
 
-def decide(word: str, *reasons: str) -> Verdict:
-    """Return a verdict with its reasons."""
+def build_verdict(word: str, *reasons: str) -> Verdict:
+    """Build a verdict with its reasons."""
     return Verdict(word, list(reasons), [])
 
 
 # --- Whether a loop is closed
 
 
-class Loop(NamedTuple):
-    """What a log says of a loop.
+class Feedback(NamedTuple):
+    """Evidence of feedback in a log.
 
     Attributes:
         chance: p of what past residuals say of the input, if no loop is closed; 1 where the plant
@@ -181,30 +181,31 @@ class Loop(NamedTuple):
 
     @property
     def is_closed(self) -> bool:
-        """Return whether the input answers to the readings."""
+        """Return whether the input depends on the readings."""
         if self.answered is None:
             return self.chance <= least_squares.CHANCE
         heard = self.answered > 0 and self.chance <= least_squares.CHANCE
         return heard or self.answered > MOSTLY
 
 
-def detect_feedback(case: Case) -> Loop:
-    """Return whether a loop is closed, guessed by residuals, known by a reference that was
-    recorded.
-    """
+def detect_feedback(case: Case) -> Feedback:
+    """Detect feedback: by residuals, or with certainty by a recorded reference."""
     grid, share = case.grid, None
-    chance = orders.loop_chance(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
+    chance = orders.loop_p_value(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
-        share = orders.explained_by_readings(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
-    return Loop(chance, share)
+        share = orders.feedback_share(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
+    return Feedback(chance, share)
 
 
 # --- By the odds
 
 
-def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fits) -> Verdict:
-    """Return the verdict by the odds of all models, or why there is none.
+def classify_by_probabilities(
+    case: Case, odds: dict[str, float], models: Sequence[Family], fits: Fits
+) -> Verdict:
+    """Return the verdict by the posterior probabilities of all models, or an undecided
+    verdict.
 
     Args:
         case: the log, fitted with a zone of the sensor.
@@ -212,51 +213,56 @@ def classify(case: Case, odds: dict[str, float], models: Sequence[Family], fits:
         models: whose odds they are.
         fits: those that have a plant of their own, by word.
     """
-    word = _likeliest_word(odds)
-    if case.jumps:
-        return _by_jump(case, odds, models)
+    word = _most_probable_word(odds)
+    if case.jump_edges:
+        return _verdict_on_jump(case, odds, models)
     if not case.fitted.prepared.settles:
-        return decide("unclear", TOO_SHORT)
+        return build_verdict("unclear", TOO_SHORT)
     as_linear = word in AS_LINEAR and sum(odds.get(one, 0.0) for one in AS_LINEAR) >= LIKELY
-    if as_linear and _within_steps(case):
-        unclear = _unclear(case, "none", best_of("none", models), fits)
-        return _by_ends(case, "none", odds) or unclear or _without_zone(case)
-    best = best_of(word, models)
-    other = _unclear(case, word, best, fits) or _by_ends(case, word, odds)
+    if as_linear and _is_below_rounding(case):
+        unclear = _find_unclear(case, "none", best_model_of("none", models), fits)
+        return _verdict_at_range_ends(case, "none", odds) or unclear or _verdict_without_zone(case)
+    best = best_model_of(word, models)
+    other = _find_unclear(case, word, best, fits) or _verdict_at_range_ends(case, word, odds)
     if other is not None:
         return other
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
     if sure < LIKELY and not (word == case.options.kind == "play"):
-        return _describe_undecided(odds)
+        return _undecided_among(odds)
     cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
     if word == "dead_zone":
-        return _by_residual(case).with_cautions(*cautions)
+        return _verdict_by_residual(case).add_cautions(*cautions)
     if word == "none":
-        return _without_zone(case)
+        return _verdict_without_zone(case)
     if word == "other" or best.strange:
         fully = ", but not fully either" if best.strange else ""
-        return decide("other", f"{MODELS[word]} explains the log best{fully}")
+        return build_verdict("other", f"{MODELS[word]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
-    return decide(word, f"{MODELS[word]} explains the log best", *advice).with_cautions(*cautions)
+    return build_verdict(word, f"{MODELS[word]} explains the log best", *advice).add_cautions(
+        *cautions
+    )
 
 
-def _by_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
-    """Return a saturation where readings stick at ends of a range, or that a memory is a guess
-    there.
+def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Verdict | None:
+    """Return saturation if readings stick at the range ends, undecided for a memory there, or
+    None.
     """
     ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
     mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
     stick = f"readings stick at the ends of the range {ends}"
     if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
-        return decide("saturation", f"{stick}; the odds are those of what lies between")
+        return build_verdict("saturation", f"{stick}; the odds are those of what lies between")
     if mostly and word in (*MEMORY, *CHAINED):
-        return decide("undecided", f"most {stick}, and between them {MODELS[word]} is a guess")
+        return build_verdict(
+            "undecided", f"most {stick}, and between them {MODELS[word]} is a guess"
+        )
     return None
 
 
-def _likeliest_word(odds: dict[str, float]) -> str:
-    """Return the likeliest word; where none is, one that claims less and that larger models hold.
+def _most_probable_word(odds: dict[str, float]) -> str:
+    """Return the likeliest class; without a clear leader, a simpler class that larger models
+    contain.
 
     Beside a zone of the input that leads, the sensor's alone has other widths; a small play in
     front of it changes them little.
@@ -271,52 +277,54 @@ def _likeliest_word(odds: dict[str, float]) -> str:
     return first
 
 
-def _by_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
-    """Return the verdict on a record that was taken for that of a jump sensor."""
+def _verdict_on_jump(case: Case, odds: dict[str, float], models: Sequence[Family]) -> Verdict:
+    """Return the verdict on a record that was treated as that of a jump sensor."""
     word = next(iter(odds))
     if odds["jump"] < UNLIKELY:
-        return decide("other", f"{MODELS[word]} explains the log better than a jump sensor")
-    return _unclear(case, "dead_zone", best_of("jump", models), {}) or _by_residual(case)
+        return build_verdict("other", f"{MODELS[word]} explains the log better than a jump sensor")
+    return _find_unclear(
+        case, "dead_zone", best_model_of("jump", models), {}
+    ) or _verdict_by_residual(case)
 
 
-def best_of(word: str, models: Sequence[Family]) -> Density:
-    """Return the best model of a word, by BIC per reading."""
+def best_model_of(word: str, models: Sequence[Family]) -> Density:
+    """Return the best model of a class, by BIC per reading."""
     there = filter(None, (family.get(word) for family in models))
     return min(there, key=lambda one: one.bic / one.value.size)
 
 
-def _describe_undecided(odds: dict[str, float]) -> Verdict:
-    """That no name is likely enough, with what could be there."""
+def _undecided_among(odds: dict[str, float]) -> Verdict:
+    """Return the undecided verdict, with the candidate classes."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
-    return decide("undecided", apart, *([ADVICE] if "friction" in likely else []))
+    return build_verdict("undecided", apart, *([ADVICE] if "friction" in likely else []))
 
 
-def _within_steps(case: Case) -> bool:
-    """Return whether the zone that was fitted is smaller than a few steps of the readings."""
+def _is_below_rounding(case: Case) -> bool:
+    """Return whether the fitted zone is smaller than a few quanta of the readings."""
     return 0 < case.chosen.pairs.width < STEPS * case.quantum
 
 
-def _without_zone(case: Case) -> Verdict:
+def _verdict_without_zone(case: Case) -> Verdict:
     """Return the verdict on readings that a linear plant explains best."""
     y = case.grid.y[case.grid.ok]
     is_aside = np.quantile(y, FEW) > 0 or np.quantile(y, 1 - FEW) < 0
     if is_aside and not case.options.integrators:  # whose z has no zero of its own
         about = f"{float(y.mean()):.4g}"
         point = f"the log lies about an operating point of {about}: nothing can be known of a zone"
-        return decide("operating_point", f"{point}; --zero {about}, or take it off")
-    if _within_steps(case):
+        return build_verdict("operating_point", f"{point}; --zero {about}, or take it off")
+    if _is_below_rounding(case):
         steps = "the readings are rounded to steps that are larger than any zone"
-        return decide("none", f"{steps} ({case.quantum:.3g})")
+        return build_verdict("none", f"{steps} ({case.quantum:.3g})")
     chance, behind = case.no_zone.chance, case.chosen.pairs.objective.kind == "behind"
     if behind and chance < DOUBT:
         tested = f"a zone explains more than chance does (p = {chance:.2g}), and no model of one is"
-        return decide("undecided", f"{tested} likely; record for longer")
-    return decide("none", f"readings need no zone (p = {chance:.2g})")
+        return build_verdict("undecided", f"{tested} likely; record for longer")
+    return build_verdict("none", f"readings need no zone (p = {chance:.2g})")
 
 
-def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
-    """That nothing can be said, and why; None where something can."""
+def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
+    """Return an unclear verdict with reasons, or None if a decision is possible."""
     chosen, data = case.chosen, case.data
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
@@ -332,33 +340,33 @@ def _unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None
     plant, theta = fit.objective.simulator, fit.theta
     if word not in FITTED and word in fits:
         plant, theta = fits[word].model.simulator, fits[word].theta
-    if (reasons or word in {*FITTED, *fits}) and plant.at_limit(theta):
+    if (reasons or word in {*FITTED, *fits}) and plant.is_at_limit(theta):
         reasons.append(UNSETTLED)
-    return decide("unclear", *reasons) if reasons else None
+    return build_verdict("unclear", *reasons) if reasons else None
 
 
-def _by_residual(case: Case) -> Verdict:
-    """Return dead_zone, unless a curve over z^ explains what it leaves."""
+def _verdict_by_residual(case: Case) -> Verdict:
+    """Return dead_zone, unless a curve over z^ explains the residual."""
     residuals = case.residuals
     curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
-    if least_squares.is_strange(residuals.share, residuals.chance):
-        return decide("other", f"{curve} a dead zone leaves: another nonlinearity")
-    verdict = decide("jump" if case.jumps else "dead_zone")
-    if residuals.strange:
-        verdict = verdict.with_cautions(f"{curve} the dead zone leaves: the fit is not perfect")
-    if residuals.remembers:
+    if least_squares.has_strange_curve(residuals.share, residuals.chance):
+        return build_verdict("other", f"{curve} a dead zone leaves: another nonlinearity")
+    verdict = build_verdict("jump" if case.jump_edges else "dead_zone")
+    if residuals.has_curve:
+        verdict = verdict.add_cautions(f"{curve} the dead zone leaves: the fit is not perfect")
+    if residuals.has_memory:
         memory = "the residual depends on the direction of z^: a memory, perhaps play"
-        verdict = verdict.with_cautions(memory)
+        verdict = verdict.add_cautions(memory)
     if not case.data.silent_zeros and not case.chosen.white:
-        verdict = verdict.with_cautions("the one-step residual is not white")
+        verdict = verdict.add_cautions("the one-step residual is not white")
     return verdict
 
 
 # --- By what a linear plant behind a zone does not hold: a spring that bends, an offset
 
 
-def name_missing_model(verdict: Verdict, fit: Fit) -> Verdict:
-    """Return the verdict, with what the model lacks where that has a name.
+def add_unmodelled(verdict: Verdict, fit: ZoneFit) -> Verdict:
+    """Return the verdict with any named effect that the model does not contain.
 
     Args:
         verdict: dead_zone, other or unclear, so far.
@@ -368,17 +376,17 @@ def name_missing_model(verdict: Verdict, fit: Fit) -> Verdict:
         `other` where the readings inside the zone lie about another value than 0; a caution, or a
         reason why nothing is clear, where the plant's stiffness depends on z.
     """
-    offset = None if verdict.word == "unclear" else offset_inside(fit)
+    offset = None if verdict.word == "unclear" else mean_inside_zone(fit)
     if offset is not None:
         value = offset * fit.objective.data.y_scale
         reason = (
             f"the readings inside the zone lie about {value:.4g}, not 0: a constant offset behind"
             f" the zone; take it away by --zero {value:.4g}"
         )
-        return decide("other", reason)
+        return build_verdict("other", reason)
     if verdict.word == "other":
         return verdict
-    share, chance, slope = cubic_share(fit)
+    share, chance, slope = cubic_spring_share(fit)
     if share < SPRING or chance > least_squares.CHANCE:
         return verdict
     how = "stiffer" if slope < 0 else "softer"
@@ -388,11 +396,11 @@ def name_missing_model(verdict: Verdict, fit: Fit) -> Verdict:
     )
     if verdict.word == "unclear":
         return verdict._replace(reasons=[*verdict.reasons, words])
-    return verdict.with_cautions(f"{words}; the widths may be off by more than their intervals")
+    return verdict.add_cautions(f"{words}; the widths may be off by more than their intervals")
 
 
-def offset_inside(fit: Fit) -> float | None:
-    """Return the mean reading well inside the zone, scaled; None where it is 0 or cannot be told.
+def mean_inside_zone(fit: ZoneFit) -> float | None:
+    """Return the mean reading well inside the zone, scaled; None if 0 or unknown.
 
     Args:
         fit: plant and zone; with noise behind the zone, else silence is exactly 0. z of an
@@ -407,12 +415,12 @@ def offset_inside(fit: Fit) -> float | None:
         return None
     mean = float(y.mean())
     covariance, degrees = long_run_covariance((y - mean)[:, None])
-    half = quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
+    half = student_quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
     return mean if abs(mean) > max(half, RELEVANT * fit.s) else None
 
 
-def cubic_share(fit: Fit) -> tuple[float, float, float]:
-    """How much of the one-step residual a cubic spring explains.
+def cubic_spring_share(fit: ZoneFit) -> tuple[float, float, float]:
+    """Return the share of the one-step residual that a cubic spring explains.
 
     To first order a spring kappa z^3 beside the input changes z by -kappa G z^3, with G the plant
     from its first input. What changes of the plant's own numbers could do is taken out first.
@@ -424,26 +432,26 @@ def cubic_share(fit: Fit) -> tuple[float, float, float]:
         The share, p, and the coefficient of G z^3: negative for a spring that gets stiffer.
     """
     objective = fit.objective
-    value, use = orders.innovations(fit, objective.data.ok)
-    slope = objective.simulator.gradient(fit.theta, fit.z)[:, objective.free]
+    value, use = orders.one_step_residuals(fit, objective.data.ok)
+    slope = objective.simulator.z_gradient(fit.theta, fit.z)[:, objective.free]
     side = objective.data.side
-    columns = np.column_stack([slope, 1.0 * (side > 0), -1.0 * (side < 0), _cube(fit)])
+    columns = np.column_stack([slope, 1.0 * (side > 0), -1.0 * (side < 0), _cubic_response(fit)])
     whitened = columns.copy()
     whitened[1:] -= fit.rho * columns[:-1]
     rows = whitened[use]
     if len(rows) < 10 * columns.shape[1]:
         return 0.0, 1.0, 0.0
-    cube = least_squares.unexplained_by(rows[:, :-1], rows[:, -1])
-    coefficients, _, share, chance = least_squares.explain_residual(cube[:, None], value[use])
+    cube = least_squares.regression_residual(rows[:, :-1], rows[:, -1])
+    coefficients, _, share, chance = least_squares.regress_residual(cube[:, None], value[use])
     return share, chance, float(coefficients[0])
 
 
-def _cube(fit: Fit) -> Floats:
+def _cubic_response(fit: ZoneFit) -> Floats:
     """Return G z^3 along the records (N)."""
     layout = fit.objective.layout
-    denominator = layout.denominator(fit.theta[layout.a])
+    denominator = layout.full_denominator(fit.theta[layout.a])
     numerator = np.append(0.0, fit.theta[layout.b][: layout.n])
     out = np.empty(fit.z.size)
-    for part in fit.objective.data.records():
+    for part in fit.objective.data.record_slices():
         out[part] = lfilter(numerator, denominator, fit.z[part] ** 3)
     return out

@@ -1,4 +1,4 @@
-"""Every order fitted to a record: edges never reached put away, glitches left out, delays found.
+"""Fits of every order to a record: unvisited edges removed, glitches excluded, delays found.
 
 A delay of the input, in whole samples, is tried where a later input explains the log better.
 """
@@ -14,16 +14,16 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.log import MOST_LATE
-from undeadzone_identify.logs.prepare import FAR_EDGE, Prepared
-from undeadzone_identify.models.estimates import climb
-from undeadzone_identify.models.plant import Simulator, delay_inputs, part_of
-from undeadzone_identify.models.zone_fit import Fit, fit_linear, nearest
+from undeadzone_identify.logs.prepare import FAR_EDGE, PreparedLog
+from undeadzone_identify.models.estimates import maximise_likelihood
+from undeadzone_identify.models.plant import PlantSimulator, busiest_stretches, delay_inputs
+from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, nearest_numbers
 from undeadzone_identify.selection.orders import (
     OrderFit,
-    at_limit,
     best_order,
     fit_orders,
-    is_sampled,
+    has_continuous_poles,
+    is_fit_at_limit,
 )
 
 GLITCH = 8.0  # standard deviations beyond which a reading is no reading
@@ -36,8 +36,8 @@ CLEARLY = 20.0  # of BIC, by which a delay must be better than more poles
 REACH = 6.0  # of BIC: odds of 20 to 1, within which a delay may be the true one
 
 
-def drop_unvisited_edges(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]:
-    """Return an edge that no reading passes is put far away, and named.
+def drop_unvisited_edges(prepared: PreparedLog) -> tuple[PreparedLog, tuple[str, ...]]:
+    """Move an edge that no reading passes far away, and list its name.
 
     Args:
         prepared: the log.
@@ -66,7 +66,7 @@ def drop_unvisited_edges(prepared: Prepared) -> tuple[Prepared, tuple[str, ...]]
 
 
 class FittedOrders(NamedTuple):
-    """Every order, fitted.
+    """Fits of every order.
 
     Attributes:
         prepared: the log without glitches, its input shifted.
@@ -75,14 +75,14 @@ class FittedOrders(NamedTuple):
         alike: a fit with another delay that explains the log as well.
     """
 
-    prepared: Prepared
+    prepared: PreparedLog
     fits: list[OrderFit]
     delay: int
     alike: list[OrderFit]
 
 
-def fit_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
-    """Return every order, fitted; once more where the input turns out to act later.
+def fit_with_delay(prepared: PreparedLog, advance: Callable[[int], None]) -> FittedOrders:
+    """Fit every order, and again if the input turns out to act later.
 
     Delay and starts of a long log are found in a part of it.
 
@@ -93,51 +93,53 @@ def fit_with_delay(prepared: Prepared, advance: Callable[[int], None]) -> Fitted
     Raises:
         InputError: no stable plant fits.
     """
-    part = part_of(prepared.data)
+    part = busiest_stretches(prepared.data)
     if part is prepared.data:
         return _search_delay(prepared, advance)
     begun = _search_delay(prepared._replace(data=part), advance)
-    if at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
+    if is_fit_at_limit(best_order(begun.fits).pairs):  # perhaps since the part is short
         return _search_delay(prepared, advance)
     late = prepared._replace(data=delay_inputs(prepared.data, begun.delay))
-    return _fit_every_order(late, advance, begun.fits)._replace(delay=begun.delay)
+    return _fit_without_glitches(late, advance, begun.fits)._replace(delay=begun.delay)
 
 
-def _search_delay(prepared: Prepared, advance: Callable[[int], None]) -> FittedOrders:
-    """Return `fitted_with_delay` with all samples. Raises InputError."""
+def _search_delay(prepared: PreparedLog, advance: Callable[[int], None]) -> FittedOrders:
+    """Fit with all samples as in `fit_with_delay`. Raise InputError."""
     if prepared.options.delay != "auto":
         samples = int(prepared.options.delay)
         shifted = prepared._replace(data=delay_inputs(prepared.data, samples))
-        return _fit_every_order(shifted, advance)._replace(delay=samples)
-    found = _fit_every_order(prepared, advance)
+        return _fit_without_glitches(shifted, advance)._replace(delay=samples)
+    found = _fit_without_glitches(prepared, advance)
     samples = likely_delay(found.fits)
     if not samples:
         return found
-    late = _refine_delays(found, samples, advance)
-    if not better_delay(found.fits, late.fits):
-        return found._replace(alike=alike(found.fits, late.fits))
+    late = _fit_near_delay(found, samples, advance)
+    if not is_delay_better(found.fits, late.fits):
+        return found._replace(alike=find_equivalents(found.fits, late.fits))
     return late._replace(prepared=late.prepared._replace(orders=prepared.orders))
 
 
-def _refine_delays(found: FittedOrders, first: int, advance: Callable[[int], None]) -> FittedOrders:
-    """Fits with the delay near the first one that serves best; a delay takes no more poles."""
+def _fit_near_delay(
+    found: FittedOrders, first: int, advance: Callable[[int], None]
+) -> FittedOrders:
+    """Fit with the best delay near a first guess; the delay allows no more poles."""
     prepared, most = found.prepared, best_order(found.fits).n
     fewer = [n for n in prepared.orders if n <= most]
     shifted = prepared._replace(data=delay_inputs(prepared.data, first), orders=fewer)
-    late = _fit_every_order(shifted, advance)
+    late = _fit_without_glitches(shifted, advance)
     more = refine_delay(late.fits, first) - first
     if more:
         shifted = late.prepared._replace(data=delay_inputs(late.prepared.data, more))
-        warm = _fit_every_order(shifted, advance, later(late.fits, more))
-        cold = _fit_every_order(shifted, advance)
+        warm = _fit_without_glitches(shifted, advance, delay_fits(late.fits, more))
+        cold = _fit_without_glitches(shifted, advance)
         late = min((warm, cold), key=lambda one: best_order(one.fits).pairs.bic)
     return late._replace(delay=first + more)
 
 
-def _fit_every_order(
-    prepared: Prepared, advance: Callable[[int], None], begun: Sequence[OrderFit] = ()
+def _fit_without_glitches(
+    prepared: PreparedLog, advance: Callable[[int], None], begun: Sequence[OrderFit] = ()
 ) -> FittedOrders:
-    """Return every order, fitted; once more where a few readings turn out to be glitches."""
+    """Fit every order, and again if a few readings turn out to be glitches."""
     for _ in range(3):
         data, limits = prepared.data, prepared.limits
         held_out, integrators = prepared.options.held_out, prepared.options.integrators
@@ -146,7 +148,7 @@ def _fit_every_order(
             raise InputError(
                 "log: no stable plant of these orders fits; try another --order, or another input"
             )
-        glitches = _glitches(best_order(fits))
+        glitches = _find_glitches(best_order(fits))
         if not glitches.size:
             break
         ok = data.ok.copy()
@@ -162,11 +164,11 @@ def _fit_every_order(
     return FittedOrders(prepared, fits, 0, [])
 
 
-def _glitches(chosen: OrderFit) -> Integers:
-    """Places of the few readings that the fit cannot have produced."""
+def _find_glitches(chosen: OrderFit) -> Integers:
+    """Find the few readings that the fit cannot have produced."""
     fit = chosen.singles
     ok = fit.objective.readings.ok
-    density = fit.objective.at(fit.theta)[1].value
+    density = fit.objective.z_and_terms(fit.theta)[1].value
     normal = -0.5 * math.log(2 * math.pi) - math.log(fit.s)
     silent = ok & (fit.objective.readings.side == 0) & fit.objective.data.silent_zeros
     unusual = density - np.where(silent, 0.0, normal) < -0.5 * GLITCH**2
@@ -178,7 +180,7 @@ def _glitches(chosen: OrderFit) -> Integers:
 
 
 def likely_delay(fits: list[OrderFit]) -> int:
-    """Return the delay with which a linear plant of low order explains a log best.
+    """Find the delay with which a linear plant of low order explains a log best [samples].
 
     The zone disturbs these fits much alike; whether the delay is real is decided by fits with it.
 
@@ -194,8 +196,9 @@ def likely_delay(fits: list[OrderFit]) -> int:
     left: dict[int, float] = {}
 
     def scan(samples: int) -> float:
+        """Return the residual rms of a linear plant with a delay, scaled."""
         if samples not in left:
-            fit = fit_linear(Simulator(delay_inputs(data, samples), order, integrators))
+            fit = fit_linear(PlantSimulator(delay_inputs(data, samples), order, integrators))
             left[samples] = fit.s
         return left[samples]
 
@@ -207,8 +210,8 @@ def likely_delay(fits: list[OrderFit]) -> int:
         best = near
 
 
-def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
-    """Return whether fits with a delay are better by BIC; the delay counts as a number.
+def is_delay_better(fits: list[OrderFit], late: list[OrderFit]) -> bool:
+    """Return whether fits with a delay are better by BIC; the delay counts as a parameter.
 
     Clearly better, where the poles without it are those of a plant in continuous time.
 
@@ -218,13 +221,13 @@ def better_delay(fits: list[OrderFit], late: list[OrderFit]) -> bool:
     """
     best = best_order(fits)
     margin = math.log(float(fits[0].pairs.objective.readings.ok.sum()))
-    if is_sampled(best.pairs):
+    if has_continuous_poles(best.pairs):
         margin += CLEARLY  # a fast pole looks much like a delay
     return best_order(late).pairs.bic + margin < best.pairs.bic
 
 
 def refine_delay(late: list[OrderFit], samples: int) -> int:
-    """By how many samples the input acts late, by BIC: as far from a delay as it gets better.
+    """Refine the delay by BIC, in steps of a sample while the BIC falls.
 
     Args:
         late: fits with a delay, one an order.
@@ -236,15 +239,16 @@ def refine_delay(late: list[OrderFit], samples: int) -> int:
     for direction in (-1, 1):
         trial = samples + direction
         while 0 <= trial <= MOST_LATE:
-            known[trial] = min(_late(fit, trial - samples).bic for fit in smaller)
+            known[trial] = min(_refit_with_delay(fit, trial - samples).bic for fit in smaller)
             if known[trial] >= known[trial - direction]:
                 break
             trial += direction
     return min(known, key=lambda trial: known[trial])
 
 
-def alike(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFit]:
-    """What explains a log as well as its best fit, or nearly: the best fit with a delay, or none.
+def find_equivalents(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFit]:
+    """Find fits that explain a log nearly as well as the chosen fit: the best with a delay, or
+    none.
 
     Args:
         fits: those that were chosen, one an order.
@@ -254,8 +258,8 @@ def alike(fits: list[OrderFit], late: list[OrderFit]) -> list[OrderFit]:
     return [other] if other.pairs.bic < best_order(fits).pairs.bic + REACH else []
 
 
-def later(fits: list[OrderFit], samples: int) -> list[OrderFit]:
-    """Fits with the input later, from where they ended; their checks are those of before.
+def delay_fits(fits: list[OrderFit], samples: int) -> list[OrderFit]:
+    """Move the input of fits to later samples and refit; the held-out checks stay.
 
     Args:
         fits: one an order.
@@ -263,30 +267,33 @@ def later(fits: list[OrderFit], samples: int) -> list[OrderFit]:
     """
     moved = []
     for one in fits:
-        singles = _late(one.singles, samples)
-        pairs = singles if one.pairs is one.singles else _late(one.pairs, samples)
+        singles = _refit_with_delay(one.singles, samples)
+        pairs = singles if one.pairs is one.singles else _refit_with_delay(one.pairs, samples)
         moved.append(one._replace(singles=singles, pairs=pairs))
     return moved
 
 
-def _late(fit: Fit, samples: int) -> Fit:
-    """Return a fit with the input later, from two starts.
+def _refit_with_delay(fit: ZoneFit, samples: int) -> ZoneFit:
+    """Fit with a later input, from two starts.
 
     One has the numerators with which z is nearest to what it was, the other the linear plant.
     """
-    objective = fit.objective.along(delay_inputs(fit.objective.data, samples))
+    objective = fit.objective.objective_along(delay_inputs(fit.objective.data, samples))
     poles = fit.theta[objective.layout.a]
-    begun = [nearest(fit, objective.simulator, poles), _linear(fit, objective.simulator)]
-    tops = [climb(objective, theta, STEPS) for theta in begun]
-    return Fit(objective, *max(tops, key=lambda one: one.value))
+    begun = [
+        nearest_numbers(fit, objective.simulator, poles),
+        _start_from_linear(fit, objective.simulator),
+    ]
+    tops = [maximise_likelihood(objective, theta, STEPS) for theta in begun]
+    return ZoneFit(objective, *max(tops, key=lambda one: one.value))
 
 
-def _linear(fit: Fit, simulator: Simulator) -> Floats:
-    """Return the widths of a fit, and the linear plant with the gain that these take away."""
+def _start_from_linear(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
+    """Return a start: the widths of a fit, and the linear plant with its gain restored."""
     layout = simulator.layout
     theta = fit.theta.copy()
     plant = fit_linear(simulator).theta
     theta[: layout.right] = plant[: layout.right]
-    theta[layout.b] *= float(fit.z.std() / simulator.z(plant).std())
+    theta[layout.b] *= float(fit.z.std() / simulator.simulate_z(plant).std())
     theta[layout.right + 2] = math.log(ROUGH)
     return theta

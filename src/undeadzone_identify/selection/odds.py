@@ -1,4 +1,4 @@
-"""Which of all models is there: odds that hold although every model is wrong in something.
+"""Posterior probabilities of all models that remain valid although every model is slightly wrong.
 
 By the densities of a log, penalised by BIC, one of many models soon has all odds, and in a second
 log of the same machine another one. So the odds are the mean over logs that might have been
@@ -19,15 +19,17 @@ import numpy as np
 from scipy.special import softmax
 
 from undeadzone.util.arrays import Floats
-from undeadzone_identify.models.estimates import cosines
+from undeadzone_identify.models.estimates import cosine_coefficients
 from undeadzone_identify.models.least_squares import Density
 
 DRAWS = 2000
 Family = Mapping[str, Density]  # models of the same readings, by word; one of them is "none"
 
 
-def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[str, float]:
-    """Return the odds of what may be there, by the verdict's words, largest first.
+def model_probabilities(
+    families: Sequence[Family], excluded: Collection[str] = ()
+) -> dict[str, float]:
+    """Return the posterior probabilities of the classes, largest first [1].
 
     Args:
         families: models of the same readings; the readings of another family may be others.
@@ -36,7 +38,7 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     least = min((family["none"] for family in families), key=lambda one: one.value.size)
     scores: dict[str, Floats] = {}
     for family in families:
-        for word, drawn in zip(family, _draw_null_odds(family, least).T, strict=True):
+        for word, drawn in zip(family, _draw_log_odds(family, least).T, strict=True):
             if word not in excluded:
                 scores[word] = np.maximum(scores.get(word, -math.inf), drawn)
     words = list(scores)
@@ -45,23 +47,21 @@ def odds_of(families: Sequence[Family], excluded: Collection[str] = ()) -> dict[
     return {words[k]: float(shares[k]) for k in np.argsort(-shares)}
 
 
-def _draw_null_odds(family: Family, least: Density) -> Floats:
-    """Return log odds against no zone in logs of as few readings as the least family has (DRAWS x
-    K).
-    """
+def _draw_log_odds(family: Family, least: Density) -> Floats:
+    """Draw log odds against no zone, for logs as short as the least family's (DRAWS x K)."""
     count = least.value.size
     none = least if family["none"].value.size == count else family["none"]
     gains = np.column_stack([one.value - none.value for one in family.values()])
     numbers = np.array([one.numbers - none.numbers for one in family.values()])
-    slow = cosines(gains)
+    slow = cosine_coefficients(gains)
     noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
     scatter = noise @ slow * math.sqrt(len(gains) / len(slow))
     each = count / len(gains)
     return np.asarray(each * (gains.sum(axis=0) + scatter) - 0.5 * numbers * math.log(count))
 
 
-def behind(families: Sequence[Family]) -> dict[str, float]:
-    """Return nats a reading by which each model is behind the best, by word.
+def nats_behind_best(families: Sequence[Family]) -> dict[str, float]:
+    """Return the nats per reading by which each model is behind the best, by class.
 
     Args:
         families: as for `odds_of`.

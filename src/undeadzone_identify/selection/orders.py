@@ -1,4 +1,4 @@
-"""Each order fitted with a zone of the sensor, and how such a fit is checked.
+"""Fits of each order with a zone of the sensor, and the checks of a fit.
 
 By BIC, by what it says of held-out data, by a curve over what it leaves, and against no zone.
 """
@@ -17,26 +17,26 @@ from undeadzone_identify.models import zone_fit
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     HATS,
-    explain_residual,
-    hats,
-    unexplained_by,
+    hat_functions,
+    regress_residual,
+    regression_residual,
 )
-from undeadzone_identify.models.plant import CREDIBLE, Data, Simulator, products
-from undeadzone_identify.models.zone import Limits
+from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData, lag_products
+from undeadzone_identify.models.zone import WidthLimits
 
 NEARLY_ZERO = 0.05  # a sampled pole below it is a delay in disguise
 GAINED = 0.5  # of a log likelihood, from which a better fit is another one
 BLOCKS = 5  # of held-out samples, spread over a record
 LEAST_BLOCK = 150  # samples of the part that one of them ends
 LAGS = 20
-HEARD = 8  # past inputs, of which one-step residuals should be free
-ANSWERED = 3  # one-step residuals, or readings, to which a loop's input answers
+PAST_INPUTS = 8  # past inputs, of which one-step residuals should be free
+FEEDBACK_LAGS = 3  # one-step residuals, or readings, to which a loop's input answers
 ALONE = 1e-6  # share of an input's rms that its reference leaves, below which it makes all of it
 SHARE = 0.05  # of the residual's variance that a curve explains, from which it is real
 
 
 class OrderFit(NamedTuple):
-    """One order.
+    """Fit of a single order.
 
     Attributes:
         n: the order.
@@ -48,15 +48,15 @@ class OrderFit(NamedTuple):
     """
 
     n: int
-    singles: zone_fit.Fit
-    pairs: zone_fit.Fit
+    singles: zone_fit.ZoneFit
+    pairs: zone_fit.ZoneFit
     error: float
     share: float
     white: bool
 
 
-class HeldOut(NamedTuple):
-    """How a fit of the first part of a log does on the rest."""
+class HeldOutScore(NamedTuple):
+    """Score of a fit on the held-out part of a log."""
 
     error: float
     share: float
@@ -64,15 +64,15 @@ class HeldOut(NamedTuple):
 
 
 def fit_orders(
-    data: Data,
+    data: RecordData,
     orders: list[int],
-    limits: Limits,
+    limits: WidthLimits,
     held_out: float,
     advance: Callable[[int], None],
     integrators: int = 0,
     begun: Sequence[OrderFit] = (),
 ) -> list[OrderFit]:
-    """Return every order, fitted to all data and checked on blocks of them.
+    """Fit every order to all data and validate the fits on held-out blocks.
 
     Args:
         data: the records.
@@ -92,66 +92,64 @@ def fit_orders(
     for n in orders:
         if known and n not in known:
             continue
-        singles, pairs = _stages(Simulator(data, n, integrators), limits, known.get(n))
+        singles, pairs = _fit_stages(PlantSimulator(data, n, integrators), limits, known.get(n))
         advance(1)
-        if _says_something(singles) and _says_something(pairs):
-            fits.append(OrderFit(n, singles, pairs, *validate(pairs, train)))
-    return _less_odd(fits, train) if fits else fits
+        if _has_finite_derivatives(singles) and _has_finite_derivatives(pairs):
+            fits.append(OrderFit(n, singles, pairs, *validate_fit(pairs, train)))
+    return _improve_orders(fits, train) if fits else fits
 
 
-def _less_odd(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
-    """Return the orders, the best climbed on, and without its poles that no plant in time has.
+def _improve_orders(fits: list[OrderFit], train: Flags) -> list[OrderFit]:
+    """Return the orders, the best refined, and without poles that no continuous plant has.
 
     Args:
         fits: one an order.
         train: samples that are used where the rest checks (N).
     """
     fits, best = list(fits), fits.index(best_order(fits))
-    fits[best] = _climb_again(fits[best], fits[best].pairs.theta, train)
+    fits[best] = _improve_order(fits[best], fits[best].pairs.theta, train)
     for place in range(best, 0, -1):
-        if is_sampled(fits[place].pairs):
+        if has_continuous_poles(fits[place].pairs):
             break
         fewer = fits[place - 1]
-        begun = zone_fit.less_odd(fits[place].pairs, fewer.pairs.objective.simulator)
-        fits[place - 1] = _climb_again(fewer, begun, train)
+        begun = zone_fit.remove_odd_poles(fits[place].pairs, fewer.pairs.objective.simulator)
+        fits[place - 1] = _improve_order(fewer, begun, train)
     return fits
 
 
-def _climb_again(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
-    """Return the fits of an order, or those that a climb from other numbers leads to."""
-    pairs = zone_fit.better(one.pairs, theta)
+def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
+    """Return the fits of an order, or better fits from other start parameters."""
+    pairs = zone_fit.improve_fit(one.pairs, theta)
     if pairs.value < one.pairs.value + GAINED:
         return one
-    singles = pairs if one.pairs is one.singles else zone_fit.better(one.singles, pairs.theta)
-    return OrderFit(one.n, singles, pairs, *validate(pairs, train))
+    singles = pairs if one.pairs is one.singles else zone_fit.improve_fit(one.singles, pairs.theta)
+    return OrderFit(one.n, singles, pairs, *validate_fit(pairs, train))
 
 
-def _stages(
-    simulator: Simulator, limits: Limits, begun: OrderFit | None
-) -> tuple[zone_fit.Fit, zone_fit.Fit]:
-    """Return the fits of singles and of pairs; one and the same with noise behind the zone."""
+def _fit_stages(
+    simulator: PlantSimulator, limits: WidthLimits, begun: OrderFit | None
+) -> tuple[zone_fit.ZoneFit, zone_fit.ZoneFit]:
+    """Fit singles and pairs; with noise behind the zone both are the same fit."""
     data = simulator.data
     if begun is not None:
-        singles = zone_fit.move_records(begun.singles, data)
-        return singles, zone_fit.move_records(begun.pairs, data) if data.silent_zeros else singles
+        singles = zone_fit.refit_along(begun.singles, data)
+        return singles, zone_fit.refit_along(begun.pairs, data) if data.silent_zeros else singles
     singles = zone_fit.fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
     paired = data.silent_zeros and math.isfinite(singles.value)
-    return singles, zone_fit.refit(singles, "pairs") if paired else singles
+    return singles, zone_fit.refit_likelihood(singles, "pairs") if paired else singles
 
 
-def _says_something(fit: zone_fit.Fit) -> bool:
-    """Return whether a fit has a likelihood whose derivatives do not overflow."""
+def _has_finite_derivatives(fit: zone_fit.ZoneFit) -> bool:
+    """Return whether a fit has a likelihood with finite derivatives."""
     if not math.isfinite(fit.value):
         return False
-    return all(np.isfinite(part).all() for part in fit.objective.quadratic(fit.theta))
+    return all(np.isfinite(part).all() for part in fit.objective.quadratic_model(fit.theta))
 
 
-def training_samples(data: Data, held_out: float) -> Flags:
-    """Return the samples that are no held-out ones (N): these are the ends of equal parts of a
-    record.
-    """
+def training_samples(data: RecordData, held_out: float) -> Flags:
+    """Return the flags of training samples (N); held-out blocks end equal parts of a record."""
     train = np.ones(data.y.size, bool)
-    for part in data.records():
+    for part in data.record_slices():
         size = part.stop - part.start
         count = min(BLOCKS, max(1, size // LEAST_BLOCK))
         train[part] = np.arange(size) * count / size % 1 < 1 - held_out
@@ -159,47 +157,39 @@ def training_samples(data: Data, held_out: float) -> Flags:
 
 
 def best_order(fits: list[OrderFit]) -> OrderFit:
-    """Return the order of least BIC of (L2), those with a pole at the limit of what is allowed
-    last.
-    """
-    inside = [one for one in fits if not at_limit(one.pairs)]
+    """Return the order of least BIC of (L2); orders with a pole at the limit come last."""
+    inside = [one for one in fits if not is_fit_at_limit(one.pairs)]
     return min(inside or fits, key=lambda one: one.pairs.bic)
 
 
-def order_to_write(fits: list[OrderFit]) -> OrderFit:
-    """Return the best order; of those that predict alike, one that a plant in continuous time
-    has.
-    """
+def order_to_report(fits: list[OrderFit]) -> OrderFit:
+    """Return the best order, among equal predictions a plant that exists in continuous time."""
     best = best_order(fits)
-    alike = list(filter(lambda one: is_sampled(one.pairs), credible(fits)))
-    return best if is_sampled(best.pairs) or not alike else best_order(alike)
+    alike = list(filter(lambda one: has_continuous_poles(one.pairs), credible_orders(fits)))
+    return best if has_continuous_poles(best.pairs) or not alike else best_order(alike)
 
 
-def is_sampled(fit: zone_fit.Fit) -> bool:
-    """Return whether a plant in continuous time has these poles: none at 0 nearly, none
-    negative.
-    """
-    poles = fit.objective.simulator.poles(fit.theta)
+def has_continuous_poles(fit: zone_fit.ZoneFit) -> bool:
+    """Return whether a continuous-time plant has these poles: none near 0, none negative."""
+    poles = fit.objective.simulator.plant_poles(fit.theta)
     real = np.abs(poles.imag) < 1e-9
     return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
 
 
-def at_limit(fit: zone_fit.Fit) -> bool:
-    """Return whether a pole is as slow as is allowed, so that with x(0) it is an offset or a
-    sine.
-    """
-    return fit.objective.simulator.at_limit(fit.theta)
+def is_fit_at_limit(fit: zone_fit.ZoneFit) -> bool:
+    """Return whether a pole is so slow that with x(0) it equals an offset or a sine."""
+    return fit.objective.simulator.is_at_limit(fit.theta)
 
 
-def credible(fits: list[OrderFit]) -> list[OrderFit]:
-    """Return the orders whose held-out error is within 2 % of the least."""
-    inside = [one for one in fits if not at_limit(one.pairs)] or fits
+def credible_orders(fits: list[OrderFit]) -> list[OrderFit]:
+    """Return the orders with a held-out error within 2 % of the least."""
+    inside = [one for one in fits if not is_fit_at_limit(one.pairs)] or fits
     least = min(one.error for one in inside)
     return [one for one in inside if one.error <= CREDIBLE * least]
 
 
-def validate(fit: zone_fit.Fit, train: Flags) -> HeldOut:
-    """Return a fit of the training part, checked on the rest.
+def validate_fit(fit: zone_fit.ZoneFit, train: Flags) -> HeldOutScore:
+    """Fit the training part and score the fit on the rest.
 
     Args:
         fit: the fit to all data, from where the climb starts.
@@ -208,18 +198,20 @@ def validate(fit: zone_fit.Fit, train: Flags) -> HeldOut:
     Returns:
         Error, share and whiteness on the other samples.
     """
-    trained = zone_fit.refit(fit, fit.objective.kind, train, 25)
+    trained = zone_fit.refit_likelihood(fit, fit.objective.kind, train, 25)
     if not math.isfinite(trained.value):
         trained = fit
     data = fit.objective.data
     test = data.ok & ~train
-    return judge_errors(
-        data.y - zone_fit.mean_reading(trained), data, test, innovations(trained, test)
+    return score_held_out(
+        data.y - zone_fit.mean_reading(trained), data, test, one_step_residuals(trained, test)
     )
 
 
-def judge_errors(error: Floats, data: Data, test: Flags, one_step: tuple[Floats, Flags]) -> HeldOut:
-    """What errors of held-out readings say of a fit.
+def score_held_out(
+    error: Floats, data: RecordData, test: Flags, one_step: tuple[Floats, Flags]
+) -> HeldOutScore:
+    """Score the errors of held-out readings.
 
     Args:
         error: y less what is expected (N).
@@ -228,26 +220,24 @@ def judge_errors(error: Floats, data: Data, test: Flags, one_step: tuple[Floats,
         one_step: one-step residuals, and where they are known (N, N).
     """
     rms = float(np.sqrt(np.mean(error[test] ** 2)))
-    return HeldOut(rms, 1 - rms / max(float(data.y[test].std()), 1e-12), is_white(*one_step))
+    return HeldOutScore(rms, 1 - rms / max(float(data.y[test].std()), 1e-12), is_white(*one_step))
 
 
-def innovations(fit: zone_fit.Fit, among: Flags) -> tuple[Floats, Flags]:
-    """Return one-step residuals e_t - rho e_(t-1) and where they are known: speaking in a row (N,
-    N).
-    """
+def one_step_residuals(fit: zone_fit.ZoneFit, among: Flags) -> tuple[Floats, Flags]:
+    """Return residuals e_t - rho e_(t-1) and the flags of outside samples in a row (N, N)."""
     readings = fit.objective.readings
-    e = fit.objective.residuals(fit.theta)
+    e = fit.objective.unexplained_readings(fit.theta)
     ok = fit.objective.data.ok
     speaks = ok if fit.objective.kind == "behind" else ok & (readings.side != 0)
     rho = fit.rho if fit.objective.kind == "pairs" else None
-    return one_step(e, speaks & among, speaks, fit.objective.data.start, rho)
+    return predict_one_step(e, speaks & among, speaks, fit.objective.data.start, rho)
 
 
-def one_step(
+def predict_one_step(
     e: Floats, among: Flags, speaks: Flags, start: Integers, rho: float | None = None
 ) -> tuple[Floats, Flags]:
-    """Return residuals less what those of the sample before say of them, and where both are known
-    (N, N).
+    """Return residuals less their prediction from the previous sample, and the known flags (N,
+    N).
 
     Args:
         e: residuals (N).
@@ -268,29 +258,29 @@ def one_step(
 
 
 def is_white(value: Floats, use: Flags, lags: int = LAGS) -> bool:
-    """Return whether residuals are white, by Ljung and Box's sum of squared correlations at 1 %."""
+    """Return whether residuals are white, by the Ljung-Box statistic at 1 %."""
     count = int(use.sum())
     if count < 3 * lags:
         return True
-    squares = correlation(value, use, lags) ** 2
+    squares = known_autocorrelation(value, use, lags) ** 2
     total = count * (count + 2) * float(np.sum(squares / (count - np.arange(1, lags + 1))))
     return bool(chi2.sf(total, lags) > 0.01)
 
 
-def reacts_to_input(fit: zone_fit.Fit) -> bool:
+def has_input_residual(fit: zone_fit.ZoneFit) -> bool:
     """Return whether past inputs explain one-step residuals: a delay, or too few poles."""
-    value, use = innovations(fit, fit.objective.data.ok)
-    lagged = _lagged_values(fit.objective.data.u)
-    use = use & (since_start(fit.objective.data.start, use.size) >= HEARD)
-    if use.sum() < 20 * HEARD:
+    value, use = one_step_residuals(fit, fit.objective.data.ok)
+    lagged = _lag_columns(fit.objective.data.u)
+    use = use & (since_start(fit.objective.data.start, use.size) >= PAST_INPUTS)
+    if use.sum() < 20 * PAST_INPUTS:
         return False
-    _, _, share, chance = explain_residual(lagged[use], value[use])
+    _, _, share, chance = regress_residual(lagged[use], value[use])
     return (share > 0.03 and chance < 1e-3) or (share > 0.15 and chance < 0.01)
 
 
-def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
-    """Return p of what one-step residuals so far say of the input, if it does not answer to
-    readings.
+def loop_p_value(fit: zone_fit.ZoneFit, u: Floats) -> float:
+    """Return p of the residuals' effect on the input, if the input is independent of readings
+    [1].
 
     The reading of a sample comes before its input, which moves the plant in the next one.
 
@@ -298,20 +288,20 @@ def loop_chance(fit: zone_fit.Fit, u: Floats) -> float:
         fit: plant and zone.
         u: the inputs as they were recorded, or what else may answer (N x m).
     """
-    value, use = innovations(fit, fit.objective.data.ok)
-    heard = _lagged_values(np.where(use, value, 0.0)[:, None], range(ANSWERED))
-    inside = since_start(fit.objective.data.start, value.size) >= HEARD
+    value, use = one_step_residuals(fit, fit.objective.data.ok)
+    heard = _lag_columns(np.where(use, value, 0.0)[:, None], range(FEEDBACK_LAGS))
+    inside = since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
     left = [
-        unexplained_by(_lagged_values(column[:, None])[inside], column[inside]) for column in u.T
+        regression_residual(_lag_columns(column[:, None])[inside], column[inside]) for column in u.T
     ]
-    chances = [explain_residual(heard[inside], one)[-1] for one in left]
+    chances = [regress_residual(heard[inside], one)[-1] for one in left]
     return min(1.0, len(chances) * min(chances))
 
 
-def explained_by_readings(
+def feedback_share(
     moved: Floats, y: Floats, ok: Flags, r: Floats, start: Integers
 ) -> tuple[float, float]:
-    """Return the share that readings have of what is left of a signal, and p of it.
+    """Return the share of a signal's remainder that readings explain, and its p [1].
 
     Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
     without a loop, and 0 where nothing is left: the reference alone makes the input.
@@ -323,29 +313,35 @@ def explained_by_readings(
         r: what else makes it, now and before (N x k), NaN where it is missing.
         start: first sample of each record (R).
     """
-    wanted, heard = _lagged_values(r, range(HEARD + 1)), _lagged_values(y[:, None], range(ANSWERED))
-    own = np.hstack([np.ones((y.size, 1)), _lagged_values(moved), wanted])
+    wanted, heard = (
+        _lag_columns(r, range(PAST_INPUTS + 1)),
+        _lag_columns(y[:, None], range(FEEDBACK_LAGS)),
+    )
+    own = np.hstack([np.ones((y.size, 1)), _lag_columns(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
-    known &= _lagged_values(1.0 * ok[:, None], range(ANSWERED)).all(axis=1)
-    known &= since_start(start, y.size) >= HEARD
+    known &= _lag_columns(1.0 * ok[:, None], range(FEEDBACK_LAGS)).all(axis=1)
+    known &= since_start(start, y.size) >= PAST_INPUTS
     found = [(0.0, 1.0)]
     for column in moved[known].T:
-        left, said = unexplained_by(own[known], column), unexplained_by(own[known], heard[known])
+        left, said = (
+            regression_residual(own[known], column),
+            regression_residual(own[known], heard[known]),
+        )
         if np.std(left) > ALONE * np.std(column):
-            found.append(explain_residual(said, left)[2:])
+            found.append(regress_residual(said, left)[2:])
     return min(reversed(found), key=lambda one: one[1])
 
 
-def _lagged_values(columns: Floats, lags: range = range(1, HEARD + 1)) -> Floats:
-    """Return the last values of each column (N x lags K)."""
+def _lag_columns(columns: Floats, lags: range = range(1, PAST_INPUTS + 1)) -> Floats:
+    """Return the past values of each column (N x lags K)."""
     return np.hstack([np.roll(columns, lag, axis=0) for lag in lags])
 
 
-def correlation(value: Floats, use: Flags, lags: int) -> Floats:
-    """Return autocorrelation at lags 1 to `lags` over pairs that are both known (lags)."""
+def known_autocorrelation(value: Floats, use: Flags, lags: int) -> Floats:
+    """Return the autocorrelation at lags 1 to `lags` over known pairs (lags) [1]."""
     if not use.any():
         return np.zeros(lags)
-    own, *others = products(value, use, lags + 1)
+    own, *others = lag_products(value, use, lags + 1)
     both = [max(int((use[lag:] & use[:-lag]).sum()), 1) for lag in range(1, lags + 1)]
     return np.array(others) / both / max(own / int(use.sum()), 1e-300)
 
@@ -354,7 +350,7 @@ def correlation(value: Floats, use: Flags, lags: int) -> Floats:
 
 
 class ResidualMap(NamedTuple):
-    """The residual y - E[y | z^] by z^.
+    """Residual y - E[y given z^] by z^.
 
     Attributes:
         centres: places of the hat functions (K) [scaled z].
@@ -372,18 +368,18 @@ class ResidualMap(NamedTuple):
     moving_chance: float
 
     @property
-    def strange(self) -> bool:
-        """Return whether a map of z^ explains what a dead zone leaves."""
+    def has_curve(self) -> bool:
+        """Return whether a map of z^ explains the residual of a dead zone."""
         return self.share > SHARE and self.chance < CHANCE
 
     @property
-    def remembers(self) -> bool:
+    def has_memory(self) -> bool:
         """Return whether the residual depends on the direction of z^."""
         return self.moving_share > SHARE and self.moving_chance < CHANCE
 
 
-def residual_map(fit: zone_fit.Fit) -> ResidualMap:
-    """What the fit leaves, by z^ and by its direction.
+def fit_residual_map(fit: zone_fit.ZoneFit) -> ResidualMap:
+    """Fit the residual by z^ and by its direction.
 
     Args:
         fit: plant and zone of a record.
@@ -395,19 +391,19 @@ def residual_map(fit: zone_fit.Fit) -> ResidualMap:
     ok = fit.objective.readings.ok
     residual = fit.objective.readings.y - zone_fit.mean_reading(fit)
     centres = np.unique(np.quantile(z[ok], np.linspace(0.01, 0.99, HATS)))
-    curves = hats(z, centres)
+    curves = hat_functions(z, centres)
     speed = np.diff(z, prepend=z[0])
     moving = curves * np.tanh(speed / (speed.std() + 1e-300))[:, None]
-    curve, std, share, chance = explain_residual(curves[ok], residual[ok])
-    _, _, moving_share, moving_chance = explain_residual(moving[ok], residual[ok])
+    curve, std, share, chance = regress_residual(curves[ok], residual[ok])
+    _, _, moving_share, moving_chance = regress_residual(moving[ok], residual[ok])
     return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
 
 
 # --- A zone against none
 
 
-class NoZone(NamedTuple):
-    """The test's outcome.
+class ZoneTest(NamedTuple):
+    """Result of the test of a zone against none.
 
     Attributes:
         chance: p of what was seen if there is no zone.
@@ -415,11 +411,11 @@ class NoZone(NamedTuple):
     """
 
     chance: float
-    fit: zone_fit.Fit
+    fit: zone_fit.ZoneFit
 
 
-def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
-    """Return whether the readings need a zone at all.
+def compare_with_no_zone(fit: zone_fit.ZoneFit) -> ZoneTest:
+    """Test whether the readings need a zone.
 
     Args:
         fit: plant and zone.
@@ -429,14 +425,14 @@ def judge_no_zone(fit: zone_fit.Fit) -> NoZone:
     """
     objective = fit.objective
     if objective.kind != "behind":
-        return NoZone(0.0, fit)
+        return ZoneTest(0.0, fit)
     linear = zone_fit.fit_linear(objective.simulator, objective.readings.ok)
     begun, widths = linear.theta.copy(), slice(objective.layout.right, objective.layout.right + 2)
-    begun[widths] = zone_fit.about_level(linear, 0.05)
-    best = zone_fit.better(fit, begun)
-    spread = best.objective.spread(best.theta)
-    row = best.objective.direction(1.0, 1.0)
+    begun[widths] = zone_fit.widths_about_level(linear, 0.05)
+    best = zone_fit.improve_fit(fit, begun)
+    spread = best.objective.robust_covariance(best.theta)
+    row = best.objective.width_weights(1.0, 1.0)
     robust, naive = float(row @ spread.V @ row), float(row @ spread.naive @ row)
     ratio = 2 * max(best.value - linear.value, 0.0) / max(1.0, robust / max(naive, 1e-300))
     chance = float(chi2.sf(ratio, 1))  # of the width; the level has its number in both
-    return NoZone(chance, best)
+    return ZoneTest(chance, best)

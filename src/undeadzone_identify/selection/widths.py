@@ -1,4 +1,4 @@
-"""Widths with intervals, from the three stages of the fit, and how a log excites its edges."""
+"""Widths with intervals from the three stages of the fit, and the excitation of the edges."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, runs
-from undeadzone_identify.models.estimates import Interval, climb
+from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
-from undeadzone_identify.models.likelihood import Noise, Readings, singles
-from undeadzone_identify.models.zone import Limits, Objective
-from undeadzone_identify.models.zone_fit import Fit
+from undeadzone_identify.models.likelihood import Readings, ZoneNoise, single_densities
+from undeadzone_identify.models.zone import WidthLimits, ZoneObjective
+from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.orders import OrderFit
 
 FEW_VISITS = 3  # below these an edge is hardly reached
@@ -23,8 +23,8 @@ POINTS = 8  # of a profile, on each side of the edge
 REACH = 4.0  # usual half intervals, within which its ends are sought
 
 
-class Widths(NamedTuple):
-    """What the three stages say of the widths, scaled.
+class WidthEstimates(NamedTuple):
+    """Estimates of the widths by the three stages, scaled.
 
     Attributes:
         right, left, width, centre: values with intervals.
@@ -51,8 +51,8 @@ def find_widths(
     kalman: KalmanFit | None,
     quantum: float,
     offset: float | None,
-) -> Widths:
-    """Return the widths and their intervals.
+) -> WidthEstimates:
+    """Find the widths and their intervals.
 
     Args:
         chosen: the order that was chosen.
@@ -65,14 +65,14 @@ def find_widths(
     Returns:
         Values of the last stage, with the widest of the stages' intervals.
     """
-    told = _stages(chosen, kalman)
+    told = _collect_stages(chosen, kalman)
     stages = {name: one.edges for name, one in told.items()}
     last = list(stages)[-1]
     remarks: list[str] = []
     by_half = {name: max(told.values(), key=lambda one: one.halves[name]) for name in DIRECTIONS}
     widest = {name: one.halves[name] for name, one in by_half.items()}
     degrees = {name: one.degrees[name] for name, one in by_half.items()}
-    if any(_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
+    if any(_stage_gap(stages, DIRECTIONS[name], "L3") > widest[name] for name in ("right", "left")):
         last = "L2"
         remarks.append(
             "the disturbance model does not fit; the widths are those of pairs, the intervals"
@@ -80,29 +80,31 @@ def find_widths(
         )
     intervals, apart = {}, False
     for name, row in DIRECTIONS.items():
-        gap, half = _gap(stages, row, "L1"), widest[name]
+        gap, half = _stage_gap(stages, row, "L1"), widest[name]
         apart |= name != "centre" and gap > half > 0
         if half > 0:
-            half = max(half, gap, 0.0 if last == "L3" else _gap(stages, row, "L3"))
+            half = max(half, gap, 0.0 if last == "L3" else _stage_gap(stages, row, "L3"))
             half = math.hypot(half, _spread_over_orders(name, others, chosen))
             half = math.hypot(half, heaviest(row) * 0.5 * quantum)
-        half = with_offset(half, row, offset)
-        intervals[name] = Interval.around(float(np.dot(row, stages[last])), half)
+        half = widen_by_offset(half, row, offset)
+        intervals[name] = Interval.from_half_width(float(np.dot(row, stages[last])), half)
         for other in alike:
-            gap = _difference(row, other, chosen)
-            intervals[name] = intervals[name].reaching(max(-gap, 0.0), max(gap, 0.0))
+            gap = _width_difference(row, other, chosen)
+            intervals[name] = intervals[name].extend_by(max(-gap, 0.0), max(gap, 0.0))
     if apart:
         remarks.append(
             "fits of single samples and of pairs disagree: the plant model does not fit; the"
             " intervals are widened by the difference"
         )
     halves = {name: one.halves for name, one in told.items()}
-    return Widths(**intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks)
+    return WidthEstimates(
+        **intervals, stages=stages, halves=halves, degrees=degrees, remarks=remarks
+    )
 
 
-def with_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
-    """Return half an interval of right, left, width or centre, with what an offset of the output
-    adds.
+def widen_by_offset(half: float, row: tuple[float, float], offset: float | None) -> float:
+    """Return half an interval of right, left, width or centre, with the effect of an output
+    offset.
 
     Args:
         half: without it.
@@ -115,55 +117,57 @@ def with_offset(half: float, row: tuple[float, float], offset: float | None) -> 
     return math.inf if offset is None else math.hypot(half, shift * offset)
 
 
-def _gap(stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str) -> float:
-    """How far a stage is from that of pairs; 0 where one of them was not run."""
+def _stage_gap(
+    stages: dict[str, tuple[float, float]], row: tuple[float, float], stage: str
+) -> float:
+    """Return the distance of a stage from that of pairs; 0 if either was not run."""
     if stage not in stages or "L2" not in stages:
         return 0.0
     return abs(float(np.dot(row, stages[stage]) - np.dot(row, stages["L2"])))
 
 
 class _Stage(NamedTuple):
-    """What a stage says: (right, left), and half intervals with degrees of freedom by name."""
+    """Estimates of a stage: (right, left), and half intervals with degrees of freedom by name."""
 
     edges: tuple[float, float]
     halves: dict[str, float]
     degrees: dict[str, float]
 
 
-def _stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
-    """Return the stages that were run, by name."""
-    stages = {"L1": _assess_widths(chosen.singles)}
+def _collect_stages(chosen: OrderFit, kalman: KalmanFit | None) -> dict[str, _Stage]:
+    """Collect the stages that were run, by name."""
+    stages = {"L1": _to_stage(chosen.singles)}
     drifts = chosen.pairs.objective.limits.tied and kalman is not None
     if chosen.pairs is not chosen.singles and not drifts:  # what drifts has no correlation
-        stages["L2"] = _assess_widths(chosen.pairs)
+        stages["L2"] = _to_stage(chosen.pairs)
     if kalman is not None:
-        stages["L3"] = _assess_widths(kalman)
+        stages["L3"] = _to_stage(kalman)
     return stages
 
 
-def _assess_widths(fit: Fit | KalmanFit) -> _Stage:
-    """What a fit says of the widths."""
-    spread, halves, degrees = fit.objective.spread(fit.theta), {}, {}
+def _to_stage(fit: ZoneFit | KalmanFit) -> _Stage:
+    """Convert a fit to its estimates of the widths."""
+    spread, halves, degrees = fit.objective.robust_covariance(fit.theta), {}, {}
     for name, weights in DIRECTIONS.items():
-        row = fit.objective.direction(*weights)
+        row = fit.objective.width_weights(*weights)
         halves[name], degrees[name] = spread.half_and_degrees(row)
     return _Stage((fit.right, fit.left), halves, degrees)
 
 
 def _spread_over_orders(name: str, others: list[OrderFit], chosen: OrderFit) -> float:
-    """Return the spread of a width over credible orders, which no score can show."""
-    gaps = [_difference(DIRECTIONS[name], other, chosen) for other in others]
+    """Return the spread of a width over credible orders, which no score can show, scaled."""
+    gaps = [_width_difference(DIRECTIONS[name], other, chosen) for other in others]
     return float(np.sqrt(np.mean(np.square(gaps)))) if gaps else 0.0
 
 
-def _difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
-    """By how much a width is larger in another fit."""
+def _width_difference(row: tuple[float, float], other: OrderFit, chosen: OrderFit) -> float:
+    """Return the excess of a width in another fit, scaled."""
     one, own = other.pairs, chosen.pairs
     return float(np.dot(row, (one.right - own.right, one.left - own.left)))
 
 
-def lower_bound(fit: Fit, side: str) -> float:
-    """Return the least width that an edge which no reading passes may have, scaled.
+def lower_width_bound(fit: ZoneFit, side: str) -> float:
+    """Find the least width of an edge that no reading passes, scaled.
 
     Args:
         fit: with that edge far away.
@@ -175,9 +179,9 @@ def lower_bound(fit: Fit, side: str) -> float:
     z = fit.z
     readings = fit.objective.readings
     reach = float(z.max() if side == "right" else -z.min())
-    noise = fit.objective.noise(fit.theta)
+    noise = fit.objective.zone_noise(fit.theta)
     drop = 0.5 * float(chi2.ppf(0.95, 1))
-    base = float(singles(readings, z, noise).value.sum())
+    base = float(single_densities(readings, z, noise).value.sum())
     low, high = reach - 6 * fit.s, reach + 6 * fit.s
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -186,7 +190,9 @@ def lower_bound(fit: Fit, side: str) -> float:
         inside = right + left > 1e-9
         value = -math.inf
         if inside:
-            value = float(singles(readings, z, Noise(right, left, noise.s, 0.0)).value.sum())
+            value = float(
+                single_densities(readings, z, ZoneNoise(right, left, noise.s, 0.0)).value.sum()
+            )
         if value < base - drop:
             low = middle
         else:
@@ -194,8 +200,8 @@ def lower_bound(fit: Fit, side: str) -> float:
     return high
 
 
-def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
-    """Return the log likelihood with one width held at each of several values (K), others refitted.
+def profile_likelihood(fit: ZoneFit, side: str, values: Floats, steps: int = 10) -> Floats:
+    """Return the log likelihood with a width fixed at several values (K), the rest refitted.
 
     Args:
         fit: the fit whose likelihood is profiled.
@@ -215,19 +221,19 @@ def profile(fit: Fit, side: str, values: Floats, steps: int = 10) -> Floats:
         for k in direction:
             fixed = (float(values[k]), float(values[k]))
             both = objective.limits.tied
-            limits = Limits(
+            limits = WidthLimits(
                 fixed if both or side == "right" else objective.limits.right,
                 fixed if both or side == "left" else objective.limits.left,
             )
-            held = Objective(objective.simulator, objective.kind, limits, objective.readings.ok)
-            top = climb(held, theta, steps)
+            held = ZoneObjective(objective.simulator, objective.kind, limits, objective.readings.ok)
+            top = maximise_likelihood(held, theta, steps)
             out[k] = top.value - fit.value
             theta = top.theta if math.isfinite(top.value) else theta
     return out
 
 
-def widen_by_profile(fit: Fit, side: str, edge: Interval, scale: float) -> Interval:
-    """Return the usual interval, and that of the profile where it reaches further.
+def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> Interval:
+    """Return the union of the usual interval and that of the profile likelihood.
 
     2 (L - L(d)) V_naive / V <= F(1, K), with V the robust variance of the edge and V_naive that of
     independent samples.
@@ -242,9 +248,9 @@ def widen_by_profile(fit: Fit, side: str, edge: Interval, scale: float) -> Inter
         The union of both [y]; an end that the likelihood never forbids is infinite, or 0.
     """
     objective = fit.objective
-    spread = objective.spread(fit.theta)
-    row = objective.direction(*DIRECTIONS[side])
-    robust, degrees = spread.accuracy(row)
+    spread = objective.robust_covariance(fit.theta)
+    row = objective.width_weights(*DIRECTIONS[side])
+    robust, degrees = spread.variance_and_degrees(row)
     naive = float(row @ spread.naive @ row)
     drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)
     own = fit.right if side == "right" else fit.left
@@ -252,9 +258,9 @@ def widen_by_profile(fit: Fit, side: str, edge: Interval, scale: float) -> Inter
     ends = []
     away = np.linspace(0.0, 1.0, POINTS + 1)
     for values in (np.sort(own - reach * away), own + reach * away):
-        fallen = -profile(fit, side, values)
+        fallen = -profile_likelihood(fit, side, values)
         order = np.argsort(np.abs(values - own))
-        ends.append(_crossing(values[order], fallen[order], drop))
+        ends.append(_profile_crossing(values[order], fallen[order], drop))
     low, high = ends
     shift = edge.value - own * scale
     low = 0.0 if math.isinf(low) else low * scale + shift
@@ -262,8 +268,10 @@ def widen_by_profile(fit: Fit, side: str, edge: Interval, scale: float) -> Inter
     return Interval(edge.value, min(edge.low, low), max(edge.high, high))
 
 
-def _crossing(values: Floats, fallen: Floats, drop: float) -> float:
-    """Where the likelihood has fallen by `drop`, going away from the edge; inf: nowhere."""
+def _profile_crossing(values: Floats, fallen: Floats, drop: float) -> float:
+    """Return the value at which the likelihood has fallen by `drop`, away from the edge; inf
+    if never.
+    """
     beyond = np.flatnonzero(fallen > drop)
     if not beyond.size:
         return math.inf
@@ -278,7 +286,7 @@ def _crossing(values: Floats, fallen: Floats, drop: float) -> float:
 
 
 class Excitation(NamedTuple):
-    """What a log says of each edge.
+    """Excitation of each edge by a log.
 
     Attributes:
         samples: readings beyond the right and the left edge.
@@ -293,8 +301,10 @@ class Excitation(NamedTuple):
     longest: int
 
 
-def excitation(readings: Readings, z: Floats, right: float, left: float, ahead: bool) -> Excitation:
-    """How a log excites the edges.
+def measure_excitation(
+    readings: Readings, z: Floats, right: float, left: float, ahead: bool
+) -> Excitation:
+    """Measure the excitation of the edges by a log.
 
     Args:
         readings: the record.

@@ -1,1 +1,1 @@
-"""A servo behind gear play: predictor, likelihood, search, crossings, gap with its interval."""
+"""Servo behind gear play: predictor, likelihood, search, crossings, gap with its interval."""

@@ -1,4 +1,4 @@
-"""The gap at each reversal: a table that shows what one number hides.
+"""Gap at each reversal: a table that shows trends behind the single estimate.
 
 With the motion that the predictor expects, every reversal has a gap of its own,
 
@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.servo.likelihood import At, Likelihood, Servo
+from undeadzone_identify.servo.likelihood import At, Servo, ServoLikelihood
 from undeadzone_identify.servo.observations import (
     NORMAL,
     REACH,
     Observations,
-    noise_of,
-    trigger_ticks,
+    reading_noise_rms,
+    to_schmitt_ticks,
 )
 
 FEW = 12  # crossings from which a trend is looked for
@@ -38,8 +38,8 @@ MEANING = {
 }
 
 
-class Crossings(NamedTuple):
-    """Crossings of a gap, one after another; all arrays (m).
+class GapCrossings(NamedTuple):
+    """Crossings of a gap in temporal order; all arrays (m).
 
     Attributes:
         at: sample of the first tick beyond the gap.
@@ -60,24 +60,24 @@ class Crossings(NamedTuple):
     gap: Floats
 
     @property
-    def median(self) -> float:
-        """Return their median [y]; nan where there is none."""
+    def median_gap(self) -> float:
+        """Return the median gap [y]; nan without crossings."""
         return float(np.median(self.gap)) if self.gap.size else math.nan
 
     @property
-    def scatter(self) -> float:
-        """Return their standard deviation by the median deviation [y]."""
+    def gap_scatter(self) -> float:
+        """Return the standard deviation of the gaps by their median deviation [y]."""
         if not self.gap.size:
             return math.nan
-        return float(NORMAL * np.median(np.abs(self.gap - self.median)))
+        return float(NORMAL * np.median(np.abs(self.gap - self.median_gap)))
 
     @property
-    def error(self) -> float:
-        """Return standard error of their median [y]."""
-        return OF_MEDIAN * self.scatter / math.sqrt(max(self.gap.size, 1))
+    def median_error(self) -> float:
+        """Return the standard error of the median gap [y]."""
+        return OF_MEDIAN * self.gap_scatter / math.sqrt(max(self.gap.size, 1))
 
-    def trends(self) -> list[str]:
-        """What the gap changes with, in words."""
+    def describe_trends(self) -> list[str]:
+        """Describe the quantities with which the gap changes significantly."""
         if self.gap.size < FEW:
             return []
         columns = {
@@ -86,10 +86,10 @@ class Crossings(NamedTuple):
             "y": self.y,
             "direction": self.side.astype(float),
         }
-        rows = np.column_stack([_standard(column) for column in columns.values()])
+        rows = np.column_stack([_standardise_column(column) for column in columns.values()])
         rows = np.column_stack([np.ones(self.gap.size), rows])
-        reach = OUTLIER * self.scatter
-        gaps = np.clip(self.gap, self.median - reach, self.median + reach)
+        reach = OUTLIER * self.gap_scatter
+        gaps = np.clip(self.gap, self.median_gap - reach, self.median_gap + reach)
         slopes = np.linalg.lstsq(rows, gaps, rcond=1e-8)[0]
         left = gaps - rows @ slopes
         degrees = max(self.gap.size - rows.shape[1], 1)
@@ -97,7 +97,7 @@ class Crossings(NamedTuple):
         errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         found = []
         for name, slope, error in zip(columns, slopes[1:], errors[1:], strict=True):
-            share = abs(slope) / max(abs(self.median), 1e-300)
+            share = abs(slope) / max(abs(self.median_gap), 1e-300)
             if abs(slope) > CLEAR * error and share > STRONG:
                 found.append(
                     f"the gap at each crossing changes with {name}, by {100 * share:.0f} % a"
@@ -106,13 +106,13 @@ class Crossings(NamedTuple):
         return found
 
 
-def _standard(column: Floats) -> Floats:
-    """Return a column of mean 0 and variance 1, or of zeros."""
+def _standardise_column(column: Floats) -> Floats:
+    """Return a column scaled to mean 0 and variance 1, or zeros."""
     return np.asarray((column - column.mean()) / (column.std() + 1e-300))
 
 
-def crossings_of(log: Observations, one: Servo, free: bool = False) -> Crossings:
-    """Return the crossings of a log, in its units.
+def find_crossings(log: Observations, one: Servo, free: bool = False) -> GapCrossings:
+    """Find the crossings of a log, in its units.
 
     Args:
         log: as the predictor hears it; of noisy readings those of a Schmitt trigger are taken.
@@ -121,13 +121,13 @@ def crossings_of(log: Observations, one: Servo, free: bool = False) -> Crossings
     """
     ticked, wider = log, 0.0
     if not log.ticks:
-        ticked, wider = trigger_ticks(log), 2 * REACH * noise_of(log)
-    theta = one.with_number(At.GAP, one.theta[At.GAP] + wider).theta
-    seen = Likelihood(ticked, free).run(theta[None], one.structure.lag)[0]
-    at, ticks = np.flatnonzero(ticked.turns), np.flatnonzero(ticked.side)
+        ticked, wider = to_schmitt_ticks(log), 2 * REACH * reading_noise_rms(log)
+    theta = one.replace_number(At.GAP, one.theta[At.GAP] + wider).theta
+    seen = ServoLikelihood(ticked, free).run_predictor(theta[None], one.structure.lag)[0]
+    at, ticks = np.flatnonzero(ticked.reversal_ticks), np.flatnonzero(ticked.side)
     before = ticks[np.maximum(np.searchsorted(ticks, at) - 1, 0)]
     side, scale = ticked.side[at], log.y_scale
-    return Crossings(
+    return GapCrossings(
         at=at,
         time=at * log.seconds,
         side=side,

@@ -1,4 +1,4 @@
-"""The gap of a servo's play with its interval, and when none is given.
+"""Gap of a servo's play with its interval, and the reasons for which none is reported.
 
 The interval is as wide as the widest of what the log itself says (scores in cosines, sample by
 sample, and between reversals) and of what twelve logs simulated with the fit say; these also take
@@ -27,50 +27,55 @@ from scipy.stats import chi2
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers, later
-from undeadzone_identify.models.estimates import Interval, quantile, sandwich
-from undeadzone_identify.models.plant import correlations
+from undeadzone_identify.models.estimates import Interval, sandwich_covariance, student_quantile
+from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
-from undeadzone_identify.servo.crossings import Crossings, crossings_of
+from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
 from undeadzone_identify.servo.likelihood import (
     DEAR,
     RUBS,
     SLOW_TIME,
     At,
-    Likelihood,
+    ErrorSlopes,
     Servo,
-    Slopes,
-    lanes_of,
-    newton,
+    ServoLikelihood,
+    build_lane_numbers,
+    newton_terms,
 )
-from undeadzone_identify.servo.observations import Observations, noise_of, sides, trigger_ticks
+from undeadzone_identify.servo.observations import (
+    Observations,
+    change_sides,
+    reading_noise_rms,
+    to_schmitt_ticks,
+)
 from undeadzone_identify.servo.predictor import LATEST, MEAN, NUMBERS
-from undeadzone_identify.servo.search import search_structures
+from undeadzone_identify.servo.search import search_servos
 
 RUNS = 12
 STEPS = 8  # of a climb from the fit
 
 
 @cache
-def _kernel() -> lanes.Kernel:
-    """Return a servo and its play, with a torque of each lane's own."""
+def _simulation_kernel() -> lanes.Kernel:
+    """Build the compiled step of a servo and its play, with a separate torque for each lane."""
     state = ca.SX.sym("s", MEAN + 1)
     signals = ca.SX.sym("w", LATEST + 1 + 3)
     numbers = ca.SX.sym("p", len(NUMBERS) + LATEST + 1)
     lane = predictor.Lane(numbers)
     begun, starts, torque = ca.vertsplit(signals[LATEST + 1 :])
     acting = ca.dot(lane.taps, signals[: LATEST + 1])
-    contact = predictor.contact_of(lane, state[0], state[1], state[MEAN])
+    contact = predictor.contact_share(lane, state[0], state[1], state[MEAN])
     pushed = lane.offset + torque
-    x = predictor.predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
+    x = predictor.step_motor(lane, ca.vertsplit(state[:MEAN]), acting, pushed, contact).x
     x = [ca.if_else(starts, first, one) for first, one in zip([begun, 0, 0, 0], x, strict=True)]
-    level = ca.if_else(starts, begun, predictor.pulled_level(lane, state[MEAN], x[0]))
+    level = ca.if_else(starts, begun, predictor.drag_load(lane, state[MEAN], x[0]))
     step = ca.Function("simulated", [state, signals, numbers], [ca.vertcat(*x, level), level])
     own = LATEST + 1 + 2
     return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 
 
-def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
-    """Return logs of a servo with the log's input.
+def simulate_servo_logs(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
+    """Simulate logs of a servo with the log's input.
 
     Args:
         log: as the predictor hears it.
@@ -83,12 +88,14 @@ def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Obse
     keep = math.exp(-log.step / SLOW_TIME)
     white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
     torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
-    rows = lanes_of(theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag)
-    signals = np.column_stack([log.signals(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
+    rows = build_lane_numbers(
+        theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag
+    )
+    signals = np.column_stack([log.kernel_inputs(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
     signals[log.start, LATEST + 2] = 1.0
     levels, _ = lanes.run_lanes(
-        _kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
+        _simulation_kernel(), np.zeros(MEAN + 1), signals, rows[0], torque[:, None, :], threads=1
     )
     return [_record_levels(log, theta, level, draw) for level in levels[:, :, 0]]
 
@@ -96,17 +103,17 @@ def simulate_servo(log: Observations, one: Servo, runs: int = RUNS) -> list[Obse
 def _record_levels(
     log: Observations, theta: Floats, level: Floats, draw: np.random.Generator
 ) -> Observations:
-    """Return levels as the log's encoder reads them, or with its noise."""
+    """Return the log with simulated levels as read by its encoder, or with its noise."""
     if not log.ticks:
         return log._replace(y=level + math.exp(theta[At.NOISE]) * draw.standard_normal(level.size))
     y = log.quantum * np.round(level / log.quantum) if log.quantum else level
-    side = sides(y, log.ok, log.start)
+    side = change_sides(y, log.ok, log.start)
     return log._replace(y=y, side=side, boundary=y - side * log.quantum / 2)
 
 
 def refit_gaps(logs: Sequence[Observations], one: Servo) -> Floats:
-    """Return the gaps that climbs from a servo find in logs (runs)."""
-    tops = (Likelihood(log).climb_starts([one], STEPS)[0] for log in logs)
+    """Return the gaps fitted to simulated logs, started from a servo (runs)."""
+    tops = (ServoLikelihood(log).maximise_from_starts([one], STEPS)[0] for log in logs)
     return np.array([top.theta[At.GAP] for top in tops])
 
 
@@ -131,9 +138,9 @@ LOOKED = 4  # simulated logs whose crossings are looked at
 SCATTERS = 0.5  # of the gap, by which no simulated log's may differ
 HEAVY = 40.0  # kurtosis of errors that are no servo's
 FAR = 8.0  # deviations beyond which one error is
-HEARS = 0.04  # share of the errors of noisy readings that past inputs may explain
+INPUT_SHARE = 0.04  # share of the errors of noisy readings that past inputs may explain
 MOVED = 1e-5  # of a number, for derivatives
-AUDIBLE = 0.05  # of the rms of white torques, from which others are claimed
+SLOW_SHARE = 0.05  # of the rms of white torques, from which others are claimed
 SHORT = 1 / 12  # of the time between reversals: correlation time of friction, as a filter's torque
 LAGS = 8  # of these inputs
 CORRELATED = 0.01  # sum of the squared correlations of these errors, which is noticed
@@ -143,7 +150,7 @@ CLIP = 4.0  # deviations beyond which an error counts no more for that
 
 
 class ServoGap(NamedTuple):
-    """What a servo's log says of its gap.
+    """Gap of a servo's log, with its crossings and the reasons against it.
 
     Attributes:
         log: as the predictor hears it.
@@ -159,70 +166,64 @@ class ServoGap(NamedTuple):
     log: Observations
     servo: Servo
     gap: Interval
-    crossings: Crossings
+    crossings: GapCrossings
     reversals: int
     covariance: Floats
     gained: float
     reasons: tuple[str, ...]
 
     @property
-    def is_given(self) -> bool:
-        """Return whether there is a gap, above 0 for certain."""
+    def is_gap_reported(self) -> bool:
+        """Return whether the gap is reported, with certainty above 0."""
         return not self.reasons
 
     @property
-    def turns_too_seldom(self) -> bool:
-        """Return whether that the readings turn too seldom is all that keeps a gap from being
-        given.
-        """
+    def has_few_reversals(self) -> bool:
+        """Return whether too few reversals are the only reason against the gap."""
         return self.reversals < REVERSALS and len(self.reasons) == 1
 
     @property
-    def integrates(self) -> bool:
-        """Return whether nothing pulls z back to where it was, or nothing that this log could
-        show.
-        """
+    def is_integrating(self) -> bool:
+        """Return whether z has no restoring force, or none that the log could show."""
         one = self.servo
         if not one.structure.lag:
             return "spring" not in one.structure.parts
         return math.exp(one.theta[At.DAMPING]) * self.log.step * self.log.u.size < SETTLES
 
     @property
-    def odds(self) -> float:
-        """Of a gap against none, by BIC."""
-        used = max(int(np.count_nonzero(self.log.counted_samples(False))), 2)
+    def gap_probability(self) -> float:
+        """Return the posterior probability of a gap against none, by BIC."""
+        used = max(int(np.count_nonzero(self.log.error_samples(False))), 2)
         return float(expit(self.gained - 0.5 * DEAR * math.log(used)))
 
     @property
-    def disturbance(self) -> tuple[float, float]:
-        """Return rms [u] and correlation time [s] of what acts on the motor beside u and its
+    def motor_disturbance(self) -> tuple[float, float]:
+        """Return rms [u] and correlation time [s] of the torque on the motor beside u and
         damping.
 
         Friction is a part of it, which changes its sign at each reversal.
         """
-        log, theta = self.log, self.servo.structure.of(self.servo.theta)
+        log, theta = self.log, self.servo.structure.disable_absent_parts(self.servo.theta)
         rubs, slow = (
             float(theta[RUBS].sum()),
             math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET]),
         )
         white, rms = math.exp(theta[At.TORQUE]), math.hypot(rubs, slow)
-        if rms < AUDIBLE * white:
+        if rms < SLOW_SHARE * white:
             return white * log.u_scale, 0.5 * log.seconds
-        turning = log.part(LONGEST).u.size * log.seconds / max(self.reversals, 1)
+        turning = log.busiest_part(LONGEST).u.size * log.seconds / max(self.reversals, 1)
         of_slow = SLOW_TIME * log.seconds / log.step
         time = (rubs**2 * SHORT * turning + slow**2 * of_slow) / rms**2
         return rms * log.u_scale, max(time, 0.5 * log.seconds)
 
-    def fit_training_samples(self, among: Flags) -> Servo:
-        """Return the servo fitted to some samples (N) alone."""
-        return Likelihood(self.log, among=among).climb_starts([self.servo], STEPS)[0]
+    def fit_to_samples(self, among: Flags) -> Servo:
+        """Fit the servo to a subset of the samples (N)."""
+        return ServoLikelihood(self.log, among=among).maximise_from_starts([self.servo], STEPS)[0]
 
     def predict_readings(self, one: Servo) -> tuple[Floats, Floats, Integers]:
-        """Return z as it is predicted, what is read of it, and the contact then (N each),
-        scaled.
-        """
+        """Return the predicted z, its noise-free reading and the contact (N each), scaled."""
         log = self.log
-        z = Likelihood(log).run(one.theta[None], one.structure.lag)[0][:, 2]
+        z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
         half = float(one.theta[At.GAP]) / 2
         before = later(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
@@ -230,103 +231,108 @@ class ServoGap(NamedTuple):
             readings = log.quantum * np.round(readings / log.quantum)
         return z, readings, np.sign(readings - before).astype(int)
 
-    def errors(self, one: Servo) -> Floats:
-        """Return errors that count, in their deviations (n)."""
-        slopes = slopes_of(self.log, one)
+    def normalised_errors(self, one: Servo) -> Floats:
+        """Return the counted prediction errors divided by their standard deviations (n)
+        [1].
+        """
+        slopes = servo_slopes(self.log, one)
         return slopes.e * np.exp(-slopes.log_s)
 
     @property
-    def trends(self) -> list[str]:
-        """What the gap changes with, in words; noise makes trends of its own."""
-        return self.crossings.trends() if self.log.ticks else []
+    def trend_remarks(self) -> list[str]:
+        """Return the trends of the gap in words; none for noisy readings."""
+        return self.crossings.describe_trends() if self.log.ticks else []
 
 
-def servo_gap(log: Observations | None) -> ServoGap | None:
-    """Return the gap of a servo's log; None where nothing moves, or no servo fits.
+def identify_servo_gap(log: Observations | None) -> ServoGap | None:
+    """Find the gap of a servo's log; None if nothing moves or no servo fits.
 
     Args:
         log: as `heard.heard` gives it.
     """
     if log is None:
         return None
-    part = log.part(LONGEST)
-    tops = search_structures(part)
+    part = log.busiest_part(LONGEST)
+    tops = search_servos(part)
     if not tops:
         return None
     best = tops[0]
-    slopes = slopes_of(part, best)
+    slopes = servo_slopes(part, best)
     if not all(np.isfinite(column).all() for column in slopes):
         return None
-    spread = _Spread(part, best, slopes)
-    logs = simulate_servo(part, best)
+    spread = _GapUncertainty(part, best, slopes)
+    logs = simulate_servo_logs(part, best)
     gaps = refit_gaps(logs, best)
-    gap = _correct_gap(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
+    gap = _correct_gap_bias(part, best, spread, gaps, [one.theta[At.GAP] for one in tops])
     found = ServoGap(
         log=log,
         servo=best,
-        gap=gap.scale_interval(log.y_scale),
-        crossings=_unbias_crossings(crossings_of(log, best), logs, best),
+        gap=gap.scale_by(log.y_scale),
+        crossings=_correct_crossing_bias(find_crossings(log, best), logs, best),
         reversals=spread.reversals,
         covariance=spread.covariance,
-        gained=best.value - _without(part, best),
+        gained=best.value - _value_without_gap(part, best),
         reasons=(),
     )
-    doubts = _doubts(found, spread, gaps)
-    return found._replace(reasons=(*doubts, *odd_errors(part, slopes)))
+    doubts = _collect_gap_doubts(found, spread, gaps)
+    return found._replace(reasons=(*doubts, *collect_odd_errors(part, slopes)))
 
 
-def centre_of(found: ServoGap, level: float) -> Interval | None:
-    """Return the centre (c_r - c_l)/2 of a gap, if z = 0 at u = 0 [y]; None of an integrating
-    plant.
+def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
+    """Return the offset (c_r - c_l) / 2 of a gap, if z = 0 at u = 0 [y]; None if integrating.
 
     Args:
         found: the gap.
         level: the first reading [y].
     """
     log, one = found.log, found.servo
-    if found.integrates:
+    if found.is_integrating:
         return None
-    rest = _rest(one)
-    free = one.structure.free(log.ticks, False)
+    rest = _rest_position(one)
+    free = one.structure.free_places(log.ticks, False)
     slopes = np.zeros(free.size)
     for column, place in enumerate(free):
         move = np.zeros(one.theta.size)
         move[place] = MOVED
-        more = _rest(one._replace(theta=one.theta + move))
+        more = _rest_position(one._replace(theta=one.theta + move))
         slopes[column] = (more - rest) / MOVED
     error = math.sqrt(max(float(slopes @ found.covariance @ slopes), 0.0))
-    half = WIDER * quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
-    return Interval.around(-rest * log.y_scale - level, half * log.y_scale)
+    half = WIDER * student_quantile(float(np.clip(found.reversals - 1, 2, DEGREES))) * error
+    return Interval.from_half_width(-rest * log.y_scale - level, half * log.y_scale)
 
 
-def _rest(one: Servo) -> float:
-    """Where z rests at u = 0, from the first reading on."""
+def _rest_position(one: Servo) -> float:
+    """Return the value of z at rest for u = 0, from the first reading, scaled."""
     theta = one.theta
     stiffness = math.exp(theta[At.DAMPING] if one.structure.lag else theta[At.SPRING])
     return float(theta[At.GAIN] * theta[At.OFFSET]) / stiffness
 
 
-def _without(log: Observations, one: Servo) -> float:
+def _value_without_gap(log: Observations, one: Servo) -> float:
     """Return the log likelihood of a servo without a gap."""
-    return Likelihood(log).climb_starts([one.with_number(At.GAP, 0.0)], STEPS, (At.GAP,))[0].value
+    return (
+        ServoLikelihood(log)
+        .maximise_from_starts([one.replace_number(At.GAP, 0.0)], STEPS, (At.GAP,))[0]
+        .value
+    )
 
 
-def slopes_of(log: Observations, one: Servo) -> Slopes:
-    """Return errors of a servo that count, and their derivatives by its free numbers."""
-    free = one.structure.free(log.ticks, False)
-    return Likelihood(log).slopes(one.theta[None], [free], one.structure.lag)[0]
+def servo_slopes(log: Observations, one: Servo) -> ErrorSlopes:
+    """Return the counted errors of a servo and their derivatives by its free parameters."""
+    free = one.structure.free_places(log.ticks, False)
+    return ServoLikelihood(log).error_slopes(one.theta[None], [free], one.structure.lag)[0]
 
 
-class _Spread:
-    """How surely a gap is known by the log itself."""
+class _GapUncertainty:
+    """Uncertainty of a gap by the log itself."""
 
-    def __init__(self, log: Observations, one: Servo, slopes: Slopes) -> None:
-        place = list(one.structure.free(log.ticks, False)).index(At.GAP)
-        spread = sandwich(*newton(slopes))
+    def __init__(self, log: Observations, one: Servo, slopes: ErrorSlopes) -> None:
+        place = list(one.structure.free_places(log.ticks, False)).index(At.GAP)
+        spread = sandwich_covariance(*newton_terms(slopes))
         self.covariance = spread.V
-        turned = np.cumsum((log if log.ticks else trigger_ticks(log)).turns)
+        turned = np.cumsum((log if log.ticks else to_schmitt_ticks(log)).reversal_ticks)
         self.reversals = int(turned[-1])
-        used = Likelihood(log).used
+        used = ServoLikelihood(log).used
         told = spread.scores @ spread.naive[:, place]  # of the gap, by each error
         runs = np.bincount(turned[used], told)
         whole = float(runs @ runs)
@@ -336,12 +342,12 @@ class _Spread:
         self.error = math.sqrt(max(*variances, 0.0))
 
 
-def _correct_gap(
-    log: Observations, one: Servo, spread: _Spread, gaps: Floats, others: list[float]
+def _correct_gap_bias(
+    log: Observations, one: Servo, spread: _GapUncertainty, gaps: Floats, others: list[float]
 ) -> Interval:
-    """Return the gap less the bias that simulated logs show, with its interval, scaled."""
+    """Return the gap less the bias of simulated logs, with its interval, scaled."""
     gap = float(one.theta[At.GAP])
-    least = log.quantum if log.ticks else noise_of(log)
+    least = log.quantum if log.ticks else reading_noise_rms(log)
     reach = 4 * spread.error + 0.2 * least
     middle = float(np.median(gaps))
     bias = float(np.mean(np.clip(gaps, middle - reach, middle + reach))) - gap
@@ -349,25 +355,27 @@ def _correct_gap(
     error = math.hypot(max(spread.error, float(np.std(gaps, ddof=1))), FLOOR * least, loose)
     degrees = float(np.clip(spread.reversals - 1, 2, DEGREES))
     apart = max(abs(other - gap) for other in others)
-    half = math.hypot(WIDER * quantile(degrees) * error, bias, apart)
-    half *= ANY_COLOUR if not log.ticks and _slow(one) > COLOURED else 1.0
-    return Interval.around(max(gap - bias, 0.0), half)
+    half = math.hypot(WIDER * student_quantile(degrees) * error, bias, apart)
+    half *= ANY_COLOUR if not log.ticks and _slow_torque_rms(one) > COLOURED else 1.0
+    return Interval.from_half_width(max(gap - bias, 0.0), half)
 
 
-def _slow(one: Servo) -> float:
-    """Return rms of slow torques, in that of the input."""
-    return math.exp(one.structure.of(one.theta)[At.SLOW])
+def _slow_torque_rms(one: Servo) -> float:
+    """Return the rms of slow torques, in units of the input's rms."""
+    return math.exp(one.structure.disable_absent_parts(one.theta)[At.SLOW])
 
 
-def _unbias_crossings(crossings: Crossings, logs: list[Observations], one: Servo) -> Crossings:
-    """Return crossings less what those of simulated logs are beside the truth."""
-    medians = [crossings_of(log, one).median for log in logs[:LOOKED]]
+def _correct_crossing_bias(
+    crossings: GapCrossings, logs: list[Observations], one: Servo
+) -> GapCrossings:
+    """Return the crossings less the bias of the crossings of simulated logs."""
+    medians = [find_crossings(log, one).median_gap for log in logs[:LOOKED]]
     shift = float(np.nanmedian(medians)) - float(one.theta[At.GAP]) * logs[0].y_scale
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
-def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
-    """Why the gap itself is not given."""
+def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) -> list[str]:
+    """Collect the reasons for which the gap itself is not reported."""
     log, gap, crossings = found.log, found.gap, found.crossings
     reasons = []
     if found.reversals < REVERSALS:
@@ -385,15 +393,15 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
         )
-    if _slow(found.servo) > HIDING:
+    if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
     fitted = float(found.servo.theta[At.GAP]) * log.y_scale
-    margin = TICKS * log.quantum if log.ticks else NOISES * noise_of(log)
-    error = math.hypot(spread.error * log.y_scale, crossings.error)
+    margin = TICKS * log.quantum if log.ticks else NOISES * reading_noise_rms(log)
+    error = math.hypot(spread.error * log.y_scale, crossings.median_error)
     allowed = DISAGREES * error + margin * log.y_scale + CLOSE * fitted
-    if abs(crossings.median - fitted) > allowed:
+    if abs(crossings.median_gap - fitted) > allowed:
         reasons.append(
-            f"the crossings one by one say a gap of {crossings.median:.4g}, all together"
+            f"the crossings one by one say a gap of {crossings.median_gap:.4g}, all together"
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
     if gap.low > 0 and np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
@@ -401,8 +409,8 @@ def _doubts(found: ServoGap, spread: _Spread, gaps: Floats) -> list[str]:
     return reasons
 
 
-def odd_errors(log: Observations, slopes: Slopes) -> list[str]:
-    """Why errors are not those of a servo.
+def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
+    """Collect the reasons for which the errors do not fit a servo.
 
     Args:
         log: as the predictor hears it.
@@ -416,14 +424,14 @@ def odd_errors(log: Observations, slopes: Slopes) -> list[str]:
         reasons.append("a few readings are far from what any servo does")
     if log.ticks:
         return reasons
-    seen = correlations(np.clip(r, -CLIP, CLIP), np.ones(r.size, bool), 1 + FOLLOWING)
+    seen = mean_lag_products(np.clip(r, -CLIP, CLIP), np.ones(r.size, bool), 1 + FOLLOWING)
     squares = float(np.sum((seen[1:] / seen[0]) ** 2))
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
         reasons.append("errors follow from errors before them: the motor is not fully held")
-    used = np.flatnonzero(log.counted_samples(False))
+    used = np.flatnonzero(log.error_samples(False))
     past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)
     explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
-    if float(explained @ explained) > HEARS * power:
+    if float(explained @ explained) > INPUT_SHARE * power:
         reasons.append("past inputs explain errors: the motor is not fully held")
     return reasons

@@ -1,4 +1,4 @@
-"""The likelihood of a servo's log, and climbs from many starts side by side.
+"""Likelihood of a servo's log, maximised from many starts side by side.
 
 The prediction errors (S3) are Student's of 6 degrees of freedom, so that a tick that was missed
 costs little. Every start has lanes of its own for its derivatives, and its trials are damped in
@@ -18,7 +18,7 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
-from undeadzone_identify.models.estimates import around, run_along
+from undeadzone_identify.models.estimates import perturb_each, run_lanes_along
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.observations import Observations
 from undeadzone_identify.servo.predictor import DEGREES, LATEST, NUMBERS, PLANT, SURE
@@ -37,7 +37,7 @@ AT_FIRST = 2.0  # standard deviation of v at first, in speeds that an input of 1
 
 
 def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Floats, Floats]:
-    """Return transitions of (z, v, d, i), of u and torque, and the covariance of a sample.
+    """Discretise (z, v, d, i): return transitions of state and inputs, and the covariance.
 
     Args:
         theta: numbers by `At` (L x P); what is not there is -inf, the pole +inf.
@@ -91,10 +91,10 @@ def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Flo
     return E[:, :4, :4], E[:, :4, 4:], Q
 
 
-def lanes_of(
+def build_lane_numbers(
     theta: Floats, step: float, quantum: float, ticks: bool, free: bool, lag: bool
 ) -> Floats:
-    """Return the numbers of the predictor's lanes (L x numbers).
+    """Build the parameters of the predictor's lanes (L x numbers).
 
     Args:
         theta: by `At` (L x P).
@@ -151,8 +151,8 @@ NONE |= {At.SPRING: -math.inf, At.POLE: math.inf, At.SLOW: -math.inf}
 ALWAYS = (At.DAMPING, At.GAIN, At.OFFSET, At.TORQUE, At.DELAY)
 
 
-class Structure(NamedTuple):
-    """What a servo has.
+class ServoStructure(NamedTuple):
+    """Structure of a servo: the parts that it contains.
 
     Attributes:
         parts: of friction, load (friction of it), spring, pole and slow.
@@ -162,8 +162,8 @@ class Structure(NamedTuple):
     parts: frozenset[str]
     lag: bool = False
 
-    def free(self, ticks: bool, free: bool, fixed: Sequence[int] = ()) -> Integers:
-        """Return the places of its numbers that are fitted."""
+    def free_places(self, ticks: bool, free: bool, fixed: Sequence[int] = ()) -> Integers:
+        """Return the places of the parameters that are fitted."""
         places = [*ALWAYS, *(PARTS[name] for name in self.parts)]
         if not free:
             places.append(At.GAP)
@@ -171,8 +171,8 @@ class Structure(NamedTuple):
             places.append(At.NOISE)
         return np.array(sorted(set(places) - set(fixed)))
 
-    def of(self, theta: Floats) -> Floats:
-        """Return numbers of which those that are not there have no effect."""
+    def disable_absent_parts(self, theta: Floats) -> Floats:
+        """Return the parameters, with no effect of absent parts."""
         own = theta.copy()
         for name, place in PARTS.items():
             if name not in self.parts:
@@ -181,21 +181,21 @@ class Structure(NamedTuple):
 
 
 class Servo(NamedTuple):
-    """Numbers of a structure with their log likelihood."""
+    """Parameters of a servo structure with their log likelihood."""
 
-    structure: Structure
+    structure: ServoStructure
     theta: Floats
     value: float
 
-    def with_number(self, place: int, value: float) -> Servo:
-        """Return a servo with another number."""
+    def replace_number(self, place: int, value: float) -> Servo:
+        """Return a servo with a single parameter replaced."""
         theta = self.theta.copy()
         theta[place] = value
         return self._replace(theta=theta)
 
 
-class Slopes(NamedTuple):
-    """Errors, logs of their deviations, and derivatives of both.
+class ErrorSlopes(NamedTuple):
+    """Prediction errors, logarithms of their deviations, and derivatives of both.
 
     Attributes:
         e, log_s: of the errors that count (n).
@@ -208,8 +208,8 @@ class Slopes(NamedTuple):
     dlog: Floats
 
 
-class Likelihood:
-    """The log likelihood of a log.
+class ServoLikelihood:
+    """Log likelihood of a servo's log.
 
     Args:
         log: as the predictor hears it.
@@ -219,29 +219,35 @@ class Likelihood:
 
     def __init__(self, log: Observations, free: bool = False, among: Flags | None = None) -> None:
         self.log, self.free = log, free
-        counted = log.counted_samples(free) if among is None else log.counted_samples(free) & among
+        counted = log.error_samples(free) if among is None else log.error_samples(free) & among
         self.used = np.flatnonzero(counted)
-        self.signals = log.signals(counted)
-        self.kernel = predictor.ticks if log.ticks else predictor.noise
+        self.signals = log.kernel_inputs(counted)
+        self.kernel = predictor.tick_predictor if log.ticks else predictor.noise_predictor
 
-    def run(self, theta: Floats, lag: bool) -> Floats:
-        """What the predictor sees (L x N x `predictor.SEEN`) with numbers (L x P)."""
+    def run_predictor(self, theta: Floats, lag: bool) -> Floats:
+        """Run the predictor with several parameter sets (L x P); return `predictor.SEEN`
+        (L x N x 4).
+        """
         return self._run_kernel(self.kernel(), theta, lag)[0]
 
     def _run_kernel(self, kernel: lanes.Kernel, theta: Floats, lag: bool) -> tuple[Floats, Floats]:
-        """Return outputs and final states of a kernel."""
+        """Run a kernel; return its outputs and final states."""
         log = self.log
-        rows = lanes_of(theta, log.step, log.quantum, log.ticks, self.free, lag)
-        return run_along(kernel, self.signals, rows)
+        rows = build_lane_numbers(theta, log.step, log.quantum, log.ticks, self.free, lag)
+        return run_lanes_along(kernel, self.signals, rows)
 
-    def values(self, theta: Floats, lag: bool) -> Floats:
-        """Return the log likelihoods of numbers (L x P)."""
+    def log_likelihood_values(self, theta: Floats, lag: bool) -> Floats:
+        """Return the log likelihoods of several parameter sets (L)."""
         return self._run_kernel(self.kernel("sums"), theta, lag)[1][:, -1]
 
-    def slopes(self, points: Floats, free: Sequence[Integers], lag: bool) -> list[Slopes]:
-        """Return errors and derivatives at points (M x P) by the free numbers of each."""
-        moves = [steps_of(theta)[own] for theta, own in zip(points, free, strict=True)]
-        rows = [around(*one) for one in zip(points, free, moves, strict=True)]
+    def error_slopes(
+        self, points: Floats, free: Sequence[Integers], lag: bool
+    ) -> list[ErrorSlopes]:
+        """Return errors and derivatives at points (M x P) by the free parameters of each
+        point.
+        """
+        moves = [slope_steps(theta)[own] for theta, own in zip(points, free, strict=True)]
+        rows = [perturb_each(*one) for one in zip(points, free, moves, strict=True)]
         seen, _ = self._run_kernel(self.kernel("errors"), np.concatenate(rows), lag)
         found, row = [], 0
         for steps in moves:
@@ -250,14 +256,15 @@ class Likelihood:
             slope = (own[1 : 1 + count] - own[1 + count :]) / (2 * steps[:, None, None])
             e, log_s = np.ascontiguousarray(own[0].T)
             de, dlog = np.ascontiguousarray(slope.transpose(2, 1, 0))
-            found.append(Slopes(e, log_s, de, dlog))
+            found.append(ErrorSlopes(e, log_s, de, dlog))
             row += 1 + 2 * count
         return found
 
-    def climb_starts(
+    def maximise_from_starts(
         self, starts: Sequence[Servo], steps: int, fixed: Sequence[int] = ()
     ) -> list[Servo]:
-        """Where climbs from several starts end, in their order; the lags among them apart.
+        """Find the maxima of the likelihood from several starts, in their order; lags
+        apart.
 
         Args:
             starts: whose values are not needed.
@@ -268,19 +275,21 @@ class Likelihood:
         for lag in (False, True):
             own = [k for k, one in enumerate(starts) if one.structure.lag == lag]
             if own:
-                tops = self._climb_apart([starts[k] for k in own], steps, fixed, lag)
+                tops = self._maximise_same_kind([starts[k] for k in own], steps, fixed, lag)
                 for k, top in zip(own, tops, strict=True):
                     found[k] = top
         return found
 
-    def _climb_apart(
+    def _maximise_same_kind(
         self, starts: list[Servo], steps: int, fixed: Sequence[int], lag: bool
     ) -> list[Servo]:
-        """Return `climbed`, of motors alone or of lags alone."""
+        """Find the maxima from starts that are all motors, or all first-order lags."""
         ticks = self.log.ticks
-        free = [one.structure.free(ticks, self.free, fixed) for one in starts]
-        theta = bound_numbers(np.array([one.structure.of(one.theta) for one in starts]), self.log)
-        values = self.values(theta, lag)
+        free = [one.structure.free_places(ticks, self.free, fixed) for one in starts]
+        theta = clip_servo_numbers(
+            np.array([one.structure.disable_absent_parts(one.theta) for one in starts]), self.log
+        )
+        values = self.log_likelihood_values(theta, lag)
         idle = np.where(np.isfinite(values), 0, PATIENT)
         for _ in range(steps):
             going = np.flatnonzero(idle < PATIENT)
@@ -288,10 +297,10 @@ class Likelihood:
                 break
             places = [free[k] for k in going]
             trials = []
-            for k, slopes in zip(going, self.slopes(theta[going], places, lag), strict=True):
-                trials.append(self._trials(theta[k], slopes, free[k]))
-            tried = bound_numbers(np.concatenate(trials), self.log)
-            reached = self.values(tried, lag).reshape(going.size, -1)
+            for k, slopes in zip(going, self.error_slopes(theta[going], places, lag), strict=True):
+                trials.append(self._newton_trials(theta[k], slopes, free[k]))
+            tried = clip_servo_numbers(np.concatenate(trials), self.log)
+            reached = self.log_likelihood_values(tried, lag).reshape(going.size, -1)
             best = np.argmax(np.nan_to_num(reached, nan=-np.inf), axis=1)
             for row, k in enumerate(going):
                 gained = reached[row, best[row]] - values[k]
@@ -304,9 +313,9 @@ class Likelihood:
         pairs = zip(starts, theta, values, strict=True)
         return [Servo(one.structure, numbers, float(value)) for one, numbers, value in pairs]
 
-    def _trials(self, theta: Floats, slopes: Slopes, places: Integers) -> Floats:
-        """Where damped steps lead, whatever the bounds (trials x P)."""
-        scores, hessian = newton(slopes)
+    def _newton_trials(self, theta: Floats, slopes: ErrorSlopes, places: Integers) -> Floats:
+        """Return the end points of damped Newton steps, bounds not applied (trials x P)."""
+        scores, hessian = newton_terms(slopes)
         score = scores.sum(axis=0)
         diagonal = hessian.diagonal()
         scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1e-12))
@@ -318,21 +327,19 @@ class Likelihood:
             found = np.linalg.solve(damped, (score * scale)[:, None])[:, :, 0] * scale
         except np.linalg.LinAlgError:
             found = np.tile(score * scale**2, (DAMPINGS.size, 1))
-        longest = reach_of(theta)[places]
+        longest = longest_steps(theta)[places]
         trials = np.tile(theta, (DAMPINGS.size, 1))
         trials[:, places] += np.clip(found, -longest, longest)
         return trials
 
     def bic(self, one: Servo) -> float:
-        """Return BIC, with numbers that are dear."""
-        count = one.structure.free(self.log.ticks, self.free).size
+        """Return the BIC, with a raised penalty per parameter."""
+        count = one.structure.free_places(self.log.ticks, self.free).size
         return -2 * one.value + DEAR * count * math.log(max(self.used.size, 2))
 
 
-def newton(slopes: Slopes) -> tuple[Floats, Floats]:
-    """Return the scores of the errors (n x free), and a positive Hessian of minus the log
-    likelihood.
-    """
+def newton_terms(slopes: ErrorSlopes) -> tuple[Floats, Floats]:
+    """Return the scores of the errors (n x free), and a positive Hessian of -log likelihood."""
     inverse = np.exp(-slopes.log_s)
     r = slopes.e * inverse
     weight = (DEGREES + 1) / (DEGREES + r * r)
@@ -344,8 +351,8 @@ def newton(slopes: Slopes) -> tuple[Floats, Floats]:
     return scores, hessian
 
 
-def steps_of(theta: Floats) -> Floats:
-    """By how much each number is moved for derivatives (P)."""
+def slope_steps(theta: Floats) -> Floats:
+    """Return the step of each parameter for numerical derivatives (P)."""
     steps = np.full(len(At), 2e-3)
     steps[At.GAIN] = 1e-3 * abs(theta[At.GAIN]) + 1e-9
     steps[RUBS] = 1e-3 + 0.01 * np.abs(theta[RUBS])
@@ -354,8 +361,8 @@ def steps_of(theta: Floats) -> Floats:
     return steps
 
 
-def reach_of(theta: Floats) -> Floats:
-    """By how much each number may change in a step (P)."""
+def longest_steps(theta: Floats) -> Floats:
+    """Return the largest change of each parameter in a Newton step (P)."""
     reach = np.ones(len(At))
     reach[At.GAIN] = 0.5 * abs(theta[At.GAIN]) + 0.02
     reach[RUBS] = 0.1
@@ -365,8 +372,8 @@ def reach_of(theta: Floats) -> Floats:
     return reach
 
 
-def bound_numbers(theta: Floats, log: Observations) -> Floats:
-    """Return numbers within bounds (L x P); what is not there stays so."""
+def clip_servo_numbers(theta: Floats, log: Observations) -> Floats:
+    """Clip the parameters to their bounds (L x P); absent parts stay absent."""
     own = theta.T.copy()
     for place, low, high in (
         (At.DAMPING, math.log(0.02), math.log(min(1.5 / log.step, 2000.0))),
@@ -381,7 +388,7 @@ def bound_numbers(theta: Floats, log: Observations) -> Floats:
     own[RUBS] = np.maximum(own[RUBS], 0.0)
     own[At.GAP] = np.maximum(own[At.GAP], 1e-7)
     earliest = (
-        0.0 if log.has_feedback else EARLIEST
+        0.0 if log.is_closed_loop else EARLIEST
     )  # in a loop u answers to the reading of its sample
     own[At.DELAY] = np.clip(own[At.DELAY], earliest, predictor.LATEST + EARLIEST - 1e-6)
     return np.ascontiguousarray(own.T)

@@ -1,4 +1,4 @@
-"""A log as the predictor hears it: ticks with their boundaries, or readings with noise.
+"""Log as the input of the servo predictor: ticks with boundaries, or noisy readings.
 
 Does the input answer to the readings? A loop shows in the change of u at a tick itself.
 """
@@ -12,9 +12,9 @@ import numpy as np
 from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Flags, Floats, Integers, later
-from undeadzone_identify.logs.grid import spacing_of
-from undeadzone_identify.models.least_squares import unexplained_by
-from undeadzone_identify.models.motion import changes, white_noise
+from undeadzone_identify.logs.grid import common_spacing
+from undeadzone_identify.models.least_squares import regression_residual
+from undeadzone_identify.models.motion import reading_changes, white_noise_rms
 from undeadzone_identify.servo.predictor import LATEST
 
 LAGS = 10  # samples of the past that are taken out
@@ -27,9 +27,8 @@ CHANCE = 1e-6  # p from which a loop is closed
 STILL = 0.5  # share of changes that are 0, from which u is a list of steps
 
 
-def loop_chance(u: Floats, y: Floats) -> float:
-    """Return p of what changes of y that came just before explain of changes of u, if there is no
-    loop.
+def tick_loop_p_value(u: Floats, y: Floats) -> float:
+    """Return p of the effect of recent changes of y on changes of u, without feedback [1].
 
     1 where they explain hardly anything, or nothing can be told.
 
@@ -46,20 +45,20 @@ def loop_chance(u: Floats, y: Floats) -> float:
     past += [dy[rows - lag] for lag in range(OWN, LAGS)]
     known = np.column_stack([np.ones(rows.size), *past])
     target = du[rows]
-    kept = _usual(known, target)
+    kept = _inlier_rows(known, target)
     known, now, target = known[kept], now[kept], target[kept]
-    before = unexplained_by(known, target)
+    before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
-    after = unexplained_by(np.column_stack([known, now]), target)
+    after = regression_residual(np.column_stack([known, now]), target)
     share = 1 - float(after @ after) / float(before @ before)
     degrees = target.size - known.shape[1] - OWN
     ratio = share / max(1 - share, 1e-12) * degrees / OWN
     return float(fisher.sf(ratio, OWN, degrees)) if share > SHARE else 1.0
 
 
-def _usual(columns: Floats, target: Floats) -> Flags:
-    """Return the rows without outliers (n)."""
+def _inlier_rows(columns: Floats, target: Floats) -> Flags:
+    """Return the flags of rows without outliers (n)."""
     kept = np.ones(target.size, bool)
     for _ in range(3):
         slopes = np.linalg.lstsq(columns[kept], target[kept], rcond=1e-10)[0]
@@ -78,7 +77,7 @@ REACH = 3.0  # of a Schmitt trigger, in standard deviations of the noise
 
 
 class Observations(NamedTuple):
-    """A log, scaled, as signals of the predictor.
+    """Scaled log as signals of the predictor.
 
     Attributes:
         step: sample time in the predictor's unit, in which rates lie about 1 to 100.
@@ -110,13 +109,13 @@ class Observations(NamedTuple):
     loop: float
 
     @property
-    def has_feedback(self) -> bool:
-        """Return whether the input answers to the readings."""
+    def is_closed_loop(self) -> bool:
+        """Return whether the input depends on the readings."""
         return self.loop < CHANCE
 
     @property
-    def turns(self) -> Flags:
-        """Return ticks to the other side than the one before in their record (N)."""
+    def reversal_ticks(self) -> Flags:
+        """Return the flags of ticks opposite to the previous tick of their record (N)."""
         at = np.flatnonzero(self.side)
         turned = np.zeros(self.side.size, bool)
         record = np.searchsorted(self.start, at, side="right")
@@ -125,41 +124,46 @@ class Observations(NamedTuple):
         return turned
 
     @property
-    def first(self) -> Flags:
-        """Return the first tick of each record (N)."""
+    def first_ticks(self) -> Flags:
+        """Return the flags of the first tick of each record (N)."""
         at = np.flatnonzero(self.side)
         record = np.searchsorted(self.start, at, side="right")
         begun = np.zeros(self.side.size, bool)
         begun[at[np.append(True, np.diff(record) > 0)[: at.size]]] = True
         return begun
 
-    def signals(self, counted: Flags) -> Floats:
-        """Return inputs of the kernel (N x inputs), with the samples whose errors count (N)."""
+    def kernel_inputs(self, counted: Flags) -> Floats:
+        """Return the inputs of the kernel (N x inputs), with the counted samples (N)
+        marked.
+        """
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
         late = np.column_stack([later(self.u, j, self.start) for j in range(LATEST + 1)])
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
-        ticks = [self.side, self.boundary, self.turns, self.first]
+        ticks = [self.side, self.boundary, self.reversal_ticks, self.first_ticks]
         return np.column_stack([late, *ticks, starts, counted])
 
-    def counted_samples(self, free: bool) -> Flags:
-        """Return the samples whose prediction errors count (N)."""
+    def error_samples(self, free: bool) -> Flags:
+        """Return the flags of samples with counted prediction errors (N)."""
         if not self.ticks:
             counted = self.ok.copy()
             counted[self.start] = False
             return counted
-        counted = (self.side != 0) & ~self.first
-        return counted & ~self.turns if free else counted
+        counted = (self.side != 0) & ~self.first_ticks
+        return counted & ~self.reversal_ticks if free else counted
 
-    def part(self, most: int, least: int = 0) -> Observations:
-        """Return the samples in a row with most reversals; all where there are not more.
+    def busiest_part(self, most: int, least: int = 0) -> Observations:
+        """Return the contiguous part with most reversals; the whole log if it is short
+        enough.
 
         Args:
             most: samples.
             least: reversals; where so many samples have fewer, twice as many are taken, and so on.
         """
-        turned = np.cumsum(np.append(0, (self if self.ticks else trigger_ticks(self)).turns))
+        turned = np.cumsum(
+            np.append(0, (self if self.ticks else to_schmitt_ticks(self)).reversal_ticks)
+        )
         while most < self.u.size and np.max(turned[most:] - turned[:-most]) < least:
             most *= 2
         if self.u.size <= most:
@@ -177,10 +181,10 @@ class Observations(NamedTuple):
         )
 
 
-def read_observations(
+def build_observations(
     u: Floats, y: Floats, ok: Flags, start: Integers, step: float
 ) -> Observations | None:
-    """Return a log as the predictor hears it; None where nothing moves.
+    """Build the predictor's signals from a log; None if nothing moves.
 
     Args:
         u: input (N).
@@ -193,12 +197,12 @@ def read_observations(
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
-    held = fill_missing(np.where(ok, (y - level) / y_scale, 0.0), ok)
-    side = sides(held, ok, start)
+    held = hold_last_reading(np.where(ok, (y - level) / y_scale, 0.0), ok)
+    side = change_sides(held, ok, start)
     at = np.flatnonzero(side)
     if at.size < FEWEST:
         return None
-    spacing = spacing_of(np.unique(held[ok]))
+    spacing = common_spacing(np.unique(held[ok]))
     none = np.zeros(y.size, int)
     log = Observations(
         step=step if USUAL[0] <= step <= USUAL[1] else math.sqrt(USUAL[0] * USUAL[1]),
@@ -213,7 +217,7 @@ def read_observations(
         boundary=held,
         u_scale=u_scale,
         y_scale=y_scale,
-        loop=loop_chance(u, held),
+        loop=tick_loop_p_value(u, held),
     )
     turning = float(np.mean(side[at[1:]] != side[at[:-1]]))
     exact_enough = spacing > 0 or at.size < (1 - MOVING) * y.size
@@ -222,41 +226,39 @@ def read_observations(
     return log._replace(ticks=False, quantum=0.0)
 
 
-def fill_missing(y: Floats, ok: Flags) -> Floats:
-    """Return readings, the last one held where one is missing (N)."""
+def hold_last_reading(y: Floats, ok: Flags) -> Floats:
+    """Return the readings with the last reading held over missing samples (N)."""
     last = np.maximum.accumulate(np.where(ok, np.arange(y.size), -1))
     return np.where(last >= 0, y[np.maximum(last, 0)], 0.0)
 
 
-def sides(y: Floats, ok: Flags, start: Integers) -> Integers:
-    """Return the side of each change from a reading just before (N)."""
-    change, known = changes(y, ok, start)
+def change_sides(y: Floats, ok: Flags, start: Integers) -> Integers:
+    """Return the side of each change from the previous reading (N)."""
+    change, known = reading_changes(y, ok, start)
     return np.where(known, np.sign(change), 0.0).astype(int)
 
 
-def noise_of(log: Observations) -> float:
-    """Return rms of the white noise of readings, scaled."""
-    return max(white_noise(log.y + 10.0, log.ok, log.start), 1e-5)
+def reading_noise_rms(log: Observations) -> float:
+    """Return the rms of the white noise of readings, scaled."""
+    return max(white_noise_rms(log.y + 10.0, log.ok, log.start), 1e-5)
 
 
-def trigger_ticks(log: Observations) -> Observations:
-    """Return noisy readings as ticks of a Schmitt trigger, whose gap is wider by 2 REACH of the
-    noise.
-    """
-    reach = REACH * noise_of(log)
+def to_schmitt_ticks(log: Observations) -> Observations:
+    """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
+    reach = REACH * reading_noise_rms(log)
     level, held = float(log.y[0]), np.empty(log.y.size)
     for k, reading in enumerate(log.y.tolist()):
         level = min(max(level, reading - reach), reading + reach)
         held[k] = level
     spacing = 2 / REACH * reach
     steps = np.round(held / spacing) * spacing
-    side = sides(steps, log.ok, log.start)
+    side = change_sides(steps, log.ok, log.start)
     return log._replace(
         ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
     )  # fmt: skip
 
 
-def reversals(log: Observations) -> int:
-    """How often the readings turn."""
-    ticked = log if log.ticks else trigger_ticks(log)
-    return int(math.fsum(ticked.turns))
+def count_reversals(log: Observations) -> int:
+    """Count the reversals of the readings."""
+    ticked = log if log.ticks else to_schmitt_ticks(log)
+    return int(math.fsum(ticked.reversal_ticks))

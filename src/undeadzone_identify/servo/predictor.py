@@ -1,4 +1,4 @@
-"""The predictor of a servo behind a play, corrected where readings tell: many numbers side by side.
+"""Predictor of a servo behind a play, with measurement updates, for many parameter sets at once.
 
 A motor, its slow torque d and its current i, in physical coordinates, sampled exactly:
 
@@ -56,19 +56,19 @@ WORST = -1e6  # log density of an error that is no number
 
 
 class Lane:
-    """The numbers of a lane by their names in `NUMBERS`, and the weights of its inputs."""
+    """Parameters of a lane by their names in `NUMBERS`, and the weights of its inputs."""
 
     def __init__(self, numbers: Any) -> None:
         self._named = {name: numbers[place] for place, name in enumerate(NUMBERS)}
         self.taps = numbers[len(NUMBERS) :]
 
     def __getattr__(self, name: str) -> Any:
-        """Return a number."""
+        """Return a parameter by name."""
         return self._named[name]
 
 
 class _Motion(NamedTuple):
-    """What a sample does to a motor.
+    """Motion of a motor in a sample.
 
     Attributes:
         x: the mean of z, v, d, i after it.
@@ -81,8 +81,8 @@ class _Motion(NamedTuple):
     brake: Any
 
 
-def predict_mean(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
-    """Return the mean a sample later.
+def step_motor(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) -> _Motion:
+    """Return the mean of the motor's state one sample later.
 
     Args:
         lane: its numbers.
@@ -114,8 +114,8 @@ def predict_mean(lane: Lane, x: list[Any], u: Any, torque: Any, contact: Any) ->
     return _Motion([new_z, new_v, lane.a22 * d, lane.a33 * i + lane.bi * u], rests, brake)
 
 
-def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
-    """Return share of a sample in which the gear pushes the load, with the sign of its way.
+def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
+    """Return the share of a sample in which the gear pushes the load, with the motion's sign.
 
     Args:
         lane: its numbers.
@@ -130,13 +130,13 @@ def contact_of(lane: Lane, z: Any, v: Any, level: Any) -> Any:
     return ca.if_else(v == 0, resting, moving)
 
 
-def pulled_level(lane: Lane, level: Any, z: Any) -> Any:
-    """Return the level of the load that the motor takes along."""
+def drag_load(lane: Lane, level: Any, z: Any) -> Any:
+    """Return the level of the load after the motor has dragged it."""
     return apply_backlash(ca, z, level, lane.gap / 2, lane.gap / 2)
 
 
-def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
-    """Return the covariance of z, v, d a sample later, and the matrix that carried it."""
+def _propagate_covariance(lane: Lane, P: Any, motion: _Motion) -> Any:
+    """Return the covariance of z, v, d one sample later and the transition matrix."""
     rests = motion.rests
     deviation = ca.sqrt(ca.fmax(P[1, 1], 0.0))
     kept = ca.fmax(1 - motion.brake / ca.fmax(deviation, 1e-300), 0.0)
@@ -158,8 +158,8 @@ def _spread(lane: Lane, P: Any, motion: _Motion) -> Any:
     return F @ P @ F.T + Q, F
 
 
-def _symmetric(entries: list[Any]) -> Any:
-    """Return a covariance of z, v, d from its upper part."""
+def _from_upper_part(entries: list[Any]) -> Any:
+    """Build a covariance of z, v, d from its upper part."""
     P = ca.SX(3, 3)
     for (row, column), entry in zip(TRIANGLE, entries, strict=True):
         P[row, column] = entry
@@ -167,25 +167,25 @@ def _symmetric(entries: list[Any]) -> Any:
     return P
 
 
-def _upper(P: Any) -> list[Any]:
+def _upper_part(P: Any) -> list[Any]:
     """Return the upper part of a covariance of z, v, d."""
     return [P[row, column] for row, column in TRIANGLE]
 
 
-def _first(lane: Lane, variance: Any) -> Any:
+def _initial_covariance(lane: Lane, variance: Any) -> Any:
     """Return the covariance of z, v, d at the start of a record."""
     return ca.diag(ca.vertcat(variance, lane.first_v, lane.first_d))
 
 
-class _Out(NamedTuple):
-    """The next state, `SEEN`, and whether the error counts."""
+class _PredictorOutput(NamedTuple):
+    """Next state, `SEEN`, and whether the error counts."""
 
     following: Any
     seen: Any
     counts: Any
 
 
-def density(error: Any, log_s: Any) -> Any:
+def student_log_density(error: Any, log_s: Any) -> Any:
     """Return Student's log density of an error on CasADi expressions, less a constant.
 
     Args:
@@ -197,22 +197,24 @@ def density(error: Any, log_s: Any) -> Any:
     return ca.if_else(ca.fabs(found) < -WORST, found, WORST)
 
 
-def _compile_kernel(name: str, state: Any, signals: Any, numbers: Any, out: _Out, what: str) -> Any:
-    """Return a kernel that tells all, errors, or the sum of their log densities alone."""
+def _build_predictor(
+    name: str, state: Any, signals: Any, numbers: Any, out: _PredictorOutput, what: str
+) -> Any:
+    """Build a kernel that outputs all of `SEEN`, errors, or the sum of their log densities."""
     if what != "sums":
         seen = out.seen if what == "all" else out.seen[:2]
         step = ca.Function(name, [state, signals, numbers], [out.following, seen])
         return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
     total = ca.SX.sym("total")
-    added = total + ca.if_else(out.counts != 0, density(out.seen[0], out.seen[1]), 0.0)
+    added = total + ca.if_else(out.counts != 0, student_log_density(out.seen[0], out.seen[1]), 0.0)
     whole = ca.vertcat(state, total), signals, numbers
     step = ca.Function(name, [*whole], [ca.vertcat(out.following, added), ca.SX(0, 1)])
     return lanes.build_kernel(step, params=range(numbers.shape[0]), width=WIDTH, fused=True)
 
 
 @cache
-def ticks(what: str = "all") -> lanes.Kernel:
-    """Return the predictor of ticks.
+def tick_predictor(what: str = "all") -> lanes.Kernel:
+    """Build the predictor of ticks.
 
     Args:
         what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
@@ -232,11 +234,11 @@ def ticks(what: str = "all") -> lanes.Kernel:
     side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
     acting, level = ca.dot(lane.taps, inputs), state[-1]
-    contact = contact_of(lane, state[0], state[1], level)
-    motion = predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
-    P, _ = _spread(lane, _symmetric(ca.vertsplit(state[MEAN:-1])), motion)
+    contact = contact_share(lane, state[0], state[1], level)
+    motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    P, _ = _propagate_covariance(lane, _from_upper_part(ca.vertsplit(state[MEAN:-1])), motion)
     x = [ca.if_else(starts, 0.0, one) for one in motion.x]
-    P = ca.if_else(starts, _first(lane, 0.0), P)
+    P = ca.if_else(starts, _initial_covariance(lane, 0.0), P)
     swept = ca.fmin(ca.fabs(x[1]) * lane.step, lane.quantum)
     swept = ca.fmax(swept, SURE * lane.quantum)
     turned = ca.logic_and(state[1] * side > 0, x[1] * side < 0)
@@ -260,16 +262,16 @@ def ticks(what: str = "all") -> lanes.Kernel:
     against = ca.logic_and(side != 0, heard[1] * side <= 0)
     against = ca.logic_and(against, ca.logic_not(turned))
     heard[1] = ca.if_else(against, side * SLOWEST, heard[1])
-    level = ca.if_else(
-        side != 0, heard[0] - side * lane.gap / 2, pulled_level(lane, level, heard[0])
+    level = ca.if_else(side != 0, heard[0] - side * lane.gap / 2, drag_load(lane, level, heard[0]))
+    following = ca.vertcat(*heard, x[3], *_upper_part(P), ca.if_else(starts, 0.0, level))
+    return _build_predictor(
+        "ticks", state, signals, numbers, _PredictorOutput(following, seen, counts), what
     )
-    following = ca.vertcat(*heard, x[3], *_upper(P), ca.if_else(starts, 0.0, level))
-    return _compile_kernel("ticks", state, signals, numbers, _Out(following, seen, counts), what)
 
 
 @cache
-def noise(what: str = "all") -> lanes.Kernel:
-    """Return the predictor of noisy readings.
+def noise_predictor(what: str = "all") -> lanes.Kernel:
+    """Build the predictor of noisy readings.
 
     Args:
         what: it tells: all of `SEEN`, errors (the first two), or sums: log densities are added
@@ -288,20 +290,20 @@ def noise(what: str = "all") -> lanes.Kernel:
     inputs = signals[: LATEST + 1]
     upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
     level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
-    contact = contact_of(lane, state[0], state[1], level)
+    contact = contact_share(lane, state[0], state[1], level)
     acting = ca.dot(lane.taps, inputs)
-    motion = predict_mean(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
-    P, F = _spread(lane, _symmetric(upper), motion)
+    motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
+    P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
     with_level, own = F @ of_level[:3], of_level[3]
     R = lane.rms**2
     at_start = [reading, 0.0, 0.0, 0.0]
     x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, motion.x, strict=True)]
-    P = ca.if_else(starts, _first(lane, lane.gap**2 / 12 + R), P)
+    P = ca.if_else(starts, _initial_covariance(lane, lane.gap**2 / 12 + R), P)
     level = ca.if_else(starts, reading, level)
     own = ca.if_else(starts, R, own)
     with_level = ca.if_else(starts, ca.vertcat(R, 0.0, 0.0), with_level)
     apart = ca.fmax(P[0, 0] - 2 * with_level[0] + own, 1e-300)
-    mean, slope, rest = through_play(x[0] - level, apart, lane.gap / 2)
+    mean, slope, rest = dead_zone_moments(x[0] - level, apart, lane.gap / 2)
     slope, rest, mean = (ca.if_else(starts, 0.0, one) for one in (slope, rest, mean))
     level = level + mean
     own = (1 - slope) ** 2 * own + 2 * slope * (1 - slope) * with_level[0]
@@ -316,14 +318,16 @@ def noise(what: str = "all") -> lanes.Kernel:
     after = [x[k] + gain[k] * error for k in range(3)]
     P = P - gain @ with_level.T
     following = ca.vertcat(
-        *after, x[3], *_upper(P), level + gain_own * error,
+        *after, x[3], *_upper_part(P), level + gain_own * error,
         with_level - gain * own, own - gain_own * own,
     )  # fmt: skip
-    return _compile_kernel("noise", state, signals, numbers, _Out(following, seen, counts), what)
+    return _build_predictor(
+        "noise", state, signals, numbers, _PredictorOutput(following, seen, counts), what
+    )
 
 
-def through_play(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
-    """What a dead zone makes of a Gaussian, on CasADi expressions.
+def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, Any]:
+    """Return the moments of a Gaussian after a dead zone, on CasADi expressions.
 
     Args:
         mean, variance: of the Gaussian.

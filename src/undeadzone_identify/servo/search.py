@@ -1,4 +1,4 @@
-"""Which servo is it: from the runs without any gap to the numbers of the likeliest structure.
+"""Search of the servo structure: from runs without a gap to the likeliest parameters.
 
 Runs between two reversals know of no gap, so they come first: z is forgotten at every reversal, and
 plant, friction and delay are climbed to from many starts. With a strong torque each tick forgets
@@ -17,16 +17,21 @@ import numpy as np
 from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats, later
-from undeadzone_identify.servo.crossings import crossings_of
+from undeadzone_identify.servo.crossings import find_crossings
 from undeadzone_identify.servo.likelihood import (
     PARTS,
     At,
-    Likelihood,
     Servo,
-    Structure,
+    ServoLikelihood,
+    ServoStructure,
     discretise_servo,
 )
-from undeadzone_identify.servo.observations import REACH, Observations, noise_of, trigger_ticks
+from undeadzone_identify.servo.observations import (
+    REACH,
+    Observations,
+    reading_noise_rms,
+    to_schmitt_ticks,
+)
 
 MOST = 3000  # samples of a search
 TURNS = 4  # reversals of a search, at least
@@ -44,8 +49,8 @@ ALTERNATIVES = 6  # structures that are climbed with all samples
 REACHED = 30.0  # of BIC, within which a structure may be the true one
 
 
-def search_structures(log: Observations) -> list[Servo]:
-    """Return the likeliest structures within `REACHED` of BIC, best first; of all samples.
+def search_servos(log: Observations) -> list[Servo]:
+    """Search the likeliest structures within `REACHED` of BIC, best first, on all samples.
 
     Args:
         log: as the predictor hears it.
@@ -53,74 +58,79 @@ def search_structures(log: Observations) -> list[Servo]:
     Returns:
         Servos climbed to their top; nothing where no start leads anywhere.
     """
-    ticked = log if log.ticks else trigger_ticks(log)
-    begun = without_gap(ticked.part(MOST, TURNS))
+    ticked = log if log.ticks else to_schmitt_ticks(log)
+    begun = fit_without_gap(ticked.busiest_part(MOST, TURNS))
     if not begun:
         return []
-    fits = with_gap(
-        log.part(MOST, TURNS), [_start_with_median_gap(log, ticked, one) for one in begun]
+    fits = fit_with_gap(
+        log.busiest_part(MOST, TURNS), [_set_median_gap(log, ticked, one) for one in begun]
     )
     if not fits:
         return []
-    likelihood = Likelihood(log)
-    tops = likelihood.climb_starts(fits, 3 * LAST)
+    likelihood = ServoLikelihood(log)
+    tops = likelihood.maximise_from_starts(fits, 3 * LAST)
     return sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
 
 
 # --- Without a gap
 
 
-def without_gap(log: Observations) -> list[Servo]:
-    """Return the best servos of a few structures that know of no gap, best first."""
-    likelihood = Likelihood(log, free=True)
+def fit_without_gap(log: Observations) -> list[Servo]:
+    """Fit a few structures that assume no gap; return the best servos, best first."""
+    likelihood = ServoLikelihood(log, free=True)
     if likelihood.used.size < 3 * len(At):
         return []
-    begun = starts(log)
+    begun = initial_servos(log)
     families = sorted({one.structure for one in begun}, key=repr)
-    tops = likelihood.climb_starts(begun, FIRST, (At.TORQUE,))
-    tops = list(itertools.chain(*(_best(tops, family, KEPT) for family in families)))
-    weaker = [one.with_number(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
-    tops += likelihood.climb_starts(weaker, THEN, (At.TORQUE,))
-    tops = likelihood.climb_starts(tops, LAST)
-    tops = list(itertools.chain(*(_best(tops, family, 2) for family in families)))
+    tops = likelihood.maximise_from_starts(begun, FIRST, (At.TORQUE,))
+    tops = list(itertools.chain(*(_best_of_structure(tops, family, KEPT) for family in families)))
+    weaker = [one.replace_number(At.TORQUE, math.log(TORQUES[-1])) for one in tops]
+    tops += likelihood.maximise_from_starts(weaker, THEN, (At.TORQUE,))
+    tops = likelihood.maximise_from_starts(tops, LAST)
+    tops = list(itertools.chain(*(_best_of_structure(tops, family, 2) for family in families)))
     return sorted(tops, key=likelihood.bic)
 
 
-def _best(tops: Sequence[Servo], family: Structure, count: int) -> list[Servo]:
+def _best_of_structure(tops: Sequence[Servo], family: ServoStructure, count: int) -> list[Servo]:
     """Return the best servos of a structure."""
     own = [one for one in tops if one.structure == family and math.isfinite(one.value)]
     return sorted(own, key=lambda one: -one.value)[:count]
 
 
-def starts(log: Observations) -> list[Servo]:
-    """Where climbs without a gap begin: the gain by the motion over windows."""
+def initial_servos(log: Observations) -> list[Servo]:
+    """Return the start points of fits without a gap; gains follow from the motion over
+    windows.
+    """
     span = log.u.size * log.step
     rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
     found = []
-    motor, sprung = Structure(frozenset({"friction"})), Structure(frozenset({"friction", "spring"}))
+    motor, sprung = (
+        ServoStructure(frozenset({"friction"})),
+        ServoStructure(frozenset({"friction", "spring"})),
+    )
     for rate, late in itertools.product(rates, DELAYS):
         for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
-            found.append(_start_with_gain(log, motor, rate, 0.0, friction, late))
-            found.append(_start_with_gain(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
-    lagging = Structure(frozenset(), lag=True)
-    return found + [_start_with_gain(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
+            found.append(_initial_servo(log, motor, rate, 0.0, friction, late))
+            found.append(_initial_servo(log, sprung, rate, share * rate**2, FRICTIONS[0], late))
+    lagging = ServoStructure(frozenset(), lag=True)
+    return found + [_initial_servo(log, lagging, rate, 0.0, 0.0, DELAYS[0]) for rate in rates]
 
 
-def _start_with_gain(
+def _initial_servo(
     log: Observations,
-    structure: Structure,
+    structure: ServoStructure,
     rate: float,
     spring: float,
     friction: float,
     late: float,
 ) -> Servo:
-    """Return a start with the gain that suits it."""
+    """Return a start point with the gain that suits its other parameters."""
     theta = np.zeros(len(At))
     theta[At.DAMPING], theta[At.GAIN], theta[At.POLE] = math.log(rate), 1.0, math.inf
     theta[At.SPRING] = math.log(spring) if spring else -math.inf
     theta[At.SLOW], theta[At.GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
     theta[At.TORQUE], theta[At.DELAY] = math.log(TORQUES[0]), late
-    z = _linear(log, theta, structure.lag)
+    z = _frictionless_output(log, theta, structure.lag)
     wide = max(5, log.u.size // WINDOWS)
     moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
     gain = float(np.linalg.lstsq(moved, np.diff(log.y[::wide]), rcond=None)[0][0])
@@ -129,7 +139,7 @@ def _start_with_gain(
     return Servo(structure, theta, -math.inf)
 
 
-def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
+def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     """Return z of a servo without friction (N)."""
     A, B, _ = discretise_servo(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
@@ -142,39 +152,39 @@ def _linear(log: Observations, theta: Floats, lag: bool) -> Floats:
 # --- The gap
 
 
-def _start_with_median_gap(log: Observations, ticked: Observations, one: Servo) -> Servo:
-    """Return a servo with the median of the gaps of its reversals."""
-    gap = crossings_of(ticked, one, free=True).median / ticked.y_scale
+def _set_median_gap(log: Observations, ticked: Observations, one: Servo) -> Servo:
+    """Return a servo with the median gap of its reversals."""
+    gap = find_crossings(ticked, one, free=True).median_gap / ticked.y_scale
     if log.ticks:
-        return one.with_number(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
-    rms = noise_of(log)
-    return one.with_number(At.GAP, max(gap - 2 * REACH * rms, rms)).with_number(
+        return one.replace_number(At.GAP, max(gap, MEMORY * log.quantum, 1e-4))
+    rms = reading_noise_rms(log)
+    return one.replace_number(At.GAP, max(gap - 2 * REACH * rms, rms)).replace_number(
         At.NOISE, math.log(rms)
     )
 
 
-def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
-    """Return the likeliest structures with a gap, within `REACHED` of BIC, best first.
+def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
+    """Fit structures with a gap; return the likeliest within `REACHED` of BIC, best first.
 
     Args:
         log: as the predictor hears it, or a part.
         begun: where climbs begin.
     """
-    likelihood = Likelihood(log)
+    likelihood = ServoLikelihood(log)
     first = [
-        one.with_number(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)
+        one.replace_number(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)
     ]
-    first = likelihood.climb_starts(first, THEN, (At.TORQUE,))
-    fits = _best_of_structures({}, likelihood, likelihood.climb_starts(first, LAST))
+    first = likelihood.maximise_from_starts(first, THEN, (At.TORQUE,))
+    fits = _merge_best_servos({}, likelihood, likelihood.maximise_from_starts(first, LAST))
     for _ in range(ROUNDS):
         if not fits:
             return []
         best = min(fits.values(), key=likelihood.bic)
         own = best.structure
-        trials = neighbours(best, log.step)
+        trials = neighbour_servos(best, log.step)
         trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
-        more = likelihood.climb_starts(trials, THEN, (At.TORQUE,))
-        fits = _best_of_structures(fits, likelihood, likelihood.climb_starts(more, LAST))
+        more = likelihood.maximise_from_starts(trials, THEN, (At.TORQUE,))
+        fits = _merge_best_servos(fits, likelihood, likelihood.maximise_from_starts(more, LAST))
         if min(fits.values(), key=likelihood.bic).structure == own:
             break
     ranked = sorted(fits.values(), key=likelihood.bic)
@@ -182,10 +192,10 @@ def with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
     return [one for one in ranked if likelihood.bic(one) <= most][:ALTERNATIVES]
 
 
-def _best_of_structures(
-    fits: dict[Structure, Servo], likelihood: Likelihood, more: Sequence[Servo]
-) -> dict[Structure, Servo]:
-    """Return the best servo of each structure."""
+def _merge_best_servos(
+    fits: dict[ServoStructure, Servo], likelihood: ServoLikelihood, more: Sequence[Servo]
+) -> dict[ServoStructure, Servo]:
+    """Merge fits; keep the best servo of each structure."""
     kept = dict(fits)
     for one in more:
         own = kept.get(one.structure)
@@ -194,8 +204,8 @@ def _best_of_structures(
     return kept
 
 
-def neighbours(one: Servo, step: float) -> list[Servo]:
-    """Return servos with a part more, or less, where climbs begin."""
+def neighbour_servos(one: Servo, step: float) -> list[Servo]:
+    """Return the start points of servos with a part added or removed."""
     found = []
     for name, place in PARTS.items():
         if one.structure.lag and name in ("friction", "load", "spring"):
@@ -203,27 +213,29 @@ def neighbours(one: Servo, step: float) -> list[Servo]:
         parts = one.structure.parts ^ {name}
         structure = one.structure._replace(parts=parts)
         if name not in parts:
-            found.append(Servo(structure, structure.of(one.theta), -math.inf))
+            found.append(Servo(structure, structure.disable_absent_parts(one.theta), -math.inf))
             if name == "pole":
                 found.append(
-                    Servo(structure, structure.of(_exchange_pole(one.theta, step)), -math.inf)
+                    Servo(
+                        structure,
+                        structure.disable_absent_parts(_exchange_pole(one.theta, step)),
+                        -math.inf,
+                    )
                 )
             continue
-        for value in _values(name, one, step):
-            more = one.with_number(place, value)
+        for value in _part_start_values(name, one, step):
+            more = one.replace_number(place, value)
             if name == "load":  # of what rubbed at the motor
-                more = more.with_number(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
+                more = more.replace_number(At.FRICTION, max(more.theta[At.FRICTION] - value, 0.0))
             if name == "pole":  # what a pole is late
                 late = more.theta[At.DELAY] - math.exp(-value) / step
-                more = more.with_number(At.DELAY, max(late, 0.0))
+                more = more.replace_number(At.DELAY, max(late, 0.0))
             found.append(more._replace(structure=structure, value=-math.inf))
     return found
 
 
 def _exchange_pole(theta: Floats, step: float) -> Floats:
-    """Return the numbers of a motor without a pole, whose damping is that pole; the other is a
-    delay.
-    """
+    """Return the parameters of a motor whose damping is the old pole; the rest is a delay."""
     own = theta.copy()
     own[At.DAMPING] = np.logaddexp(theta[At.POLE], theta[At.SPRING] - theta[At.DAMPING])
     slower = theta[At.POLE] - theta[At.DAMPING]
@@ -233,8 +245,8 @@ def _exchange_pole(theta: Floats, step: float) -> Floats:
     return own
 
 
-def _values(name: str, one: Servo, step: float) -> list[float]:
-    """Where a part begins that is added."""
+def _part_start_values(name: str, one: Servo, step: float) -> list[float]:
+    """Return the start values of an added part."""
     if name in ("friction", "load"):
         return [0.003, 0.02, 0.1]
     if name == "spring":

@@ -39,7 +39,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_arena import MovingHorizon, ParticleFilter
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Log, Options
-from undeadzone_identify.logs.prepare import NEAR, prepare
+from undeadzone_identify.logs.prepare import NEAR, prepare_log
 
 INF = float("inf")
 TS = 0.01
@@ -501,7 +501,7 @@ def test_identify_takes_them_for_missing_and_says_so() -> None:
     log = Log(
         TIMES, u, y[:, None], ("u",), ("y",), "1", ("1",), "a test", np.empty(0), False, nothing
     )
-    prepared = prepare(to_grid([log]), Options())
+    prepared = prepare_log(to_grid([log]), Options())
     at_end = np.flatnonzero((y == -0.5) | (y == 0.7))
     beside = np.abs(np.subtract.outer(np.arange(y.size), at_end)).min(axis=1) <= NEAR
     assert np.array_equal(prepared.data.ok, ~beside)  # noise that reaches no end pulls inwards
