@@ -20,6 +20,7 @@ import click
 
 from undeadzone.cli.common import say
 from undeadzone.errors import EarlierMeaning, Terminated, UndeadzoneError
+from undeadzone.util.streams import let_streams_wait
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -43,6 +44,7 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
             return _report_refusal(
                 "stdout is closed, and the results would be lost; use > /dev/null"
             )
+        let_streams_wait()
         hindrance = _hindrance()
         if hindrance:
             return _report_refusal(hindrance)
@@ -121,10 +123,12 @@ def _hindrance() -> str:
 
 
 def _catch_terminate() -> None:
-    """Let SIGTERM end a command as Ctrl-C does, where it is not ignored."""
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, where they are not ignored."""
     with suppress(ValueError):  # signals are for the main thread, whose affair they are then
-        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-            signal.signal(signal.SIGTERM, _terminate)
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _terminate)
 
 
 def _terminate(number: int, frame: FrameType | None) -> None:

@@ -140,6 +140,7 @@ class Kept:
         self._parts = {"follower": follower, "clock": log.clock, "reader": log.reader}
         self._digest = follower.digest
         self._saved = time.monotonic()
+        self._failures = 0
         if path is not None and path.exists():
             from undeadzone.simulation.saved_state import load
 
@@ -147,13 +148,28 @@ class Kept:
             follower.go_on()
 
     def save(self, when_due: bool = False) -> None:
-        """Replace the file; when_due: only if so much time has passed. Raises FileError."""
+        """Replace the file.
+
+        Args:
+            when_due: only if so much time has passed; a save that fails (a full disk) is then said
+                on stderr, counted, and tried again after as much time.
+
+        Raises:
+            FileError: it cannot be written.
+        """
         if self._path is None or (when_due and time.monotonic() - self._saved < self._every):
             return
         from undeadzone.simulation.saved_state import save
 
-        save(self._path, self._parts, self._digest)
         self._saved = time.monotonic()
+        try:
+            save(self._path, self._parts, self._digest)
+        except FileError as error:
+            if not when_due:
+                raise
+            self._failures += 1
+            often = f"not saved, {self._failures} times by now; tried again in {self._every:g} s"
+            say(f"undeadzone: {error}: {often}", err=True)
 
 
 @contextmanager
@@ -187,6 +203,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
     header = not as_json
     while not last:
         try:
+            kept.save(when_due=True)
             data = stdin.read1(BLOCK)
         except (KeyboardInterrupt, Terminated):  # all that came in was followed
             kept.save()
@@ -200,7 +217,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
                 _write(_header(estimate, sides))
                 header = False
             _write(text(samples.t, estimate, sides))
-        kept.save(when_due=not last)
+    kept.save()
 
 
 def _say_end(info: LogInfo, as_json: bool) -> None:
