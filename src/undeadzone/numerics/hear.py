@@ -20,7 +20,8 @@ DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is n
 UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
 DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
-CLIP = 30.0  # standard deviations beyond an edge from which all is alike
+CLIP = 30.0  # standard deviations off an edge from which all is alike
+ROUNDING = 1e-6  # by which a covariance may be none, over its deviations
 
 
 class DeadzoneMemory(NamedTuple):
@@ -100,8 +101,8 @@ def deadzone_update(
         cov: covariance of that (N x N).
         C: row that reads z from the mean (N).
         y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
-        right, left: widths d_r, d_l: a number where one is known [z], or the row that reads it from
-            the mean (N).
+        right, left: widths d_r, d_l: a number where one is known [z] (inf: there is no such edge),
+            or the row that reads it from the mean (N).
         noise: rms of the noise behind the zone [y].
         ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
             the same tail at every sample.
@@ -114,7 +115,8 @@ def deadzone_update(
         What is known, and the ear for the next reading.
 
     Raises:
-        InputError, ShapeError: unless shapes agree and noise is there.
+        InputError, ShapeError: unless shapes agree, numbers are finite, cov is a covariance and
+            noise is there.
     """
     shape, belief = np.shape(mean), _require_belief(mean, cov)
     if not slope > 0:
@@ -139,6 +141,8 @@ def deadzone_update(
     gate = SILENT * noise
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
+    if side and np.isinf(edges[0 if side > 0 else 1].known):
+        side = 0  # nothing reads beyond an edge that is not there
     if side:
         edge = edges[0] if side > 0 else edges[1]
         e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
@@ -157,11 +161,30 @@ def deadzone_update(
 
 
 def _require_belief(mean: Array, cov: Array) -> Gauss:
-    """Return mean (N) and covariance (N x N) as new arrays. Raises ShapeError."""
+    """Return mean (N) and covariance (N x N) as new arrays. Raises InputError, ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
+    _require_finite("mean", m)
+    _require_finite("cov", P)
+    scale = np.sqrt(np.maximum(np.diag(P), 0))
+    scale[scale == 0] = 1.0
+    related = P / scale[:, None] / scale
+    if np.abs(related - related.T).max(initial=0) > ROUNDING:
+        raise InputError("cov: expected a covariance, found one that is not symmetric")
+    least = np.linalg.eigvalsh(related).min(initial=0)
+    if least < -ROUNDING:
+        raise InputError(
+            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations); "
+            "use Joseph's form in your filter"
+        )
     return Gauss(m, P)
+
+
+def _require_finite(name: str, numbers: Floats) -> None:
+    """Raise InputError for numbers that are not finite."""
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{name}: expected finite numbers, found NaN or an infinite one")
 
 
 def _row(name: str, value: Array, count: int) -> Floats:
@@ -171,6 +194,7 @@ def _row(name: str, value: Array, count: int) -> Floats:
         raise ShapeError(
             f"{name}: expected a row of {count} numbers, as the mean, found {row.size}"
         )
+    _require_finite(name, row)
     return row
 
 
@@ -217,7 +241,8 @@ def _within(
     K = P @ H.T
     G = H @ K
     std = np.sqrt(np.diag(G) + R)
-    alpha = np.maximum([(edge.known + slack) for edge in edges] - H @ m, -CLIP * std) / std
+    short_of = [(edge.known + slack) for edge in edges] - H @ m
+    alpha = np.clip(short_of / std, -CLIP, CLIP)
     inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
     slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
     heard = asked & (alpha < DOUBT)
