@@ -104,7 +104,16 @@ class Registry(NamedTuple):
             InputError: the package that registered it cannot be imported.
         """
         place = self.own.get(tag) or _registered_places(self.group).get(tag)
-        return None if place is None else _load_object(f"{self.group}: {tag!r}", place)
+        if place is None:
+            return None
+        options = _load_object(f"{self.group}: {tag!r}", place)
+        is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
+        if not is_struct or not hasattr(options, "build"):
+            raise InputError(
+                f"{self.group}: {tag!r} is registered at {place}, which is no class of options; "
+                "derive it from undeadzone.registry.Options, with a method build"
+            )
+        return options  # type: ignore[no-any-return]
 
     def has(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""

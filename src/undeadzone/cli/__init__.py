@@ -16,6 +16,7 @@ import click
 import undeadzone
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
+from undeadzone.cli.common import say
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import report_failure, run_to_exit_code
 from undeadzone.cli.ensemble import ensemble
@@ -24,6 +25,7 @@ from undeadzone.cli.init import init
 from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
+from undeadzone.errors import InputError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -79,11 +81,11 @@ class Commands(click.Group):
         if own is not None:
             return own
         point = _registered_commands().get(name)
-        return None if point is None else point.load()
+        return None if point is None else _load_command(point)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order in which they are met, each with what to type."""
-        known = self.list_commands(ctx)
+        known = [name for name in self.list_commands(ctx) if self._is_usable(ctx, name)]
         others = set(known).difference(*BLOCKS.values())
         blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
@@ -93,6 +95,14 @@ class Commands(click.Group):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
 
+    def _is_usable(self, ctx: click.Context, name: str) -> bool:
+        """Return whether a command can be imported; where not, say so on stderr."""
+        try:
+            return self.get_command(ctx, name) is not None
+        except InputError as error:
+            say(f"undeadzone: {error}; it is left out", err=True)
+            return False
+
     def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
         """What is typed for a command, and what it does."""
         command = self.get_command(ctx, name)
@@ -100,6 +110,18 @@ class Commands(click.Group):
         arguments = [each for each in command.params if isinstance(each, click.Argument)]
         typed = [name, *(each.make_metavar(ctx) for each in arguments)]
         return " ".join(typed), command.get_short_help_str(100)
+
+
+def _load_command(point: EntryPoint) -> click.Command:
+    """Return the command that a package registers. Raises InputError."""
+    place = f"command {point.name!r} is registered at {point.value}"
+    try:
+        command = point.load()
+    except Exception as error:
+        raise InputError(f"{place}, which fails: {error}") from None
+    if not isinstance(command, click.Command):
+        raise InputError(f"{place}, which is no command of click")
+    return command
 
 
 @functools.cache

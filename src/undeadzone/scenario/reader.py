@@ -25,6 +25,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import matlab
 from undeadzone.util.earlier import translated
 from undeadzone.util.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
+from undeadzone.util.toml import require_short_keys
 
 # What people write, by what such a line holds, and what to write instead.
 HABITS = (
@@ -163,7 +164,9 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
 def _tables(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text. Raises InputError."""
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(require_short_keys(text))
+    except InputError:
+        raise
     except RecursionError:
         raise InputError("not valid TOML: nested too deeply") from None
     except ValueError as error:
