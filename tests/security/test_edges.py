@@ -75,3 +75,26 @@ def test_an_out_that_leads_out_is_refused(tmp_path: Path) -> None:
     done = call("run", folder / "s.toml", "--untrusted", folder, "--out", folder / "results")
     assert done.returncode == 2
     assert not list(home.iterdir())
+
+
+def test_modules_of_a_strangers_folder_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "click.py").write_text("open('RAN', 'w')\n")
+    words = ["-m", "undeadzone", "run", "s.toml", "--untrusted", ".", "--out", "o"]
+    done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "python -P -m" in done.stderr
+    assert not (tmp_path / "RAN").exists()
+
+
+def test_an_ensemble_of_a_stranger_takes_little_disk(tmp_path: Path) -> None:
+    scenario = tmp_path / "up" / "s.toml"
+    scenario.parent.mkdir()
+    text = EXAMPLE.read_text(encoding="utf-8")
+    more = '[ensemble]\nruns = 20000000\n"sensor.right" = { uniform = [0.5, 1.5] }\n'
+    scenario.write_text(f"{text}\n{more}", encoding="utf-8")
+    out = tmp_path / "out"
+    words = ("ensemble", scenario, "--untrusted", scenario.parent, "--no-figures", "--out", out)
+    done = call(*words)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) < 5e8
