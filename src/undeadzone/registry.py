@@ -108,13 +108,12 @@ class Registry(NamedTuple):
             return None
         options = _load_object(f"{self.group}: {tag!r}", place)
         is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
-        if not (is_struct and hasattr(options, "build")):
+        if not is_struct or not hasattr(options, "build"):
             raise InputError(
-                f"{self.group}: {tag!r} is registered as {place}, which is no class of "
-                "undeadzone.Options; derive it from Options with tag = "
-                f"{tag!r}, or uninstall its package"
+                f"{self.group}: {tag!r} is registered at {place}, which is no class of options; "
+                "derive it from undeadzone.registry.Options, with a method build"
             )
-        return options
+        return options  # type: ignore[no-any-return]
 
     def has(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""

@@ -16,6 +16,7 @@ import click
 import undeadzone
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
+from undeadzone.cli.common import say
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import report_failure, run_to_exit_code
 from undeadzone.cli.ensemble import ensemble
@@ -25,7 +26,6 @@ from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 from undeadzone.errors import InputError
-from undeadzone.util.streams import wait_for_streams
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -81,11 +81,11 @@ class Commands(click.Group):
         if own is not None:
             return own
         point = _registered_commands().get(name)
-        return None if point is None else _load_command(name, point)
+        return None if point is None else _load_command(point)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands in the order in which they are met, each with what to type."""
-        known = self.list_commands(ctx)
+        known = [name for name in self.list_commands(ctx) if self._is_usable(ctx, name)]
         others = set(known).difference(*BLOCKS.values())
         blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
@@ -94,6 +94,14 @@ class Commands(click.Group):
         with formatter.section("Options of most commands"):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
+
+    def _is_usable(self, ctx: click.Context, name: str) -> bool:
+        """Return whether a command can be imported; where not, say so on stderr."""
+        try:
+            return self.get_command(ctx, name) is not None
+        except InputError as error:
+            say(f"undeadzone: {error}; it is left out", err=True)
+            return False
 
     def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
         """Return what is typed for a command, and its summary.
@@ -110,25 +118,15 @@ class Commands(click.Group):
         return " ".join(typed), command.get_short_help_str(100)
 
 
-def _load_command(name: str, point: EntryPoint) -> click.Command:
-    """Return the command that an installed package registers.
-
-    Raises:
-        InputError: it cannot be imported, or is no command of click.
-    """
-    package = point.dist.name if point.dist is not None else point.value
+def _load_command(point: EntryPoint) -> click.Command:
+    """Return the command that a package registers. Raises InputError."""
+    place = f"command {point.name!r} is registered at {point.value}"
     try:
         command = point.load()
-    except Exception as error:  # whatever a package of somebody else does when it is imported
-        raise InputError(
-            f"{name}: the package {package} registers it as {point.value}, which cannot be "
-            f"imported ({type(error).__name__}: {error}); repair or uninstall {package}"
-        ) from None
+    except Exception as error:
+        raise InputError(f"{place}, which fails: {error}") from None
     if not isinstance(command, click.Command):
-        raise InputError(
-            f"{name}: the package {package} registers {point.value}, which is no command of click; "
-            f"repair or uninstall {package}"
-        )
+        raise InputError(f"{place}, which is no command of click")
     return command
 
 
@@ -187,5 +185,4 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     _keep_memory()
-    wait_for_streams()
     sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))

@@ -117,6 +117,7 @@ def untrusted(command: Command) -> Command:
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
+        _require_inside(untrusted, options)
         for word in hold_apart(untrusted, _folder_to_write(options)):
             say(f"untrusted: {word}", err=True)
         if "confine" in options:
@@ -129,6 +130,25 @@ def untrusted(command: Command) -> Command:
         "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
         type=PATH,
     )(held)
+
+
+def _require_inside(folder: Path, options: Mapping[str, Any]) -> None:
+    """Raise InputError for a path below `folder` that links, soft or hard, lead out of it."""
+    real, inside = Path(os.path.realpath(folder)), Path(os.path.abspath(folder))
+    for value in options.values():
+        for path in value if isinstance(value, tuple | list) else [value]:
+            if not isinstance(path, Path):
+                continue
+            is_inside = Path(os.path.abspath(path)).is_relative_to(inside)
+            target = Path(os.path.realpath(path))
+            if not is_inside and not Path(os.path.abspath(path)).is_relative_to(real):
+                continue
+            if not target.is_relative_to(real):
+                raise InputError(f"{path}: a link that leads out of {folder} (--untrusted)")
+            if target.is_file() and target.stat().st_nlink > 1:
+                raise InputError(
+                    f"{path}: hard links show this file elsewhere too (--untrusted); copy it"
+                )
 
 
 def add_guards(command: Command) -> Command:

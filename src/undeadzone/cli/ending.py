@@ -20,6 +20,7 @@ import click
 
 from undeadzone.cli.common import say
 from undeadzone.errors import EarlierMeaning, Terminated, UndeadzoneError
+from undeadzone.util.streams import let_streams_wait
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -43,6 +44,7 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
             return _report_refusal(
                 "stdout is closed, and the results would be lost; use > /dev/null"
             )
+        let_streams_wait()
         hindrance = _hindrance()
         if hindrance:
             return _report_refusal(hindrance)
@@ -121,13 +123,10 @@ def _hindrance() -> str:
 
 
 def _catch_terminate() -> None:
-    """Let SIGTERM, and SIGHUP of a closed terminal, end a command as Ctrl-C does.
-
-    A signal that the caller ignores, as `nohup` does, stays ignored.
-    """
+    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, where they are not ignored."""
     with suppress(ValueError):  # signals are for the main thread, whose affair they are then
         for name in ("SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
                 signal.signal(number, _terminate)
 

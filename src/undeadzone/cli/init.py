@@ -28,6 +28,7 @@ from undeadzone.cli.common import (
 from undeadzone.cli.output import Output, common
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_text, write_text
+from undeadzone.util.toml import require_short_keys
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -156,7 +157,7 @@ def _folder() -> Path:
 
 def _tables(path: Path) -> dict[str, Any]:
     """Return the tables of a scenario."""
-    return tomllib.loads(read_text(path))
+    return tomllib.loads(require_short_keys(read_text(path)))
 
 
 def _words(tables: dict[str, Any]) -> Iterator[str]:

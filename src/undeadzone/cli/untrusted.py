@@ -19,6 +19,7 @@ from undeadzone.errors import InputError, Terminated
 from undeadzone.util.files import require_folder
 
 MEMORY: Final = 4_000_000_000  # [bytes] of addresses
+FILE: Final = 500_000_000  # [bytes] of one file
 CPU_TIME: Final = 600  # [s]
 SYSTEM: Final = (
     "/usr", "/lib", "/lib64", "/bin", "/etc", "/opt", "/proc", "/sys/devices/system/cpu",
@@ -103,7 +104,7 @@ def _libraries() -> list[Path]:
 
 
 def _limit() -> bool:
-    """Limit memory, CPU time, and files of crashes; whether the system can."""
+    """Limit memory, CPU time, the size of a file, and files of crashes; whether the system can."""
     if sys.platform == "win32":
         return False
     import resource
@@ -112,6 +113,7 @@ def _limit() -> bool:
         (resource.RLIMIT_AS, MEMORY),
         (resource.RLIMIT_CPU, CPU_TIME),
         (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, FILE),
     ):
         allowed, hard = resource.getrlimit(kind)
         if allowed == resource.RLIM_INFINITY or allowed > most:

@@ -151,11 +151,11 @@ class Kept:
         """Replace the file.
 
         Args:
-            when_due: only if so much time has passed. A failure, such as a full disk, is then
-                counted and reported, the watch goes on, and the next save is tried when it is due.
+            when_due: only if so much time has passed; a save that fails (a full disk) is then said
+                on stderr, counted, and tried again after as much time.
 
         Raises:
-            FileError: a save that is the last one failed.
+            FileError: it cannot be written.
         """
         if self._path is None or (when_due and time.monotonic() - self._saved < self._every):
             return
@@ -168,11 +168,8 @@ class Kept:
             if not when_due:
                 raise
             self._failures += 1
-            say(
-                f"undeadzone: {error}; the state was not saved ({self._failures} failed so far), "
-                f"the next try is in {self._every:g} s",
-                err=True,
-            )
+            often = f"not saved, {self._failures} times by now; tried again in {self._every:g} s"
+            say(f"undeadzone: {error}: {often}", err=True)
 
 
 @contextmanager
@@ -206,6 +203,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
     header = not as_json
     while not last:
         try:
+            kept.save(when_due=True)
             data = stdin.read1(BLOCK)
         except (KeyboardInterrupt, Terminated):  # all that came in was followed
             kept.save()
@@ -219,7 +217,7 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
                 _write(_header(estimate, sides))
                 header = False
             _write(text(samples.t, estimate, sides))
-        kept.save(when_due=not last)
+    kept.save()
 
 
 def _say_end(info: LogInfo, as_json: bool) -> None:

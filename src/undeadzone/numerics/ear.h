@@ -10,6 +10,9 @@
 #endif
 typedef EAR_REAL ear_real;
 
+/* In place of a side: a number of x, P or C is not finite, or P is no covariance. */
+#define EAR_REFUSED 2
+
 /* What is kept between readings; all 0 at first. */
 typedef struct {
   ear_real last, previous; /* readings, 0 where one was missing */
@@ -19,7 +22,7 @@ typedef struct {
 typedef struct {
   const ear_real *C;     /* row that reads z from x (n) */
   int at[2];             /* places of d_r and d_l in x; -1: the width is known */
-  ear_real width[2];     /* the widths that are known; INFINITY: there is no such edge */
+  ear_real width[2];     /* the widths that are known; INFINITY: no such edge */
   ear_real noise;        /* rms behind the zone [y]; with noise_before it must not be 0 */
   ear_real noise_before; /* rms ahead of it [z] */
   ear_real slope;        /* of the branches [y/z] */
@@ -71,38 +74,39 @@ static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_rea
   W[2] = v * v + v * a[1] / std[1];
 }
 
-#define EAR_INVALID 2
-
-/* Whether x, P and C are finite and no variance is negative. */
-static int ear_valid(const EarSensor *s, int n, const ear_real *x, const ear_real *P) {
+/* Whether all is finite and no two states are related by more than their deviations allow. */
+static int ear_is_belief(int n, const ear_real *C, const ear_real *x, const ear_real *P) {
   for (int r = 0; r < n; r++) {
-    if (!isfinite(x[r]) || !isfinite(s->C[r]) || P[r * n + r] < 0) return 0;
-    for (int c = 0; c < n; c++)
-      if (!isfinite(P[r * n + c])) return 0;
+    if (!isfinite(x[r]) || !isfinite(C[r]) || !(P[r * n + r] >= 0)) return 0;
+    for (int c = 0; c < n; c++) {
+      double most = sqrt((double)P[r * n + r]) * sqrt((double)P[c * n + c]);
+      if (!isfinite(P[r * n + c]) || fabs((double)P[r * n + c]) > 1.001 * most) return 0;
+    }
   }
   return 1;
 }
 
-/* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure.
-   EAR_INVALID: x, P or C hold no belief; nothing was changed. work: 2 n numbers. */
+/* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure,
+   EAR_REFUSED where x, P or C cannot be: begin anew then. work: 2 n numbers. */
 static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *P, ear_real y,
                     ear_real *work) {
   ear_real *k[2] = {work, work + n}, gate = 4 * s->noise, behind = s->noise / s->slope;
   ear_real R = behind * behind + s->noise_before * s->noise_before, last = ear->last;
   ear_real previous = ear->previous;
+  if (!ear_is_belief(n, s->C, x, P)) return EAR_REFUSED;
   int waits[2] = {ear->wait[0], ear->wait[1]}, side;
-  if (!ear_valid(s, n, x, P)) return EAR_INVALID;
   for (int i = 0; i < 2; i++) ear->wait[i] = waits[i] > 0 ? waits[i] - 1 : 0;
   ear->previous = last;
   ear->last = isfinite(y) ? y : 0;
   if (!isfinite(y)) return 0;
   side = ear_sure(y, last, previous, gate) - ear_sure(-y, -last, -previous, gate);
-  if (side && s->at[side < 0] < 0 && isinf(s->width[side < 0])) side = 0; /* no such edge */
+  if (side && s->at[side < 0] < 0 && isinf(s->width[side < 0])) side = 0;
   if (side) {
     int j = side < 0;
     ear_real e = y / s->slope + (s->at[j] < 0 ? side * s->width[j] : 0);
     e -= ear_row(s, n, x, P, j, 1, (ear_real)-side, k[0]);
     ear_real S = ear_along(s, n, j, 1, (ear_real)-side, k[0]) + R;
+    if (!(S > 0)) return EAR_REFUSED;
     for (int r = 0; r < n; r++) {
       x[r] += k[0][r] * e / S;
       for (int c = 0; c < n; c++) P[r * n + c] -= k[0][r] * k[0][c] / S;
@@ -115,9 +119,10 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
     ear_real sign = i ? -1 : 1, bound = gate / s->slope + (s->at[i] < 0 ? s->width[i] : 0);
     ear_real short_of = bound - ear_row(s, n, x, P, i, sign, -1, k[i]);
     G[2 * i] = ear_along(s, n, i, sign, -1, k[i]);
+    if (!(G[2 * i] + R > 0)) return EAR_REFUSED;
     std[i] = (ear_real)sqrt(G[2 * i] + R);
-    a[i] = short_of / std[i];
-    a[i] = a[i] < -30 ? -30 : a[i] > 30 ? 30 : a[i];
+    a[i] = short_of / std[i] < -30 ? -30 : short_of / std[i];
+    a[i] = a[i] > 30 ? 30 : a[i];
     inside[i] = (ear_real)((1 + erf(a[i] * 0.7071067811865476)) / 2);
     heard[i] = waits[i] <= 0 && a[i] < (ear_real)1.6448536269514722;
   }

@@ -1,5 +1,4 @@
-"""Dead-zone update: the reading of a sensor with a dead zone for any Kalman filter, with NumPy
-alone.
+"""`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
 
 It is also what the graph of `Censored` computes, written to be read: a reading on a sure side is
 linear in state and widths; a silent one says on which side of both edges z is, which is matched in
@@ -21,12 +20,12 @@ DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is n
 UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
 DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
-ROUNDING = 1e-6  # by which a covariance may miss symmetry and definiteness, of its largest entry
-CLIP = 30.0  # standard deviations beyond an edge from which all is alike
+CLIP = 30.0  # standard deviations off an edge from which all is alike
+ROUNDING = 1e-6  # by which a covariance may be none, over its deviations
 
 
 class DeadzoneMemory(NamedTuple):
-    """Memory of the dead-zone update from one reading to the next.
+    """What is kept from one reading to the next.
 
     Attributes:
         last, previous: the last two readings, 0 where one was missing [y].
@@ -40,7 +39,7 @@ class DeadzoneMemory(NamedTuple):
 
 
 class DeadzoneUpdate(NamedTuple):
-    """Result of the dead-zone update.
+    """What is known after a reading.
 
     Attributes:
         mean: in the shape that was given.
@@ -60,14 +59,14 @@ class DeadzoneUpdate(NamedTuple):
 
 
 class Gauss(NamedTuple):
-    """Mean (N) with its covariance (N x N)."""
+    """A mean (N) and its covariance (N x N)."""
 
     mean: Floats
     cov: Floats
 
 
-class ZoneBreakpoint(NamedTuple):
-    """Breakpoint of the dead zone: the width is row @ mean + known.
+class Edge(NamedTuple):
+    """One edge: the width is row @ mean + known.
 
     Attributes:
         sign: 1 on the right, -1 on the left.
@@ -94,7 +93,7 @@ def deadzone_update(
     noise_before: float = 0.0,
     slope: float = 1.0,
 ) -> DeadzoneUpdate:
-    """Return mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
+    """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
     behind.
 
     Args:
@@ -102,12 +101,10 @@ def deadzone_update(
         cov: covariance of that (N x N).
         C: row that reads z from the mean (N).
         y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
-        right: width d_r: a number if it is known [z], inf if there is no such edge, or the row that
-            reads it from the mean (N).
-        left: the same for d_l.
+        right, left: widths d_r, d_l: a number where one is known [z] (inf: there is no such edge),
+            or the row that reads it from the mean (N).
         noise: rms of the noise behind the zone [y].
-        ear: the memory that the last call returned, at first `DeadzoneMemory()`. Without it a
-            filter would cut off
+        ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
             the same tail at every sample.
         rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
             correlation time of its disturbance if that is longer, up to a quarter period.
@@ -118,10 +115,10 @@ def deadzone_update(
         What is known, and the ear for the next reading.
 
     Raises:
-        InputError, ShapeError: unless shapes agree, numbers are finite, the covariance is one, and
-            there is noise.
+        InputError, ShapeError: unless shapes agree, numbers are finite, cov is a covariance and
+            noise is there.
     """
-    shape, belief = np.shape(mean), _to_gauss(mean, cov)
+    shape, belief = np.shape(mean), _require_belief(mean, cov)
     if not slope > 0:
         raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
@@ -130,8 +127,8 @@ def deadzone_update(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
             f"{noise_before:g}; of a clean sensor give its resolution"
         )
-    z = _require_row("C", C, len(belief.mean))
-    edges = [_build_breakpoint("right", 1, right, z), _build_breakpoint("left", -1, left, z)]
+    z = _row("C", C, len(belief.mean))
+    edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
     waits = np.array([ear.right, ear.left])
     later = np.maximum(waits - 1, 0)
     if not np.isfinite(y):
@@ -142,18 +139,16 @@ def deadzone_update(
             0,
         )
     gate = SILENT * noise
-    side = _is_surely_right(y, ear.last, ear.previous, gate) - _is_surely_right(
-        -y, -ear.last, -ear.previous, gate
-    )
+    side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
-    edge = edges[0] if side > 0 else edges[1]
-    if np.isinf(edge.known):  # a reading beyond an edge that is not there contains nothing
-        side = 0
+    if side and np.isinf(edges[0 if side > 0 else 1].known):
+        side = 0  # nothing reads beyond an edge that is not there
     if side:
+        edge = edges[0] if side > 0 else edges[1]
         e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
         belief, std = _correct_linear(belief, z - side * edge.row, e, rms**2)
     if abs(y) <= gate:
-        belief, heard = _update_inside_zone(belief, z, edges, gate / slope, rms**2, waits == 0)
+        belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
         later = np.where(heard, rest, later)
     return DeadzoneUpdate(
         belief.mean.reshape(shape),
@@ -165,62 +160,65 @@ def deadzone_update(
     )
 
 
-def _to_gauss(mean: Array, cov: Array) -> Gauss:
-    """Return mean (N) and covariance (N x N) as new arrays. Raise InputError or ShapeError."""
+def _require_belief(mean: Array, cov: Array) -> Gauss:
+    """Return mean (N) and covariance (N x N) as new arrays. Raises InputError, ShapeError."""
     m, P = np.array(mean, float).ravel(), np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
-    for name, numbers in (("mean", m), ("cov", P)):
-        if not np.isfinite(numbers).all():
-            raise InputError(f"{name}: must hold finite numbers, found {numbers.tolist()}")
-    size = max(float(np.abs(P).max(initial=0.0)), np.finfo(float).tiny)
-    if np.abs(P - P.T).max(initial=0.0) > ROUNDING * size:
-        raise InputError("cov: must be symmetric; give (P + P.T) / 2")
-    least = float(np.linalg.eigvalsh(P).min(initial=0.0))
-    if least < -ROUNDING * size:
+    _require_finite("mean", m)
+    _require_finite("cov", P)
+    scale = np.sqrt(np.maximum(np.diag(P), 0))
+    scale[scale == 0] = 1.0
+    related = P / scale[:, None] / scale
+    if np.abs(related - related.T).max(initial=0) > ROUNDING:
+        raise InputError("cov: expected a covariance, found one that is not symmetric")
+    least = np.linalg.eigvalsh(related).min(initial=0)
+    if least < -ROUNDING:
         raise InputError(
-            f"cov: a covariance has no negative eigenvalue, found {least:.3g}; check the filter's "
-            "prediction and process noise"
+            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations); "
+            "use Joseph's form in your filter"
         )
     return Gauss(m, P)
 
 
-def _require_row(name: str, value: Array, count: int) -> Floats:
-    """Return a value as a row (N). Raise InputError or ShapeError."""
+def _require_finite(name: str, numbers: Floats) -> None:
+    """Raise InputError for numbers that are not finite."""
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{name}: expected finite numbers, found NaN or an infinite one")
+
+
+def _row(name: str, value: Array, count: int) -> Floats:
+    """Return a row (N). Raises ShapeError."""
     row = np.asarray(value, float).ravel()
     if row.size != count:
         raise ShapeError(
             f"{name}: expected a row of {count} numbers, as the mean, found {row.size}"
         )
-    if not np.isfinite(row).all():
-        raise InputError(f"{name}: must hold finite numbers, found {row.tolist()}")
+    _require_finite(name, row)
     return row
 
 
-def _build_breakpoint(name: str, sign: int, width: Array, z: Floats) -> ZoneBreakpoint:
-    """Return a breakpoint of known or estimated width. Raise InputError or ShapeError."""
+def _edge(name: str, sign: int, width: Array, z: Floats) -> Edge:
+    """Return an edge of known or estimated width. Raises InputError, ShapeError."""
     if np.ndim(width):
-        return ZoneBreakpoint(sign, _require_row(name, width, z.size), 0.0)
+        return Edge(sign, _row(name, width, z.size), 0.0)
     known = float(np.asarray(width))
     if not known >= 0:
-        raise InputError(
-            f"{name}: a known width must be at least 0, found {known:g}; inf means no such edge"
-        )
-    return ZoneBreakpoint(sign, np.zeros(z.size), known)
+        raise InputError(f"{name}: a known width must be at least 0, found {known:g}")
+    return Edge(sign, np.zeros(z.size), known)
 
 
-def _is_surely_right(y: float, last: float, previous: float, gate: float) -> int:
-    """Return 1 if a reading is surely on the right, else 0.
-
-    It is sure if it is far out, or if the two readings before announce it.
+def _sure(y: float, last: float, previous: float, gate: float) -> int:
+    """Return whether a reading is surely on the right: far out, or announced by the two before
+    it.
     """
     announced = last > gate and previous > gate and 2 * last - previous > gate
     return int(y > 2 * gate or (announced and y > 0))
 
 
 def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss, float]:
-    """Return the estimate after a linear reading, by Joseph's form, and the innovation's
-    standard deviation.
+    """Return the belief after a linear reading, by Joseph's form, and the innovation's
+    deviation.
     """
     m, P = belief
     S = h @ P @ h + R
@@ -229,11 +227,10 @@ def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss
     return Gauss(m + K * e, half - np.outer(half @ h, K) + R * np.outer(K, K)), sqrt(S)
 
 
-def _update_inside_zone(
-    belief: Gauss, z: Floats, edges: list[ZoneBreakpoint], slack: float, R: float, asked: Flags
+def _within(
+    belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
 ) -> tuple[Gauss, Flags]:
-    """Return the estimate given that z is inside both breakpoints, and flags of the used
-    breakpoints (2).
+    """Return the belief given that z is inside of both edges, and which of them were heard.
 
     Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
     inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
@@ -244,39 +241,37 @@ def _update_inside_zone(
     K = P @ H.T
     G = H @ K
     std = np.sqrt(np.diag(G) + R)
-    # An edge at infinity, which is none, is as far as `CLIP`: its chance and its slope are 0.
-    alpha = np.clip(([edge.known + slack for edge in edges] - H @ m) / std, -CLIP, CLIP)
+    short_of = [(edge.known + slack) for edge in edges] - H @ m
+    alpha = np.clip(short_of / std, -CLIP, CLIP)
     inside = np.array([(1 + erf(a / sqrt(2))) / 2 for a in alpha])
     slope: Floats = np.zeros(2)  # of the log of the chance, in each alpha
     heard = asked & (alpha < DOUBT)
     if heard.any():
         nearest = np.argmin(np.where(heard, alpha, np.inf))
-        slope[nearest] = _normal_hazard(alpha[nearest])
+        slope[nearest] = _hazard(alpha[nearest])
     unsure = 1 - inside > UNSURE * inside[::-1]
     if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
         both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
-        if _is_valid_loss(_log_chance_bend(both, alpha, std) @ G):
+        if _are_moments(_bend(both, alpha, std) @ G):
             slope = both
-    after = P - K @ _log_chance_bend(slope, alpha, std) @ K.T
+    after = P - K @ _bend(slope, alpha, std) @ K.T
     return Gauss(m - K @ (slope / std), (after + after.T) / 2), slope > 0
 
 
-def _log_chance_bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
-    """Return the negative curvature of the log probability in the directions of the
-    breakpoints (2 x 2).
-    """
+def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
+    """Of the log of the chance, less, in the directions of the edges (2 x 2)."""
     return np.outer(slope / std, slope / std) + np.diag(slope * alpha / std**2)
 
 
-def _is_valid_loss(lost: Floats) -> bool:
-    """Return whether the loss of covariance lies between nothing and everything in every
+def _are_moments(lost: Floats) -> bool:
+    """Return whether the belief loses no more than all, and no less than nothing, in any
     direction.
     """
     trace, det = np.trace(lost), np.linalg.det(lost)
     return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
 
 
-def _normal_hazard(alpha: float) -> float:
+def _hazard(alpha: float) -> float:
     """Return phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its
     series.
     """

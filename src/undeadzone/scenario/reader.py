@@ -25,6 +25,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import matlab
 from undeadzone.util.earlier import translated
 from undeadzone.util.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
+from undeadzone.util.toml import require_short_keys
 
 # What people write, by what such a line holds, and what to write instead.
 HABITS = (
@@ -108,8 +109,6 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
-DEEPEST_KEY: Final = 100  # dots
-_DEEP_KEY: Final = re.compile(r"^[ \t\[]*(?:[^\s.=\"'#]+[ \t]*\.[ \t]*){101}", re.MULTILINE)
 # What stands for tables that a scenario for logs leaves out.
 _STAND_INS: Final = {
     "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
@@ -164,15 +163,10 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
 
 def _tables(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text. Raises InputError."""
-    deep = _DEEP_KEY.search(text)
-    if deep is not None:  # tomllib takes a time that grows with the square of its dots
-        line = text.count("\n", 0, deep.start()) + 1
-        raise InputError(
-            f"line {line}: a key of more than {DEEPEST_KEY} dots; no key of a scenario has more "
-            "than three"
-        )
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(require_short_keys(text))
+    except InputError:
+        raise
     except RecursionError:
         raise InputError("not valid TOML: nested too deeply") from None
     except ValueError as error:

@@ -1,77 +1,76 @@
-"""Standard streams that wait: a descriptor that would block loses no byte and is no end of
-input.
-"""
+"""Standard streams that wait: a descriptor that does not block loses and ends nothing."""
 
 from __future__ import annotations
 
 import io
-import os
 import select
 import sys
-from contextlib import suppress
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, TextIO
 
-STREAMS: Final = {"stdin": "rb", "stdout": "wb", "stderr": "wb"}
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer, WriteableBuffer
 
 
 class WaitingFile(io.FileIO):
-    """File of a descriptor whose reads and writes wait until they are possible.
+    """A file that waits where its descriptor would block (O_NONBLOCK, by whoever set it)."""
 
-    Whoever shares a descriptor (a service manager, an event loop) may make it non-blocking at any
-    time. `io.FileIO` then returns None, which buffers above take for a failure or for an end.
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Return how many bytes were written, as soon as some can be.
+
+        Args:
+            data: bytes.
+        """
+        while True:
+            count: int | None = super().write(data)
+            if count is not None:
+                return count
+            select.select([], [self], [])
+
+    def readinto(self, room: WriteableBuffer, /) -> int:
+        """Return how many bytes were read, as soon as there are some; 0: the end.
+
+        Args:
+            room: where they go.
+        """
+        while True:
+            count: int | None = super().readinto(room)
+            if count is not None:
+                return count
+            select.select([self], [], [])
+
+
+def let_streams_wait() -> None:
+    """Put streams that wait in the place of stdin, stdout and stderr, where these are descriptors.
+
+    A stream that a caller has replaced stays; so does every stream on Windows, where none is
+    switched to not blocking.
     """
-
-    def write(self, data: Any, /) -> int:
-        """Write bytes, as many as fit, and return how many; wait if none fit."""
-        written: int | None = None
-        while written is None:
-            written = super().write(data)
-            if written is None:
-                select.select([], [self.fileno()], [])
-        return written
-
-    def readinto(self, buffer: Any, /) -> int:
-        """Read bytes into a buffer and return how many; wait if none are there, 0 at the end."""
-        count: int | None = None
-        while count is None:
-            count = super().readinto(buffer)
-            if count is None:
-                select.select([self.fileno()], [], [])
-        return count
-
-    def readall(self) -> bytes:
-        """Return all bytes up to the end."""
-        parts = bytearray()
-        block = bytearray(io.DEFAULT_BUFFER_SIZE)
-        while count := self.readinto(block):
-            parts += block[:count]
-        return bytes(parts)
-
-
-def wait_for_streams() -> None:
-    """Let the standard streams of this process wait (POSIX); streams without descriptor stay."""
-    if os.name != "posix":
+    if sys.platform == "win32":
         return
-    for name, mode in STREAMS.items():
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
         stream = getattr(sys, name)
-        if isinstance(stream, io.TextIOWrapper):
-            with suppress(OSError, ValueError):  # closed, or without a descriptor
-                setattr(sys, name, _with_waiting_file(stream, mode))
+        if _is_descriptor(stream, number):
+            setattr(sys, name, _waiting(stream, number))
 
 
-def _with_waiting_file(stream: io.TextIOWrapper, mode: str) -> io.TextIOWrapper:
-    """Return a stream like another one, on a `WaitingFile` of its descriptor.
+def _is_descriptor(stream: Any, number: int) -> bool:
+    """Return whether a stream is what Python opened on a standard descriptor."""
+    if not isinstance(stream, io.TextIOWrapper):
+        return False
+    raw = getattr(stream.buffer, "raw", stream.buffer)
+    return type(raw) is io.FileIO and raw.fileno() == number
 
-    Raises:
-        OSError, ValueError: it has no open descriptor.
-    """
-    stream.flush()
-    file = WaitingFile(stream.fileno(), mode, closefd=False)
-    buffered: Any = io.BufferedReader(file) if mode == "rb" else io.BufferedWriter(file)
+
+def _waiting(stream: io.TextIOWrapper, number: int) -> TextIO:
+    """Return a stream that waits, otherwise as another one."""
+    raw = WaitingFile(number, "w" if number else "r", closefd=False)
+    if number:
+        stream.flush()
+    buffer: Any = io.BufferedWriter(raw) if number else io.BufferedReader(raw)
     return io.TextIOWrapper(
-        buffered,
-        encoding=stream.encoding,
-        errors=stream.errors,
+        buffer,
+        stream.encoding,
+        stream.errors,
         line_buffering=stream.line_buffering,
-        write_through=stream.write_through,
+        write_through=bool(number) and stream.write_through,
     )

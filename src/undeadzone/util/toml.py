@@ -2,13 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 import tomli_w
 
 from undeadzone.errors import InputError
+
+MOST_PARTS: Final = 64  # of a dotted key; tomllib takes time with the square of them
+_PART: Final = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
+_LONG_KEY: Final = re.compile(rf"(?<![\w-])(?:{_PART}){{{MOST_PARTS}}}")
+
+
+def require_short_keys(text: str) -> str:
+    """Return a TOML text as it is. Raises InputError for a key of very many parts.
+
+    Args:
+        text: not parsed yet.
+    """
+    found = _LONG_KEY.search(text)
+    if found is None:
+        return text
+    line = text.count("\n", 0, found.start()) + 1
+    raise InputError(
+        f"line {line}: a dotted key of more than {MOST_PARTS} parts: {found[0]:.20}...; no "
+        "scenario has such a key"
+    )
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):

@@ -196,7 +196,8 @@ def find_sample_time(log: Log) -> float:
         raise FileError(
             f"{sample_location(log.source, log.lines, worst + 1)}: irregular step: "
             f"{spacing[worst]:.6g} s where the log has {step:.6g} s; "
-            f"{bad.size} of {spacing.size} steps differ by more than 1 % from a multiple; use --resample {step:.3g}, or give times with more digits"
+            f"{bad.size} of {spacing.size} steps differ by more than 1 % from "
+            f"a multiple; use --resample {step:.3g}, or give times with more digits"
         )
     return step
 

@@ -39,9 +39,12 @@ def scenario(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def as_before() -> None:
     """Leave the signals of this process as they were."""
-    before = signal.getsignal(signal.SIGTERM)
+    names = ("SIGTERM", "SIGHUP")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    before = [signal.getsignal(number) for number in numbers]
     yield
-    signal.signal(signal.SIGTERM, before)
+    for number, handler in zip(numbers, before, strict=True):
+        signal.signal(number, handler)
 
 
 def raising(error: BaseException) -> Callable[[], None]:

@@ -226,6 +226,13 @@ def test_a_missing_reading_says_nothing() -> None:
         ({"right": -1.0}, "right: a known width"),
         ({"left": [1.0, 0.0]}, "left: expected a row of 3 numbers"),
         ({"cov": np.eye(2)}, "cov: expected 3 x 3"),
+        ({"cov": np.diag([1.0, -1.0, 1.0])}, "cov: expected a covariance"),
+        ({"cov": 3 * np.ones((3, 3)) - 2 * np.eye(3)}, "cov: expected a covariance"),
+        ({"cov": np.eye(3) + np.eye(3, k=1) / 2}, "not symmetric"),
+        ({"cov": np.full((3, 3), math.nan)}, "cov: expected finite"),
+        ({"mean": [math.nan, 1.0, 1.0]}, "mean: expected finite"),
+        ({"C": [math.inf, 0.0, 0.0]}, "C: expected finite"),
+        ({"right": [0.0, math.nan, 0.0]}, "right: expected finite"),
     ],
 )
 def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
@@ -235,7 +242,81 @@ def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
         deadzone_update(**given_ | changes)
 
 
+@pytest.mark.parametrize("y", [0.0, 3.0])
+def test_an_edge_at_infinity_is_no_edge(y: float) -> None:
+    """As one that is far away; a reading beyond it is not used."""
+    claims = {"left": LEFT, "noise": 0.02, "ear": DeadzoneMemory(), "rest": 5}
+    mean, cov = [-1.5, 1.0, 1.0], np.diag([1.0, 0.2, 0.2])
+    heard = deadzone_update(mean, cov, C, y, right=math.inf, **claims)
+    assert heard.side == 0
+    assert np.isfinite(heard.cov).all()
+    if y == 0.0:
+        far = deadzone_update(mean, cov, C, y, right=1e9, **claims)
+        assert heard.mean == pytest.approx(far.mean, abs=1e-12)
+        assert heard.cov == pytest.approx(far.cov, abs=1e-12)
+        assert heard.mean[0] > -1.5
+
+
 # --- In C
+
+EXTREMES = """
+#define EAR_REAL double
+#include "ear.h"
+#include <stdio.h>
+int main(void) {
+  double C[3], x[3], P[9], v[3], work[6];
+  for (;;) {
+    for (int i = 0; i < 3; i++) if (scanf("%lf", C + i) != 1) return 0;
+    for (int i = 0; i < 3; i++) if (scanf("%lf", x + i) != 1) return 1;
+    for (int i = 0; i < 9; i++) if (scanf("%lf", P + i) != 1) return 1;
+    for (int i = 0; i < 3; i++) if (scanf("%lf", v + i) != 1) return 1;
+    EarSensor s = {C, {-1, 2}, {v[1], 0}, v[2], 0, 1, 5};
+    Ear ear = {0};
+    printf("%d", ear_hear(&ear, &s, 3, x, P, v[0], work));
+    for (int i = 0; i < 3; i++) printf(" %.17g", x[i]);
+    for (int i = 0; i < 9; i++) printf(" %.17g", P[i]);
+    printf("\\n");
+  }
+}
+"""
+
+
+def test_the_header_agrees_at_extremes_and_refuses_what_cannot_be(tmp_path: Path) -> None:
+    """To 1e-6 of a deviation; estimates far beyond both edges choose the same one."""
+    rng = np.random.default_rng(3)
+    cases: list[Any] = []
+    for _ in range(300):
+        root = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 2, 3)[:, None]
+        mean = rng.normal(size=3) * 10.0 ** rng.uniform(-2, 3)
+        width = float(rng.choice([math.inf, 0.0, 1.0, 1e3]))
+        y = float(rng.choice([0.0, 0.05, 5.0, -5.0]))
+        cases.append((mean, root @ root.T, y, width, 10.0 ** rng.uniform(-3, -1)))
+    cases.append((np.array([1e6, 0.0, -3e6]), 1e-4 * np.eye(3), 0.0, 0.5, 0.02))
+    refused = [
+        (np.array([math.nan, 0, 1]), np.eye(3), 0.0, 1.0, 0.1),
+        (np.zeros(3), -np.eye(3), 0.0, 1.0, 0.1),
+        (np.zeros(3), np.eye(3) + 3 * np.eye(3, k=1) + 3 * np.eye(3, k=-1), 0.0, 1.0, 0.1),
+        (np.zeros(3), np.full((3, 3), math.nan), 0.0, 1.0, 0.1),
+    ]
+    (tmp_path / "ear.h").write_text((files("undeadzone.numerics") / "ear.h").read_text())
+    (tmp_path / "main.c").write_text(EXTREMES)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
+    program = once.program(["ear", *flags, "main.c"], tmp_path)
+    text = "\n".join(
+        " ".join(map(repr, map(float, [1, 0, 0, *m, *P.ravel(), y, width, noise])))
+        for m, P, y, width, noise in [*cases, *refused]
+    )
+    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    rows = np.array([line.split() for line in done.stdout.splitlines()], float)
+    assert rows[len(cases) :, 0].tolist() == [2.0] * len(refused)
+    for row, (m, P, y, width, noise) in zip(rows, cases, strict=False):
+        claims = {"noise": noise, "ear": DeadzoneMemory(), "rest": 5}
+        heard = deadzone_update(m, P, C, y, right=width, left=LEFT, **claims)
+        std = np.sqrt(np.diag(P))
+        assert row[0] == heard.side
+        assert np.abs((row[1:4] - heard.mean) / std).max() < 1e-6
+        assert np.abs((row[4:] - heard.cov.ravel()) / np.outer(std, std).ravel()).max() < 1e-6
+
 
 MAIN = """
 #define EAR_REAL double
@@ -298,40 +379,3 @@ def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Pa
     text = "\n".join(map(str, readings))
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
     return np.array([line.split() for line in done.stdout.splitlines()], float)
-
-
-# --- Edges that are not there, and beliefs that are none
-
-
-def test_an_edge_at_infinity_is_no_edge() -> None:
-    mean, cov = [0.0, 1.0, 1.0], np.diag([1.0, 0.2, 0.2])
-    without = one_silence(mean, cov, right=np.inf)
-    far = one_silence(mean, cov, right=1e6)
-    assert np.isfinite(without.cov).all()
-    assert without.mean == pytest.approx(far.mean, abs=1e-12)
-    assert without.cov == pytest.approx(far.cov, abs=1e-12)
-    beyond = deadzone_update(
-        mean, cov, C, 1.0, right=np.inf, left=LEFT, noise=0.01, ear=DeadzoneMemory(), rest=5
-    )
-    assert beyond.side == 0
-    assert beyond.mean == pytest.approx(mean)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"mean": [np.nan, 1.0, 1.0]}, "mean: must hold finite numbers"),
-        ({"cov": np.diag([np.inf, 1.0, 1.0])}, "cov: must hold finite numbers"),
-        ({"cov": np.diag([-1.0, 1.0, 1.0])}, "cov: a covariance has no negative eigenvalue"),
-        ({"cov": np.eye(3) + np.eye(3, k=1)}, "cov: must be symmetric"),
-        ({"C": [np.nan, 0.0, 0.0]}, "C: must hold finite numbers"),
-        ({"right": -1.0}, "right: a known width must be at least 0"),
-        ({"right": np.nan}, "right: a known width must be at least 0"),
-        ({"left": [0.0, np.nan, 0.0]}, "left: must hold finite numbers"),
-    ],
-)
-def test_what_is_no_belief_is_refused(changes: dict[str, Any], words: str) -> None:
-    given = {"mean": np.zeros(3), "cov": np.eye(3), "C": C, "right": RIGHT, "left": LEFT} | changes
-    mean, cov, row = (given.pop(name) for name in ("mean", "cov", "C"))
-    with pytest.raises(uz.InputError, match=words):
-        deadzone_update(mean, cov, row, 0.0, noise=0.01, ear=DeadzoneMemory(), rest=5, **given)

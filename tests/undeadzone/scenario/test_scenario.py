@@ -547,7 +547,7 @@ def test_wrong_input(changes: dict[str, Any], error: type[InputError], words: st
         ("[plant]\nA = 1\nA = 2\n", "not valid TOML: .*overwrite"),
         ("x = " + "9" * 5000, "not valid TOML"),
         ("x = " + "[" * 5000, "not valid TOML: nested too deeply"),
-        (".".join("a" * 5000) + " = 1", "line 1: a key of more than 100 dots"),
+        (".".join("a" * 5000) + " = 1", "a dotted key of more than"),
         ("'' = 1", "'': unknown key"),
         ("'a.b`c' = 1", "unknown key"),
         ("[plant]\n'\\n' = 1", "unknown key"),

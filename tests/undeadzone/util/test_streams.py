@@ -1,80 +1,132 @@
-"""Streams whose descriptors do not block: nothing is lost, and a pause is no end of input."""
+"""Standard streams that do not block: nothing is lost, and a pause is no end."""
 
 from __future__ import annotations
 
+import io
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from live import KALMAN, regular, stream
+from undeadzone.cli.watch import Kept
+from undeadzone.errors import FileError
+from undeadzone.util.streams import WaitingFile
 
-WATCH = [sys.executable, "-c", "from undeadzone.cli import main; main()", "watch", "lever.toml"]
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="descriptors of POSIX")
+COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()", "watch"]
+SCENARIO = """
+[plant]
+A = [[0.0, 1.0], [-1.0, -2.0]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0]]
+[sensor]
+right = 1.0
+left = 0.7
+noise = 0.01
+[observer]
+method = "kalman"
+right = [0.0, 3.0]
+[simulation]
+time = "sampled"
+step = 0.01
+"""
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no O_NONBLOCK")
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "lever.toml").write_text(KALMAN, encoding="utf-8")
-    return tmp_path
+def scenario(tmp_path: Path) -> Path:
+    """A scenario that follows a log."""
+    path = tmp_path / "s.toml"
+    path.write_text(SCENARIO, encoding="utf-8")
+    return path
 
 
-def test_a_reader_that_is_slow_gets_every_line(folder: Path) -> None:
-    samples = stream(regular(3000))
-    (folder / "samples.csv").write_bytes(samples)
+def samples(count: int) -> bytes:
+    return b"t,u,y\n" + b"".join(b"%.2f,%d,0.5\n" % (k * 0.01, k % 7 - 3) for k in range(count))
+
+
+def test_every_line_comes_through_a_pipe_that_does_not_block(scenario: Path) -> None:
+    log = scenario.with_name("log.csv")
+    log.write_bytes(samples(20_000))
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    with open(folder / "samples.csv", "rb") as file:
+    with log.open("rb") as stdin:
         process = subprocess.Popen(
-            WATCH, stdin=file, stdout=writing, stderr=subprocess.DEVNULL, cwd=folder
+            [*COMMAND, scenario], stdin=stdin, stdout=writing, stderr=subprocess.DEVNULL
         )
     os.close(writing)
-    received = b""
-    while block := os.read(reading, 4096):
-        if not received:
-            time.sleep(0.5)  # the pipe is full meanwhile
-        received += block
-    os.close(reading)
-    lines = received.split(b"\n")
-    assert lines.pop() == b""
-    assert len(lines) == 1 + 3000
-    assert len({line.count(b",") for line in lines}) == 1  # none is cut
-    assert process.wait() in (0, 1)
+    time.sleep(3.0)  # the pipe is full by then
+    with open(reading, "rb") as pipe:
+        lines = pipe.read().splitlines()
+    process.wait()
+    assert len(lines) == 20_001
+    assert len({line.count(b",") for line in lines}) == 1
 
 
-def test_a_pause_of_the_writer_is_no_end(folder: Path) -> None:
+def test_a_pause_on_stdin_is_no_end_and_a_hangup_saves(scenario: Path) -> None:
+    state = scenario.with_name("state.npz")
     reading, writing = os.pipe()
     os.set_blocking(reading, False)
-    process = subprocess.Popen(
-        WATCH, stdin=reading, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=folder
-    )
-    os.close(reading)
-    time.sleep(0.5)
-    for piece in stream(regular(200)).splitlines(keepends=True):
-        os.write(writing, piece)
+    with subprocess.Popen(
+        [*COMMAND, scenario, "--state", state],
+        stdin=reading,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        os.close(reading)
+        assert process.stdout is not None
+        os.write(writing, samples(10))
+        for _ in range(11):
+            process.stdout.readline()
+        time.sleep(0.5)
+        os.write(writing, b"0.10,1,0.5\n")
+        assert process.stdout.readline().startswith(b"0.1,")
+        time.sleep(0.5)  # it waits for more by then
+        process.send_signal(signal.SIGHUP)
+        _, said = process.communicate()
+    assert process.returncode == 143, said
+    assert state.exists(), said
     os.close(writing)
-    received, _ = process.communicate()
-    assert received.count(b"\n") == 1 + 200
 
 
-def test_output_of_a_command_waits_for_its_reader(folder: Path) -> None:
+def test_writes_are_whole_and_reads_wait() -> None:
     reading, writing = os.pipe()
-    os.set_blocking(writing, False)
-    filled = 0
-    try:
-        while True:
-            filled += os.write(writing, b"x" * 65536)
-    except BlockingIOError:
-        pass
-    process = subprocess.Popen([*WATCH[:3], "--help"], stdout=writing, cwd=folder)
-    os.close(writing)
-    time.sleep(1.0)
-    received = b""
-    while block := os.read(reading, 65536):
-        received += block
-    os.close(reading)
-    assert process.wait() == 0
-    assert received[filled:].startswith(b"Usage: ")
+    for end in (reading, writing):
+        os.set_blocking(end, False)
+    data = os.urandom(1_000_000)
+
+    def feed() -> None:
+        with WaitingFile(writing, "w") as raw:
+            left = memoryview(data)
+            while left:
+                left = left[raw.write(left) :]
+
+    feeder = threading.Thread(target=feed)
+    feeder.start()
+    with io.BufferedReader(WaitingFile(reading)) as pipe:
+        assert pipe.read(len(data)) == data
+    feeder.join()
+
+
+def test_a_save_that_fails_is_said_and_tried_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part: Any = SimpleNamespace(KEPT=("count",), count=1, digest="d")
+    part.clock = part.reader = part
+    (tmp_path / "gone").touch()  # no folder can be made there
+    kept = Kept(tmp_path / "gone" / "state.npz", 0.0, part, part)
+    kept.save(when_due=True)
+    kept.save(when_due=True)
+    assert "not saved, 2 times by now" in capsys.readouterr().err
+    with pytest.raises(FileError):
+        kept.save()
+    (tmp_path / "gone").unlink()
+    kept.save(when_due=True)
+    assert (tmp_path / "gone" / "state.npz").exists()

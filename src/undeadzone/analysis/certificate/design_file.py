@@ -24,6 +24,7 @@ from undeadzone.util.arrays import Floats, matrix, vector
 from undeadzone.util.earlier import SCHEMA, translated_std
 from undeadzone.util.files import read_text, reason, write_text
 from undeadzone.util.own_files import mark_toml
+from undeadzone.util.toml import require_short_keys
 
 Matrix = list[list[float]]
 
@@ -193,7 +194,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             ProofError: if the proof does not hold for its own model.
         """
         try:
-            design = msgspec.convert(tomllib.loads(read_text(path)), cls)
+            design = msgspec.convert(tomllib.loads(require_short_keys(read_text(path))), cls)
         except OSError as error:
             raise FileError(f"{path}: cannot read: {reason(error)}") from None
         except (ValueError, RecursionError, msgspec.ValidationError):
