@@ -10,6 +10,8 @@ import math
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
@@ -37,12 +39,14 @@ _HEADS: Final = {
     ),
 }
 _SETTINGS: Final = {
-    "sensor": ("A PID controller: error dead band 0, with limits on its integral.",),
-    "actuator": ("A PID controller: output dead band {right_low} / -{left_low} {unit}.",),
-    "backlash": (
-        "Marlin: M425 X{width} F1 (in mm); LinuxCNC: BACKLASH = {width} in [JOINT_n].",
-        "PHD2: 1000 x {width} / guide rate, in ms. Klipper and GRBL have no setting.",
-    ),
+    "sensor": "A PID controller: error dead band 0, with limits on its integral.",
+    "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
+    "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
+}
+_SETTINGS_OF_GAPS: Final = {
+    "mm": "Marlin: M425 X{width} F1 (any axis; M500 stores it).",
+    **dict.fromkeys(("arcsec", "px"), "PHD2: 1000 x {width} / guide rate, in ms."),
+    "ms": "PHD2: backlash compensation {width} ms.",
 }
 _C: Final = {
     "sensor": """static float {name}(float y)
@@ -204,7 +208,10 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "silent": _literal(lost.silent),
         "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
     }
-    head = [line.format(**words) for line in (*_HEADS[lost.kind], *_SETTINGS[lost.kind])]
+    settings = [_SETTINGS[lost.kind]]
+    if lost.kind == "backlash" and lost.unit in _SETTINGS_OF_GAPS:
+        settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
+    head = [line.format(**words) for line in (*_HEADS[lost.kind], *settings)]
     head = [" ".join(line.split()) for line in head]
     c, python, st = (each[lost.kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
@@ -288,13 +295,14 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     first = unit if isinstance(unit, str) else next(iter(unit or ()), "1")
-    return Lost(kind, right, left, (both[0], both[1], both[2]), first or "1", path.name)
+    width = (both[0], both[1], both[2])
+    silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
+    return Lost(kind, right, left, width, first or "1", path.name, silent)
 
 
 def _numbers(value: Any) -> list[float]:
     """Return one width or several as a list; what does not exist is no width."""
-    values = value if isinstance(value, list | tuple) else [value]
-    return [float(each or 0.0) for each in values]
+    return [] if value is None else np.ravel(np.asarray(value, float)).tolist()
 
 
 def _single(values: list[float], path: Path) -> float:
@@ -306,10 +314,6 @@ def _single(values: list[float], path: Path) -> float:
 
 def _with_range(value: float, told: Any) -> tuple[float, float, float]:
     """Return a width with the range that the observer is told, if it holds the width."""
-    pair = told if isinstance(told, list | tuple) and len(told) == 2 else (value, value)
-    try:
-        low, high = float(pair[0]), float(pair[1])
-    except (TypeError, ValueError):
-        return value, value, value
-    is_held = low <= value <= high and math.isfinite(high)
-    return (value, low, high) if is_held else (value, value, value)
+    pair = [value, value] if told is None else _numbers(told)
+    is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
+    return (value, pair[0], pair[1]) if is_held else (value, value, value)
