@@ -300,7 +300,7 @@ def lines_ahead(lines: Sequence[str]) -> int:
         alike = [
             row
             for row in rows
-            if len(row) in (len(cells), len(cells) + 1)
+            if len(row) - (not row[-1] and len(row) > len(cells)) == len(cells)
             and any(cell and number(cell, "") is not None for cell in row)
         ]
         if 2 * len(alike) >= len(rows):

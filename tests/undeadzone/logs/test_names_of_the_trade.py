@@ -99,7 +99,7 @@ def test_a_frame_whose_index_has_no_name() -> None:
 
 
 def test_a_time_that_comes_twice_is_counted() -> None:
-    t = np.insert(np.arange(40) * 0.1, 7, 0.6)
+    t = np.insert(np.arange(40) / 10, 7, 0.6)
     samples = Samples(t, t[:, None], t[:, None], np.arange(41))
     placed = place_on_steps(samples, True, 0.1, "log")
     assert (placed.repeated, placed.gaps, placed.samples.t.size) == (1, 0, 40)
