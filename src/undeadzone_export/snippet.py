@@ -294,10 +294,9 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     else:
         raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
-    first = unit if isinstance(unit, str) else next(iter(unit or ()), "1")
     width = (both[0], both[1], both[2])
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
-    return Lost(kind, right, left, width, first or "1", path.name, silent)
+    return Lost(kind, right, left, width, unit, path.name, silent)
 
 
 def _numbers(value: Any) -> list[float]:
