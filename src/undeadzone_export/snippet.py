@@ -248,10 +248,8 @@ def _of_answer(path: Path) -> Lost:
         )
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
-        right, left, width = (
-            (0.0, 0.0, 0.0) if key != "width" and found[key] is None else _triple(found[key])
-            for key in ("right", "left", "width")
-        )
+        right, left = _side(found["right"]), _side(found["left"])
+        width = _triple(found["width"])
         unit = found["units"]["input" if verdict == "input_zone" else "output"]
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
     except (KeyError, TypeError, ValueError):
@@ -265,6 +263,11 @@ def _of_answer(path: Path) -> Lost:
             "needed; record the input that `identify --next` proposes"
         )
     return Lost(KINDS[verdict], right, left, width, unit, path.name, silent)
+
+
+def _side(values: Any) -> tuple[float, float, float]:
+    """Return (value, low, high) of a side; of a gap the width alone may be known, and it counts."""
+    return (0.0, 0.0, 0.0) if values is None else _triple(values)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:

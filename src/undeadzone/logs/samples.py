@@ -339,7 +339,7 @@ def _with_index_named(dialect: Dialect, lines: Sequence[str]) -> Dialect:
     values = [dialect.number(text) for text in texts]
     if all(value is None for value in values) and stamps is not None:
         values = [stamps.seconds(text) for text in texts]
-    if not is_regular_time(np.array([math.nan if v is None else v for v in values])):
+    if not is_regular_time(np.array(values, float)):
         return dialect
     return dialect._replace(titles=(Title("time", ""), *titles[1:]))
 
