@@ -113,7 +113,7 @@ class Registry(NamedTuple):
                 f"{self.group}: {tag!r} is registered at {place}, which is no class of options; "
                 "derive it from undeadzone.registry.Options, with a method build"
             )
-        return options  # type: ignore[no-any-return]
+        return options
 
     def has(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option("--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st or page.", default="c")
+@option(
+    "--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st, page or snippet.", default="c"
+)
 @option(
     "--out",
     "DIR",
@@ -78,7 +80,13 @@ def export(
     Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
     a folder that is no export, is refused without --force.
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
+    `--to snippet` writes a few lines of C, Python and Structured Text that compensate a dead zone
+    or a gap; it takes identify.json as well, and its default folder is snippet.
     """
+    if to == "snippet":
+        if check or tunable or precision or part != "observer":
+            raise click.UsageError("--to snippet takes --out, --name, --force and --json only")
+        return _export_snippet(scenario, out or Path("snippet"), name, force, as_json, confine)
     from undeadzone.scenario.reader import read
     from undeadzone_export.boards import BoardFit, board_table
     from undeadzone_export.exporting import export as run
@@ -104,6 +112,22 @@ def export(
             blocks.append(_accuracy_table(result.report["accuracy"]))
         print_blocks(blocks)
     return 0 if result.has_passed else 1
+
+
+def _export_snippet(
+    source: Path, out: Path, name: str | None, force: bool, as_json: bool, confine: Path | None
+) -> int:
+    """Write the lines that compensate, and print the report and the shortest of them."""
+    from undeadzone_export.snippet import write_snippet
+
+    report = write_snippet(source, out, name, force, confine)
+    if as_json:
+        print_json(report)
+        return 0
+    sides = [report["width"]] if report["kind"] == "backlash" else [report["right"], report["left"]]
+    widths = [f"{value:.6g} [{low:.6g}, {high:.6g}] {report['unit']}" for value, low, high in sides]
+    print_blocks([{report["kind"]: widths, "written": report["written"]}])
+    return 0
 
 
 def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:

@@ -123,6 +123,9 @@ def identify(
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
+    if folder is not None and answer.verdict in ("dead_zone", "input_zone", "play"):
+        few = cmd("undeadzone", "export", folder / "identify.json", "--to", "snippet")
+        why |= {"few lines": f"{few} writes what compensates it"}
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
         with progress("going on to firmware", None):

@@ -51,6 +51,7 @@ FLOORS = {
         ("accuracy", "plc"),
         ("plcopen",),
         ("targets",),
+        ("snippet",),
         ("exporting",),
         ("command",),
     ),

@@ -18,11 +18,11 @@ from undeadzone.util.arrays import Floats
 # Length of a unit of time [s]. A time that counts samples has no length of its own.
 SECONDS: Final = {
     **dict.fromkeys(("", "s", "sec", "seconds"), 1.0),
-    "ms": 1e-3,
-    **dict.fromkeys(("us", "µs", "μs"), 1e-6),
-    "ns": 1e-9,
-    "min": 60.0,
-    "h": 3600.0,
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nanos", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hours"), 3600.0),
 }
 COUNTS: Final = ("sample", "samples")
 TIMES: Final = (
@@ -35,7 +35,30 @@ READINGS: Final = ("y", "output", "out", "reading", "measured", "measurement")
 INPUTS: Final = ("u", "input", "in", "command", "control")
 REFERENCES: Final = (
     *("r", "reference", "ref", "setpoint", "set_point", "set point", "sollwert", "consigne"),
-    *("consigna", "target", "desired"),
+    *("consigna", "target", "desired", "sp"),
+)
+# Names of the trades: of process control first, of physics where none of these is there. Those of
+# one tuple say the same of a column, so that two of them leave it open.
+OF_READINGS: Final = (
+    ("pv", "process value", "process variable"),
+    ("dec", "decrawdistance"),  # of a mount: the axis whose pulses change direction
+    (
+        *("flow", "level", "pressure", "temperature", "temp", "position", "speed", "rpm"),
+        *("present position", "actual position", "measured position", "present speed"),
+    ),
+)
+OF_INPUTS: Final = (
+    ("op", "co", "mv", "controller output", "output", "out"),
+    ("dec pulse", "decpulse", "decguidedistance"),  # signed, as a duration is not
+    ("valve", "heater", "pwm", "duty", "duty cycle", "voltage"),
+    ("goal", "goal position", "target position", "commanded position", "goal speed"),
+    ("desired", "target", "wanted"),  # where nothing else drives
+)
+TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
+_TIME_WITH_UNIT: Final = re.compile(r"(?:t|time|times|timestamp|elapsed|elapsed time) (\S+)")
+_NAME_WITH_UNIT: Final = re.compile(r"(?:.* )?(\S+)")
+_ITSELF_A_TIME: Final = frozenset(
+    unit for unit in SECONDS if unit not in ("", "s", "min", "h", "hr", "sec", "seconds")
 )
 INDEXED: Final = re.compile(r"^(.*?)[\[_(]?(\d+)[\])]?$")
 _SHOWN: Final = 12  # names in a message
@@ -97,6 +120,7 @@ class Layout(NamedTuple):
         reading_titles, input_titles: what the header says of these columns.
         said: in words, which column was taken for what.
         reference: number of the column of the reference; None: there is none, or nobody asks.
+        of_the_trade: whether a name of a trade told a column, which the user should hear of.
     """
 
     time: int | None
@@ -108,6 +132,7 @@ class Layout(NamedTuple):
     input_titles: list[Title]
     said: str
     reference: int | None = None
+    of_the_trade: bool = False
 
     @property
     def driving(self) -> list[int]:
@@ -174,7 +199,8 @@ def layout_of_titles(
     _refuse_others(chosen, p, m)
     header = _Header(titles, chosen, source)
     time = header.time()
-    readings, inputs = header.signals("y", p, READINGS), header.signals("u", m, INPUTS)
+    readings = header.signals("y", p, READINGS)
+    inputs = header.signals("u", m, INPUTS, readings)
     layout = header.layout(time, readings, inputs)
     return layout if m is not None else header.with_reference(layout)
 
@@ -231,11 +257,19 @@ class _Header(NamedTuple):
         y, u = [self.titles[k] for k in readings], [self.titles[k] for k in inputs]
         for signal, titles in (("y", y), ("u", u)):
             roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
-        return Layout(time, date, readings, inputs, seconds, y, u, ", ".join(roles))
+        said, named = ", ".join(roles), bool(_of_signal(self.chosen, "y"))
+        known = {*READINGS, *INPUTS}
+        is_trade = not named and any(
+            (INDEXED.match(title.name) or [title.name] * 2)[1].lower() not in known
+            for title in (*y, *u)
+        )
+        return Layout(time, date, readings, inputs, seconds, y, u, said, None, is_trade)
 
     def with_reference(self, layout: Layout) -> Layout:
         """Return the layout with the reference: a column that is nothing else. Raises FileError."""
         same = [self.same(name) for name in REFERENCES]
+        tags = [_plain(title.name).endswith(" sp") for title in self.titles]
+        same.append([k for k, is_tag in enumerate(tags) if is_tag])
         if "r" in self.chosen:
             same = [[self.column_of_name("r")]]
             if same[0][0] in layout.columns:
@@ -262,10 +296,21 @@ class _Header(NamedTuple):
                 raise FileError(f"{self.source}: {many}; --columns t=NUMBER")
             if same:
                 return same[0]
-        return None
+        return next((k for k, title in enumerate(self.titles) if _is_time_with_unit(title)), None)
 
-    def signals(self, signal: str, count: int | None, usual: Sequence[str]) -> list[int]:
-        """Return the numbers of the columns of a signal. Raises FileError."""
+    def signals(
+        self, signal: str, count: int | None, usual: Sequence[str], taken: Sequence[int] = ()
+    ) -> list[int]:
+        """Return the numbers of the columns of a signal. Raises FileError.
+
+        Args:
+            signal: y or u.
+            count: how many there are; None: as many as are named.
+            usual: names that say it without doubt.
+            taken: columns that are something else.
+        """
+        if signal == "y" and self.is_driven_by_output():
+            usual = [name for name in usual if name not in OF_INPUTS[0]]
         if count is None:
             count = len(_of_signal(self.chosen, signal)) or self.count(usual)
         wanted = [f"{signal}[{i}]" for i in range(count)]
@@ -285,6 +330,8 @@ class _Header(NamedTuple):
                     f"{_list_columns([self.titles[k] for k in columns])}; say which by --columns "
                     f"{wanted[0]}=NAME"
                 )
+        if columns := self.of_the_trade(signal, count, taken):
+            return columns
         require_table(self.source)
         raise FileError(
             f"{self.source}: no name says which column holds {signal}; there are "
@@ -292,11 +339,28 @@ class _Header(NamedTuple):
             f"by --columns {self.to_be_named()}"
         )
 
+    def is_driven_by_output(self) -> bool:
+        """Return whether `output` is a controller's: beside a reading, and nothing else drives."""
+        drives = any(self.usual(name, 1) for name in INPUTS) or _of_signal(self.chosen, "u")
+        return not drives and bool(self.of_the_trade("y", 1, ()))
+
+    def of_the_trade(self, signal: str, count: int, taken: Sequence[int]) -> list[int]:
+        """Return the columns that a name of a trade tells; none where it tells too many or few."""
+        plain = [_plain(title.name) for title in self.titles]
+        for names in OF_READINGS if signal == "y" else OF_INPUTS:
+            same = [k for k, name in enumerate(plain) if name in names and k not in taken]
+            if not same and len(names[0]) == 2:  # a tag of the plant: FIC101.PV
+                same = [k for k, name in enumerate(plain) if name.split(" ")[-1] == names[0]]
+            if same:
+                return same if len(same) == count else []
+        pair = [k for k, name in enumerate(plain) if name in TEST_MACHINE]
+        return pair[-1:] * (signal == "y") or pair[:1] if len(pair) == 2 and count == 1 else []
+
     def to_be_named(self) -> str:
         """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
         wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
         for signal, usual in (("y", READINGS), ("u", INPUTS)):
-            told = any(self.usual(name, 1) for name in usual)
+            told = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
             if not told and not _of_signal(self.chosen, signal):
                 wanted.append(f"{signal}=NAME")
         return ",".join(wanted).replace("[0]", "")
@@ -357,9 +421,34 @@ class _Header(NamedTuple):
         return ""
 
 
+def has_time(titles: Sequence[Title]) -> bool:
+    """Return whether a name says that a column holds times.
+
+    Args:
+        titles: of the columns.
+    """
+    return any(title.name.lower() in TIMES or _is_time_with_unit(title) for title in titles)
+
+
+def _plain(name: str) -> str:
+    """Return a name in small letters, with blanks for what stands between its words."""
+    apart = re.sub(r"([a-z])(Ms|Us|Ns)$", r"\1 \2", name)
+    return " ".join(re.sub(r"[_.\-/\s]+", " ", apart).lower().split())
+
+
+def _is_time_with_unit(title: Title) -> bool:
+    """Return whether a name says that it is a time, and in which unit: `t_ms`, `millis`."""
+    name = _plain(title.name)
+    found = _TIME_WITH_UNIT.fullmatch(name)
+    return name in _ITSELF_A_TIME or (found is not None and found[1] in SECONDS)
+
+
 def _seconds(title: Title, source: str) -> float | None:
     """Return the length of a unit of time [s]; None where it counts samples. Raises FileError."""
     unit = title.unit.lower()
+    found = _NAME_WITH_UNIT.fullmatch(_plain(title.name))
+    if not unit and found is not None and found[1] in SECONDS:
+        unit = found[1]
     if unit in COUNTS:
         return None
     if unit not in SECONDS:

@@ -14,17 +14,26 @@ import numpy as np
 import numpy.typing as npt
 
 from undeadzone.errors import FileError
-from undeadzone.logs.names import Layout, layout_of_numbers, layout_of_titles
+from undeadzone.logs.names import (
+    Layout,
+    Title,
+    has_time,
+    layout_of_numbers,
+    layout_of_titles,
+)
 from undeadzone.logs.stamps import Stamps, is_ambiguous, over_midnight, since_1970, stamps_of
 from undeadzone.logs.text import (
     LARGEST,
     LONGEST_LINE,
+    PREAMBLE,
     Dialect,
     Text,
     blocks_of,
+    decimal_mark,
     dialect_of,
     flaw,
     is_content,
+    lines_ahead,
 )
 from undeadzone.util.arrays import Floats
 
@@ -37,6 +46,7 @@ TOLERANCE: Final = 0.01  # of the step: how far the usual time between samples m
 JITTER: Final = 0.25  # of the step: how far a sample may be from where it should be
 LONGEST: Final = 100_000  # steps of a gap
 MOST: Final = 10  # steps per sample, on average, in a block of samples
+REPEATED: Final = 0.1  # share of the samples that may have the time of the one before
 WATCHED: Final = 1000  # intervals whose median is compared with the step
 # What can be wrong with a line: it holds bytes of 0, is too long, has too few or many values, one
 # that is no number, no time, or a time that fits none of its neighbours; or it begins anew, in
@@ -139,6 +149,7 @@ class LogReader:
         layout: where the log has what; None before its first sample.
         faults: the lines that could not be read.
         latest: these among the lines that came last.
+        ahead: lines ahead of the header that were skipped.
     """
 
     KEPT: Final = ("_latest_time",)
@@ -155,6 +166,7 @@ class LogReader:
         self.layout: Layout | None = None
         self.faults = Faults(source, strict)
         self.latest: list[Fault] = []
+        self.ahead = 0
         self._live = live
         self._source, self._p, self._m = source, p, m
         self._chosen = chosen
@@ -181,12 +193,17 @@ class LogReader:
         numbered = self._first + self._number_lines(self._text.feed(data, last))
         self._first = []
         if self._dialect is None and numbered:
+            if not self._live:
+                self.ahead = lines_ahead([line for _, line in numbered[:PREAMBLE]])
+                numbered = numbered[self.ahead :]
             lines = self._telling([line for _, line in numbered[:FIRST]])
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow
                 return self._none()
-            self._dialect = dialect
+            told = [line for _, line in numbered[dialect.heads :]]
+            mark = decimal_mark(told, dialect.separator, self._live, self._source)
+            dialect = self._dialect = _with_index_named(dialect._replace(mark=mark), told[:FIRST])
             self.layout = self._layout(dialect)
             self._require_readable(dialect, self.layout, numbered[dialect.heads :])
             numbered = numbered[dialect.heads :]
@@ -308,6 +325,38 @@ class LogReader:
         return found
 
 
+def _with_index_named(dialect: Dialect, lines: Sequence[str]) -> Dialect:
+    """Return the dialect with a name for an index without one, as data frames write it.
+
+    It is the time if no other column is, and it increases as times do. A count 0, 1, 2 is none.
+    """
+    titles = dialect.titles
+    if titles is None or titles[0].name not in ("", "Unnamed: 0") or has_time(titles):
+        return dialect
+    rows = [dialect.cells(line) for line in lines]
+    texts = [row[0] for row in rows if len(row) == dialect.width]
+    stamps = stamps_of(texts)
+    values = [dialect.number(text) for text in texts]
+    if all(value is None for value in values) and stamps is not None:
+        values = [stamps.seconds(text) for text in texts]
+    if not is_regular_time(np.array(values, float)):
+        return dialect
+    return dialect._replace(titles=(Title("time", ""), *titles[1:]))
+
+
+def is_regular_time(values: Floats) -> bool:
+    """Return whether values increase regularly, and do not just count from 0 or 1.
+
+    Args:
+        values: of a column (N).
+    """
+    between = np.diff(values)
+    if values.size < 3 or not (between > 0).all():
+        return False
+    counts = bool((between == 1).all()) and values[0] in (0, 1)
+    return not counts and float(np.ptp(between)) <= 2 * JITTER * float(np.median(between))
+
+
 def _stamp(cells: list[str], layout: Layout) -> str:
     """Return the text of a line's time, behind its date where that stands in another column."""
     assert layout.time is not None
@@ -365,6 +414,9 @@ def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | Non
     if between != {dialect.width - 1}:
         return None
     plain = lines
+    other = {".": ",", ",": "."}.get(dialect.mark, "")
+    if dialect.separator != "," and other and any(other in line for line in lines):
+        return None  # thousands
     if dialect.separator != "," and any("," in line for line in lines):
         plain = [line.replace(",", ".") for line in lines]
     try:
@@ -397,11 +449,13 @@ class Placed(NamedTuple):
         samples: one step apart; those in gaps are missing.
         gaps: how many samples were missing, between others.
         measured: the usual time between two samples [s]; None without times.
+        repeated: how many samples had the time of the one before, and were left out.
     """
 
     samples: Regular
     gaps: int = 0
     measured: float | None = None
+    repeated: int = 0
 
 
 def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> Placed:
@@ -418,6 +472,7 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
     """
     if not timed:
         return Placed(samples.regular._replace(t=np.arange(len(samples.t)) * step))
+    samples, repeated = without_repeats(samples)
     kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
     read = samples.part(kept)
     if not read.t.size:
@@ -428,7 +483,23 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
     measured = usual_step((intervals[1:] / lines_between)[:WATCHED])
     require_step(measured, step, TOLERANCE, source)
     steps = _placeable(intervals, step, read, source)
-    return Placed(fill_gaps(read.regular, steps, step), int(steps.sum()) - read.t.size, measured)
+    gaps = int(steps.sum()) - read.t.size
+    return Placed(fill_gaps(read.regular, steps, step), gaps, measured, repeated)
+
+
+def without_repeats(samples: Samples) -> tuple[Samples, int]:
+    """Return samples without those that repeat the time before, and how many these were.
+
+    Where more than a tenth do, times are written too coarsely: then all stay, and are refused.
+
+    Args:
+        samples: of a log, in its order.
+    """
+    again = np.append(False, np.diff(samples.t) == 0)
+    count = int(again.sum())
+    if not 0 < count <= REPEATED * samples.t.size:
+        return samples, 0
+    return samples.part(~again), count
 
 
 def _require_order(intervals: Floats, samples: Samples, source: str) -> None:

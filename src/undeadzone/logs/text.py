@@ -27,6 +27,19 @@ MISSING: Final = frozenset(
 )
 LARGEST: Final = 1e50  # beyond this no unit makes sense
 _BLANKS_BETWEEN: Final = re.compile(r"\d,\d+ +[-+]?\d")
+_WITH_COMMA: Final = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+_WITH_POINT: Final = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?")
+# Groups of three digits, and what only such a number can be.
+_THOUSANDS: Final = {
+    ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+"),
+    ".": re.compile(r"[-+]?[1-9]\d{0,2}(?:\.\d{3})+"),
+}
+_GROUPED: Final = {
+    ".": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d+|(?:,\d{3}){2,})"),
+    ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:\.\d{3})+,\d+|(?:\.\d{3}){2,})"),
+}
+TELLING_MARK: Final = 5000  # lines that tell the decimal mark
+PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
 BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
@@ -146,12 +159,14 @@ class Dialect(NamedTuple):
         width: cells in a line.
         titles: of the columns; None without a header.
         heads: lines before the numbers: none, the names, or names and units.
+        mark: the decimal mark of all its numbers; "" where nothing told it.
     """
 
     separator: str
     width: int
     titles: tuple[Title, ...] | None
     heads: int
+    mark: str = ""
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a line, without what surrounds them; one separator may end the
@@ -164,7 +179,7 @@ class Dialect(NamedTuple):
 
     def number(self, cell: str) -> float | None:
         """Return the number in a cell, NaN where it is missing; None where it cannot be read."""
-        return number(cell, self.separator != ",")
+        return number(cell, "." if self.separator == "," else self.mark)
 
 
 def is_content(line: str) -> bool:
@@ -203,22 +218,94 @@ def split_cells(line: str, separator: str) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
-def number(cell: str, comma: bool) -> float | None:
+def number(cell: str, mark: str) -> float | None:
     """Return the number in a cell, NaN where it is missing; None where it cannot be read.
 
     Args:
         cell: its text.
-        comma: whether a decimal comma is allowed.
+        mark: the decimal mark, `.` or `,`; "" for either.
     """
     if cell.lower() in MISSING:
         return math.nan
-    if comma and cell.count(",") == 1:
+    other = {".": ",", ",": "."}.get(mark, "")
+    if other and other in cell:
+        is_grouped = _GROUPED[mark].fullmatch(cell) or _THOUSANDS[other].fullmatch(cell)
+        if is_grouped is None:
+            return None
+        cell = cell.replace(other, "")
+    if mark != "." and cell.count(",") == 1:
         cell = cell.replace(",", ".")
     try:
         value = float(cell)
     except ValueError:
         return None
     return None if abs(value) > LARGEST or "_" in cell else value
+
+
+def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) -> str:
+    """Return the decimal mark of all numbers of a text, "" where nothing tells it.
+
+    Args:
+        lines: some of its lines with numbers.
+        separator: between two cells.
+        live: whether more lines come, which cannot be waited for.
+        source: the text, for messages.
+
+    Raises:
+        FileError: each comma may stand before decimals or between thousands.
+    """
+    if separator == ",":
+        return "."
+    told, open_one = {",": 0, ".": 0}, ""
+    for line in lines[:TELLING_MARK]:
+        if "," not in line and "." not in line:
+            continue
+        for cell in split_cells(line, separator):
+            for mark, shape in ((",", _WITH_COMMA), (".", _WITH_POINT)):
+                plain = shape.fullmatch(cell) and not _THOUSANDS[mark].fullmatch(cell)
+                told[mark] += bool(plain or _GROUPED[mark].fullmatch(cell))
+            if not open_one and _THOUSANDS[","].fullmatch(cell):
+                open_one = cell
+    if told[","] or told["."]:
+        return "," if told[","] > told["."] else "."
+    if open_one and not live:
+        whole, decimal = open_one.replace(",", ""), open_one.replace(",", ".")
+        raise FileError(
+            f"{source}: nothing tells whether {open_one} is {whole} or {decimal}; write numbers "
+            "with a decimal point, and nothing between thousands"
+        )
+    return "," * bool(open_one)
+
+
+def lines_ahead(lines: Sequence[str]) -> int:
+    """Return how many lines stand ahead of the header, which say something else.
+
+    The header has two names or more, no number, and as many cells as most lines behind it.
+
+    Args:
+        lines: the first lines with content.
+    """
+    for k, line in enumerate(lines[:-1]):
+        behind = lines[k + 1 :]
+        separator = _separator(lines[k:])
+        cells = split_cells(line, separator)
+        named = [cell for cell in cells if cell]
+        if k == 0 and all(number(cell, "") is not None for cell in named):
+            return 0
+        if len(named) < 2 or len({*named}) < len(named):
+            continue
+        if any(number(cell, "") is not None for cell in named):
+            continue
+        rows = [split_cells(other, separator) for other in behind]
+        alike = [
+            row
+            for row in rows
+            if len(row) - (not row[-1] and len(row) > len(cells)) == len(cells)
+            and any(cell and number(cell, "") is not None for cell in row)
+        ]
+        if 2 * len(alike) >= len(rows):
+            return k
+    return 0
 
 
 def _separator(lines: Sequence[str]) -> str:
@@ -239,7 +326,8 @@ def _separator(lines: Sequence[str]) -> str:
 def _heads(lines: Sequence[str], separator: str) -> int:
     """How many lines come before the numbers: 0, 1 (names) or 2 (names, units)."""
     first = split_cells(lines[0], separator)
-    if any(number(cell, separator != ",") is not None for cell in first if cell):
+    mark = "." if separator == "," else ""
+    if any(number(cell, mark) is not None for cell in first if cell):
         return 0
     if not any(first):
         return 0

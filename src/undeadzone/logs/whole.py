@@ -15,8 +15,8 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.names import Layout, Title, layout_of_titles, numbers, split_unit
-from undeadzone.logs.samples import Samples, oldest_first
+from undeadzone.logs.names import Layout, Title, has_time, layout_of_titles, numbers, split_unit
+from undeadzone.logs.samples import Samples, is_regular_time, oldest_first
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
 from undeadzone.util.arrays import Floats
@@ -124,7 +124,11 @@ def _rows(key: str, value: Any, size: int) -> Floats:
 def of_frame(frame: Any) -> Columns:
     """Return the numeric columns of a DataFrame; times of day become seconds since the first."""
     titled = [(str(title), np.asarray(frame[title])) for title in frame.columns]
-    if frame.index.name is not None:
+    is_named = has_time([split_unit(title) for title, _ in titled])
+    index = np.asarray(frame.index)
+    if frame.index.name is None and not is_named and _is_time(index):
+        titled.insert(0, ("time", index))
+    elif frame.index.name is not None:
         titled.insert(0, (str(frame.index.name), np.asarray(frame.index)))
     columns = []
     for title, values in titled:
@@ -135,6 +139,13 @@ def of_frame(frame: Any) -> Columns:
         if values.dtype.kind in "iufb":
             columns.append((split_unit(title), values.astype(float)))
     return columns
+
+
+def _is_time(index: Any) -> bool:
+    """Return whether an index without a name holds times that increase regularly."""
+    if index.dtype.kind in "mM":
+        return bool(index.size > 1 and (np.diff(index) > np.timedelta64(0)).all())
+    return bool(index.dtype.kind in "iuf") and is_regular_time(index.astype(float))
 
 
 def of_npz(path: Path) -> Columns:

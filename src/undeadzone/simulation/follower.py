@@ -240,7 +240,7 @@ class Follower:
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
             further=final(of_estimate(last_row), "c_hat", "c_std", "gap_std", "b_hat", "b_std"),
-            remarks=self._remarks(),
+            remarks=[*self._remarks(), *_repeated_times(grid)],
             **verdict._asdict(),
         )
 
@@ -255,6 +255,13 @@ class Follower:
                     f"they only bound z: set sensor.range = {ends.text}"
                 )
         return remarks
+
+
+def _repeated_times(placed: Placed | Clock) -> list[str]:
+    """How many samples came with the time of the one before, in words; none if none did."""
+    if not isinstance(placed, Placed) or not placed.repeated:
+        return []
+    return [f"{placed.repeated} samples have the time of the one before, and are left out"]
 
 
 def require_units(layout: Layout, units: Units, source: str) -> None:

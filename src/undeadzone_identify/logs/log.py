@@ -22,6 +22,7 @@ from undeadzone.logs.samples import (
     Samples,
     count_in_words,
     samples_of_text,
+    without_repeats,
 )
 from undeadzone.logs.whole import BINARY, samples_of
 from undeadzone.util.arrays import LARGEST, Floats
@@ -212,6 +213,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
     Raises:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
+    samples, repeated = without_repeats(samples)
     t, lines = samples.t, samples.lines
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
@@ -225,6 +227,12 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
         if np.nanmax(np.abs(column)) > LARGEST:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
     units = {title.unit or "1" for title in layout.input_titles}
+    is_said = layout.reference is not None or layout.of_the_trade
+    remarks = [f"{source}: {layout.said}"] if is_said else []
+    if repeated:
+        remarks.append(
+            f"{source}: {repeated} samples have the time of the one before, and are left out"
+        )
     if r.size and np.isnan(r).all():
         raise FileError(f"{source}: the reference holds no number: every one is missing")
     return Log(
@@ -239,7 +247,7 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
         lines,
         layout.seconds is None,
         np.where(np.isfinite(r), r, np.nan),
-        () if layout.reference is None else (f"{source}: {layout.said}",),
+        tuple(remarks),
     )
 
 
@@ -324,6 +332,8 @@ def _read_csv_samples(
     samples = samples_of_text(reader, path, LARGEST_TABLE, math.inf)
     if reader.layout is None or not samples.t.size:
         raise FileError(f"{path}: holds no samples")
+    if reader.ahead:
+        remarks.append(f"{path}: {count_in_words(reader.ahead)} ahead of the header skipped")
     if reader.faults.unreadable:
         samples = _drop_unreadable(samples, reader, path)
         remarks.append(

@@ -1,0 +1,321 @@
+"""`--to snippet`: a few lines that compensate a zone or a gap, from a scenario or from an answer.
+
+They hold the numbers of one nonlinearity, not an observer: no state of the plant is estimated.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import FileError, InputError
+from undeadzone.scenario.reader import read
+from undeadzone.scenario.schema import Scenario
+from undeadzone.util.files import read_text
+from undeadzone.util.text import one_line, printable
+from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_folder
+
+SURE: Final = 0.8  # probability below which a verdict is no ground for a snippet
+RAMP: Final = 0.05  # of the narrower width: over so much the jump of an actuator fades in
+KINDS: Final = {"dead_zone": "sensor", "input_zone": "actuator", "play": "backlash"}
+NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
+
+_HEADS: Final = {
+    "sensor": (
+        "Sensor dead zone {right} / -{left} {unit} ({interval}), from {source}.",
+        "It cannot see inside the zone: there it holds the edge last passed, up to {width} off.",
+    ),
+    "actuator": (
+        "Actuator dead zone {right} / -{left} {unit} ({interval}), from {source}.",
+        "It uses the low ends, for too large a jump oscillates. It cannot remove friction.",
+    ),
+    "backlash": (
+        "Backlash: gap {width} {unit} ({interval}), from {source}. Reach the start from above.",
+        "It cannot see a load or gravity that pushes through the gap, friction, or a spring.",
+    ),
+}
+_SETTINGS: Final = {
+    "sensor": "A PID controller: error dead band 0, with limits on its integral.",
+    "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
+    "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
+}
+_SETTINGS_OF_GAPS: Final = {
+    "mm": "Marlin: M425 X{width} F1 (any axis; M500 stores it).",
+    **dict.fromkeys(("arcsec", "px"), "PHD2: 1000 x {width} / guide rate, in ms."),
+    "ms": "PHD2: backlash compensation {width} ms.",
+}
+_C: Final = {
+    "sensor": """static float {name}(float y)
+{{
+    static float edge = 0.0f;
+    if (y > {silent}f) edge = {right}f;
+    else if (y < -{silent}f) edge = -{left}f;
+    else return edge; /* silent */
+    return y + edge;
+}}
+""",
+    "actuator": """static float {name}(float wanted)
+{{
+    float share = wanted / {ramp}f; /* fades the jump near 0 */
+    if (share > 1.0f) share = 1.0f;
+    if (share < -1.0f) share = -1.0f;
+    return wanted + share * (share > 0.0f ? {right_low}f : {left_low}f);
+}}
+""",
+    "backlash": """static float {name}(float wanted)
+{{
+    static float before = 0.0f, lead = 0.0f;
+    if (wanted > before) lead = {width}f;
+    if (wanted < before) lead = 0.0f;
+    before = wanted;
+    return wanted + lead;
+}}
+""",
+}
+_PYTHON: Final = {
+    "sensor": """class {Name}:
+    edge = 0.0
+
+    def __call__(self, y):
+        if abs(y) <= {silent}:
+            return self.edge  # silent
+        self.edge = {right} if y > 0 else -{left}
+        return y + self.edge
+""",
+    "actuator": """class {Name}:
+    def __call__(self, wanted):
+        share = max(-1.0, min(1.0, wanted / {ramp}))  # fades the jump near 0
+        return wanted + share * ({right_low} if share > 0 else {left_low})
+""",
+    "backlash": """class {Name}:
+    before = lead = 0.0
+
+    def __call__(self, wanted):
+        if wanted != self.before:
+            self.lead = {width} if wanted > self.before else 0.0
+        self.before = wanted
+        return wanted + self.lead
+""",
+}
+_ST: Final = {
+    "sensor": """FUNCTION_BLOCK {name}
+VAR_INPUT y : REAL; END_VAR
+VAR_OUTPUT z : REAL; END_VAR
+VAR edge : REAL := 0.0; END_VAR
+IF y > {silent} THEN edge := {right}; z := y + edge;
+ELSIF y < -{silent} THEN edge := -{left}; z := y + edge;
+ELSE z := edge; (* silent *)
+END_IF;
+END_FUNCTION_BLOCK
+""",
+    "actuator": """FUNCTION_BLOCK {name}
+VAR_INPUT wanted : REAL; END_VAR
+VAR_OUTPUT command : REAL; END_VAR
+VAR share : REAL; END_VAR
+share := LIMIT(-1.0, wanted / {ramp}, 1.0); (* fades the jump near 0 *)
+IF share > 0.0 THEN command := wanted + share * {right_low};
+ELSE command := wanted + share * {left_low};
+END_IF;
+END_FUNCTION_BLOCK
+""",
+    "backlash": """FUNCTION_BLOCK {name}
+VAR_INPUT wanted : REAL; END_VAR
+VAR_OUTPUT command : REAL; END_VAR
+VAR before : REAL; lead : REAL; END_VAR
+IF wanted > before THEN lead := {width}; ELSIF wanted < before THEN lead := 0.0; END_IF;
+before := wanted;
+command := wanted + lead;
+END_FUNCTION_BLOCK
+""",
+}
+
+
+class Lost(NamedTuple):
+    """What a snippet compensates.
+
+    Attributes:
+        kind: sensor, actuator or backlash.
+        right, left, width: each as (value, low, high); of a gap the width counts alone.
+        unit: of them.
+        source: where they came from, for people.
+        silent: |y| up to which a sensor's reading says nothing.
+    """
+
+    kind: str
+    right: tuple[float, float, float]
+    left: tuple[float, float, float]
+    width: tuple[float, float, float]
+    unit: str
+    source: str
+    silent: float = 0.0
+
+
+def write_snippet(
+    source: Path, out: Path, name: str | None, force: bool, confine: Path | None = None
+) -> dict[str, Any]:
+    """Write snippet.h, snippet.py and snippet.st, and return the report.
+
+    Args:
+        source: a scenario, or the identify.json of `undeadzone identify`.
+        out: the folder.
+        name: of the function; None: a usual one.
+        force: whether files that someone edited are replaced.
+        confine: a folder outside of which a scenario may name no file; None: any.
+
+    Raises:
+        InputError: there is nothing that a few lines can compensate, and why.
+    """
+    is_answer = source.suffix.lower() == ".json"
+    lost = _of_answer(source) if is_answer else _of_scenario(read(source, confine), source)
+    texts: Files = dict(snippet_texts(lost, name or NAMES[lost.kind]))
+    report: dict[str, Any] = {
+        "kind": lost.kind,
+        **{key: list(getattr(lost, key)) for key in ("right", "left", "width")},
+        "unit": lost.unit,
+        "files": sorted({*texts, MANIFEST}),
+    }
+    written = write_folder(texts | {MANIFEST: manifest_text(dict(report))}, out, force)
+    return report | {"written": [str(path) for path in written]}
+
+
+def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
+    """Return the three texts by the names of their files.
+
+    Args:
+        lost: what they compensate.
+        name: of the function.
+    """
+    if not (name.isascii() and name.isidentifier() and name.islower()):
+        raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
+    bounded = [lost.width] if lost.kind == "backlash" else [lost.right, lost.left]
+    words = {
+        "name": name,
+        "Name": name.capitalize(),
+        "unit": "" if lost.unit == "1" else printable(one_line(lost.unit)),
+        "source": printable(one_line(lost.source)).replace("*", "_"),
+        "interval": ", ".join(f"{_literal(low)}..{_literal(high)}" for _, low, high in bounded)
+        if any(low < high for _, low, high in bounded)
+        else "given, no interval",
+        "right": _literal(lost.right[0]),
+        "left": _literal(lost.left[0]),
+        "right_low": _literal(max(lost.right[1], 0.0)),
+        "left_low": _literal(max(lost.left[1], 0.0)),
+        "width": _literal(lost.width[0]),
+        "silent": _literal(lost.silent),
+        "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
+    }
+    settings = [_SETTINGS[lost.kind]]
+    if lost.kind == "backlash" and lost.unit in _SETTINGS_OF_GAPS:
+        settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
+    head = [line.format(**words) for line in (*_HEADS[lost.kind], *settings)]
+    head = [" ".join(line.split()) for line in head]
+    c, python, st = (each[lost.kind].format(**words) for each in (_C, _PYTHON, _ST))
+    return {
+        "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
+        "snippet.py": "".join(f"# {line}\n" for line in head) + python,
+        "snippet.st": "(* " + "\n   ".join(head) + " *)\n" + st,
+    }
+
+
+def _literal(value: float) -> str:
+    """Return a number that C, Python and Structured Text read alike."""
+    text = f"{value:.7g}"
+    if "e" in text:
+        mantissa, _, exponent = text.partition("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{int(exponent)}"
+    return text if "." in text else text + ".0"
+
+
+def _of_answer(path: Path) -> Lost:
+    """Return what an answer of `identify` found. Raises InputError where nothing is certain."""
+    try:
+        found = json.loads(read_text(path))
+        verdict = found["verdict"]
+    except (ValueError, KeyError, TypeError):
+        raise FileError(
+            f"{path}: expected the identify.json of `undeadzone identify`, or a scenario"
+        ) from None
+    if "outputs" in found:
+        raise InputError(f"{path}: holds several outputs; identify one, named by --columns y=NAME")
+    if verdict not in KINDS:
+        raise InputError(
+            f"{path}: the verdict is {verdict}, which no few lines compensate; record longer, or "
+            "with larger and slower reversals, and identify again (--next says with which input)"
+        )
+    try:
+        share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
+        right, left = _side(found["right"]), _side(found["left"])
+        width = _triple(found["width"])
+        unit = found["units"]["input" if verdict == "input_zone" else "output"]
+        silent = 0.5 * float(found["record"]["quantum"] or 0.0)
+    except (KeyError, TypeError, ValueError):
+        raise InputError(
+            f"{path}: the verdict {verdict} has no widths with intervals; record longer, with "
+            "more passages of the edges, and identify again"
+        ) from None
+    if share < SURE:
+        raise InputError(
+            f"{path}: {verdict} is likely to {100 * share:.0f} % only, and {100 * SURE:.0f} % are "
+            "needed; record the input that `identify --next` proposes"
+        )
+    return Lost(KINDS[verdict], right, left, width, unit, path.name, silent)
+
+
+def _side(values: Any) -> tuple[float, float, float]:
+    """Return (value, low, high) of a side; of a gap the width alone may be known, and it counts."""
+    return (0.0, 0.0, 0.0) if values is None else _triple(values)
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    """Return (value, low, high). Raises ValueError where one of them is no finite number."""
+    value, low, high = (float(number) for number in values)
+    if not all(map(math.isfinite, (value, low, high))):
+        raise ValueError
+    return value, low, high
+
+
+def _of_scenario(scenario: Scenario, path: Path) -> Lost:
+    """Return the zone or gap of a scenario: the sensor's, else the actuator's."""
+    units, sensor, actuator = scenario.units, scenario.sensor, scenario.actuator
+    observer = scenario.observer
+    at_sensor = [_numbers(sensor.right), _numbers(sensor.left)]
+    if any(at_sensor[0] + at_sensor[1]):
+        if sensor.kind == "jump":
+            raise InputError(f"{path}: a jump sensor's readings are not shifted: nothing to add")
+        sides = [_single(side, path) for side in at_sensor]
+        ranges = [getattr(observer, name, None) for name in ("right", "left")]
+        right, left = (_with_range(*pair) for pair in zip(sides, ranges, strict=True))
+        kind, unit = "backlash" if sensor.kind == "play" else "sensor", units.output
+    elif actuator is not None and any(_numbers(actuator.right) + _numbers(actuator.left)):
+        sides = [_single(_numbers(side), path) for side in (actuator.right, actuator.left)]
+        right, left = (_with_range(side, None) for side in sides)
+        kind, unit = "actuator", units.input
+    else:
+        raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
+    both = [a + b for a, b in zip(right, left, strict=True)]
+    width = (both[0], both[1], both[2])
+    silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
+    return Lost(kind, right, left, width, unit, path.name, silent)
+
+
+def _numbers(value: Any) -> list[float]:
+    """Return one width or several as a list; what does not exist is no width."""
+    return [] if value is None else np.ravel(np.asarray(value, float)).tolist()
+
+
+def _single(values: list[float], path: Path) -> float:
+    """Return the only width of a side. Raises InputError where there are several, or none ends."""
+    if len({*values}) > 1 or not math.isfinite(values[0]):
+        raise InputError(f"{path}: expected one finite width on each side, found {values}")
+    return values[0]
+
+
+def _with_range(value: float, told: Any) -> tuple[float, float, float]:
+    """Return a width with the range that the observer is told, if it holds the width."""
+    pair = [value, value] if told is None else _numbers(told)
+    is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
+    return (value, pair[0], pair[1]) if is_held else (value, value, value)

@@ -1,0 +1,125 @@
+"""Files as the programs of the trades write them: names, units of time, lines ahead, commas."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undeadzone.errors import FileError
+from undeadzone.logs.names import layout_of_titles, split_unit
+from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
+
+
+def read(path: Path, text: str) -> tuple[LogReader, Samples]:
+    """Return the reader of a log with this text, and its samples."""
+    path.write_text(text)
+    reader = LogReader(str(path), None, None, {})
+    return reader, samples_of_text(reader, path, 10**8, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("header", "y", "u", "r"),
+    [
+        ("time,OP,PV,SP", "PV", "OP", "SP"),
+        ("t,FIC101.PV,FIC101.OP,FIC101.SP", "FIC101.PV", "FIC101.OP", "FIC101.SP"),
+        ("time,output,pv,setpoint", "pv", "output", "setpoint"),
+        ("time,input,output", "output", "input", None),
+        ("t,u,output,speed", "output", "u", None),
+        ("time,voltage,rpm,direction", "rpm", "voltage", None),
+        ("t [s],pwm,speed [rad/s]", "speed", "pwm", None),
+        ("t [s],desired [rad],position [rad]", "position", "desired", None),
+        ("Time[ms],Tick,Present Position,Goal Position", "Present Position", "Goal Position", None),
+        ("t,dec [px],decpulse [ms],ra [px],rapulse [ms]", "dec", "decpulse", None),
+        ("t,displacement [mm],force [N],velocity", "force", "displacement", None),
+        ("millis,heater,temperature", "temperature", "heater", None),
+        ("t,process_value,valve", "process_value", "valve", None),
+    ],
+)
+def test_names_of_the_trade(header: str, y: str, u: str, r: str | None) -> None:
+    titles = [split_unit(cell) for cell in header.split(",")]
+    layout = layout_of_titles(titles, None, None, {}, "log")
+    names = [title.name for title in titles]
+    assert layout.readings == [names.index(y)]
+    assert layout.inputs == [names.index(u)]
+    assert layout.reference == (None if r is None else names.index(r))
+    assert layout.time == 0
+
+
+def test_two_readings_or_none_are_never_guessed() -> None:
+    for header in ("t,u,level,flow", "t,op,pressure,temperature"):
+        titles = [split_unit(cell) for cell in header.split(",")]
+        with pytest.raises(FileError, match="no name says which column holds y"):
+            layout_of_titles(titles, None, None, {}, "log")
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds"),
+    [
+        *[("t_ms", 1e-3), ("time_ms", 1e-3), ("millis", 1e-3), ("ms", 1e-3), ("timeMs", 1e-3)],
+        *[("us", 1e-6), ("micros", 1e-6), ("t_us", 1e-6), ("time [ms]", 1e-3), ("minutes", 60.0)],
+        *[("t_min", 60.0), ("time", 1.0), ("t_s", 1.0), ("timestamp", 1.0), ("time [min]", 60.0)],
+    ],
+)
+def test_units_of_time_in_names(name: str, seconds: float) -> None:
+    titles = [split_unit(cell) for cell in (name, "u", "y")]
+    layout = layout_of_titles(titles, None, None, {}, "log")
+    assert (layout.time, layout.seconds) == (0, seconds)
+
+
+def test_lines_ahead_of_the_header_are_skipped_and_counted(tmp_path: Path) -> None:
+    rows = "".join(f"{35 * k},{k % 7},{k % 5},0,,,\n" for k in range(40))
+    head = "GRAPH,3,,,,,\n-1,32,AB-1(2.0),Goal,#00ff00,0,\nTime[ms],Tick,position,goal,,,\n"
+    reader, samples = read(tmp_path / "a.csv", head + rows)
+    assert reader.ahead == 2
+    assert samples.t[1] == pytest.approx(0.035)
+    noted = "Pump 7, second run\nBegun 12:30\n\nt,u,y\n" + "".join(f"0.{k},1,2\n" for k in range(9))
+    assert read(tmp_path / "b.csv", noted)[0].ahead == 2
+    assert read(tmp_path / "c.csv", "t,u,y\n0,1,2\n1,1,2\n")[0].ahead == 0
+
+
+def test_an_index_without_a_name_is_the_time_if_it_is_one(tmp_path: Path) -> None:
+    rows = [f"2026-01-01 00:00:{k:02d},{k % 3},{k % 4}\n" for k in range(20)]
+    _, samples = read(tmp_path / "a.csv", ",u,y\n" + "".join(rows))
+    assert np.diff(samples.t) == pytest.approx(1.0)
+    _, samples = read(tmp_path / "b.csv", ",u,y\n" + "".join(f"{k},1,2\n" for k in range(20)))
+    assert np.isnan(samples.t).all(), "a count is no time"
+
+
+def test_a_frame_whose_index_has_no_name() -> None:
+    pandas = pytest.importorskip("pandas")
+    from undeadzone.logs.whole import samples_of
+
+    index = pandas.date_range("2026-01-01", periods=20, freq="20ms")
+    frame = pandas.DataFrame({"u": np.arange(20.0), "y": np.arange(20.0)}, index=index)
+    samples, _ = samples_of(frame, None, None, {}, "frame")
+    assert np.diff(samples.t) == pytest.approx(0.02)
+
+
+def test_a_time_that_comes_twice_is_counted() -> None:
+    t = np.insert(np.arange(40) / 10, 7, 0.6)
+    samples = Samples(t, t[:, None], t[:, None], np.arange(41))
+    placed = place_on_steps(samples, True, 0.1, "log")
+    assert (placed.repeated, placed.gaps, placed.samples.t.size) == (1, 0, 40)
+    coarse = samples._replace(t=np.floor(t * 5) / 5)
+    with pytest.raises(FileError, match="time does not increase"):
+        place_on_steps(coarse, True, 0.1, "log")
+
+
+@pytest.mark.parametrize(
+    ("cell", "time", "value"),
+    [("1,301", "0.0{}", 1301.0), ("1,301", "0,0{}", 1.301), ("1.301,5", "0,0{}", 1301.5)],
+)
+def test_one_decimal_mark_for_a_file(cell: str, time: str, value: float, tmp_path: Path) -> None:
+    rows = "".join(f"{time.format(k)}\t{cell}\t995\n" for k in range(10))
+    _, samples = read(tmp_path / "a.csv", "t\tu\ty\n" + rows)
+    assert (samples.u == value).all()
+    assert samples.t[9] == pytest.approx(0.09)
+
+
+def test_a_comma_that_may_be_either_is_refused(tmp_path: Path) -> None:
+    rows = "".join(f"{k}\t1,30{k}\t995\n" for k in range(10))
+    with pytest.raises(FileError, match=r"nothing tells whether 1,300 is 1300 or 1\.300"):
+        read(tmp_path / "a.csv", "t\tu\ty\n" + rows)

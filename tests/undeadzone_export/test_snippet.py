@@ -1,0 +1,167 @@
+"""The few lines that compensate a zone or a gap: alike in C and Python, and right on an axis."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from undeadzone.cli import group
+from undeadzone.errors import InputError
+from undeadzone_export.snippet import Lost, snippet_texts
+
+LENGTH = 20  # lines of a snippet
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "motor_position.toml"
+
+
+def run_export(source: Path, out: Path, *more: str) -> str:
+    """Return what `undeadzone export SOURCE --to snippet` prints. Raises what it is refused by."""
+    words = ["export", str(source), "--to", "snippet", "--out", str(out), *more]
+    done = CliRunner().invoke(group, words, standalone_mode=False)
+    if done.exception is not None:
+        raise done.exception
+    return done.output
+
+
+def around(value: float) -> tuple[float, float, float]:
+    """Return a width with an interval of 2 % around it."""
+    return value, 0.98 * value, 1.02 * value
+
+
+def lost_at_random(kind: str, rng: np.random.Generator) -> Lost:
+    """Return a zone or a gap of any size between 0.001 and 1000."""
+    right, left = (float(width) for width in 10 ** rng.uniform(-3, 3) * rng.uniform(0.2, 1, 2))
+    width = around(right + left)
+    return Lost(kind, around(right), around(left), width, "mm", "axis.csv", 0.01 * right)
+
+
+def play(command: np.ndarray, gap: float) -> np.ndarray:
+    """Return what an axis with a gap does, from its start at the low flank."""
+    at, out = 0.0, []
+    for u in command:
+        at = max(u - gap, min(at, u))
+        out.append(at)
+    return np.array(out)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+@pytest.mark.parametrize("kind", ["sensor", "actuator", "backlash"])
+def test_c_and_python_say_the_same_of_50_zones(kind: str, tmp_path: Path) -> None:
+    """Within 1e-6 of the largest value, and no text is longer than 20 lines."""
+    rng = np.random.default_rng(7)
+    cases = [lost_at_random(kind, rng) for _ in range(50)]
+    texts = [snippet_texts(lost, f"f{k}") for k, lost in enumerate(cases)]
+    assert all(text.count("\n") <= LENGTH for each in texts for text in each.values())
+    shared = "".join(
+        f"{each['snippet.h']}float call{k}(float x) {{ return f{k}(x); }}\n"
+        for k, each in enumerate(texts)
+    )
+    source, library = tmp_path / "all.c", tmp_path / "all.so"
+    source.write_text(shared)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off", "-shared", "-fPIC"]
+    subprocess.run(["gcc", *flags, source, "-o", library], check=True)
+    loaded = ctypes.CDLL(str(library))
+    for k, (lost, each) in enumerate(zip(cases, texts, strict=True)):
+        call = getattr(loaded, f"call{k}")
+        call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
+        scope: dict = {}
+        exec(each["snippet.py"], scope)
+        python = scope[f"F{k}"]()
+        given = (3 * lost.width[0] * rng.standard_normal(300)).astype(np.float32)
+        given[::7] = 0.0
+        in_c = np.array([call(float(x)) for x in given])
+        in_python = np.array([python(float(x)) for x in given])
+        assert np.abs(in_c - in_python).max() <= 1e-6 * np.abs(in_python).max()
+
+
+def test_an_axis_with_a_gap_goes_where_it_should() -> None:
+    """With a gap known within 2 % the command's error is below 5 % of the gap, and not without."""
+    rng = np.random.default_rng(3)
+    t = np.arange(4000) * 0.005
+    for _ in range(20):
+        gap = float(10 ** rng.uniform(-2, 0))
+        told = around(gap * rng.uniform(0.98, 1.02))
+        scope: dict = {}
+        exec(
+            snippet_texts(Lost("backlash", told, told, told, "mm", "a"), "go")["snippet.py"], scope
+        )
+        wanted = 10 * np.sin(0.7 * t) + 4 * np.sin(1.9 * t)
+        compensate = scope["Go"]()
+        reached = play(np.array([compensate(w) for w in wanted]), gap)
+        assert np.abs(reached - wanted)[1:].max() < 0.05 * gap
+        assert np.abs(play(wanted, gap) - wanted).max() > 0.9 * gap
+
+
+def test_an_actuator_is_never_pushed_beyond_its_zone() -> None:
+    """With the low end what passes the zone is never more than what was wanted, and near to it."""
+    right, left = 1.5, 0.8
+    lost = Lost("actuator", (right, 1.45, 1.55), (left, 0.77, 0.83), around(2.3), "V", "m.csv")
+    scope: dict = {}
+    exec(snippet_texts(lost, "drive")["snippet.py"], scope)
+    drive = scope["Drive"]()
+    for wanted in np.linspace(-4, 4, 801):
+        u = drive(float(wanted))
+        passed = u - right if u > right else u + left if u < -left else 0.0
+        assert abs(passed) <= abs(wanted) + 1e-12
+        assert abs(passed - wanted) <= 0.06 or abs(wanted) < 0.06
+
+
+def answer(verdict: str, **changes: object) -> dict:
+    """Return the parts of an identify.json that a snippet needs."""
+    return {
+        "verdict": verdict,
+        "right": [0.8, 0.79, 0.81],
+        "left": [0.5, 0.49, 0.51],
+        "width": [1.3, 1.28, 1.32],
+        "odds": {"a": 0.97, "b": 0.03},
+        "record": {"quantum": 0.0},
+        "units": {"input": "V", "output": "N"},
+        **changes,
+    }
+
+
+def test_the_command_takes_a_scenario_or_an_answer(tmp_path: Path) -> None:
+    """Three texts in one folder, the numbers in the head; again into the same folder works."""
+    path = tmp_path / "identify.json"
+    path.write_text(json.dumps(answer("dead_zone")))
+    for _ in range(2):
+        run_export(path, tmp_path / "few")
+    for name in ("snippet.h", "snippet.py", "snippet.st"):
+        text = (tmp_path / "few" / name).read_text()
+        assert "0.8 / -0.5 N (0.79..0.81, 0.49..0.51), from identify.json" in text
+    report = json.loads(run_export(EXAMPLE, tmp_path / "gap", "--json"))
+    assert report["kind"] == "backlash"
+    assert report["width"][0] == pytest.approx(0.24)
+    text = (tmp_path / "gap" / "snippet.h").read_text()
+    assert "BACKLASH = 0.24" in text
+    assert "Marlin" not in text, "a setting in mm"
+    texts = snippet_texts(Lost("backlash", *[around(0.18)] * 3, "mm", "axis.csv"), "go")
+    assert all("M425 X0.18 F1" in text for text in texts.values())
+
+
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        (answer("friction"), "the verdict is friction"),
+        (answer("undecided"), "record longer"),
+        (answer("play", odds={"play": 0.6, "friction": 0.4}), "likely to 60 %"),
+        (answer("dead_zone", width=None), "no widths"),
+        ({"outputs": {}, "verdict": "dead_zone"}, "several outputs"),
+        ({"none": 1}, "expected the identify.json"),
+    ],
+)
+def test_nothing_is_written_of_what_is_not_certain(found: dict, says: str, tmp_path: Path) -> None:
+    """A typed error, which the command ends with as exit code 2, says what to do."""
+    path = tmp_path / "identify.json"
+    path.write_text(json.dumps(found))
+    with pytest.raises(InputError, match=says):
+        run_export(path, tmp_path / "few")
+    assert not (tmp_path / "few").exists()
