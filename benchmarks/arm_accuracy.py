@@ -13,8 +13,8 @@ import numpy.typing as npt
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.linear import MARGIN
-from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.metrics import EDGES, true_width, widths_in_turn
+from undeadzone.ensemble.batch import Batch, prepare_batch
+from undeadzone.ensemble.metrics import EDGES, interleave_widths, true_width
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.statistics.intervals import Interval, proportion, quantile_interval
@@ -65,10 +65,10 @@ def fleet(name: str, blind: bool = False) -> Batch | None:
     ensemble = msgspec.structs.replace(scenario.ensemble or uz.Vary(), runs=RUNS)
     scenario = msgspec.structs.replace(scenario, ensemble=ensemble)
     if not blind:
-        return prepare(scenario)
+        return prepare_batch(scenario)
     if scenario.compare is None:
         return None
-    return prepare(msgspec.structs.replace(scenario, observer=scenario.compare))
+    return prepare_batch(msgspec.structs.replace(scenario, observer=scenario.compare))
 
 
 def measured(name: str) -> Accuracy:
@@ -94,7 +94,7 @@ def measured(name: str) -> Accuracy:
 def _widths(fleet: Batch, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
     """Estimated and true widths (runs x joints x [right, left])."""
     sensor, runs = fleet.problem.sensor, fleet.layout.runs
-    varied = {name: columns[name] for name in fleet.binding.names}
+    varied = {name: columns[name] for name in fleet.binding.names_of_columns}
     shape = (runs, fleet.problem.plant.p, 2)
     estimate, truth = np.empty(shape), np.empty(shape)
     for i in range(fleet.problem.plant.p):
@@ -102,7 +102,7 @@ def _widths(fleet: Batch, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
             name = f"{edge}[{i}]"
             estimate[:, i, k] = columns[f"d_{name}"]
             truth[:, i, k] = true_width(
-                name, widths_in_turn(sensor), varied, sensor.kind == "gears"
+                name, interleave_widths(sensor), varied, sensor.kind == "gears"
             )
     return estimate, truth
 
@@ -110,7 +110,7 @@ def _widths(fleet: Batch, columns: dict[str, Floats]) -> tuple[Floats, Floats]:
 def _columns(fleet: Batch) -> dict[str, Floats]:
     """All runs simulated: a column for each entry and metric."""
     runs = fleet.layout.runs
-    table = fleet.rows(np.arange(runs), fleet.binding.draw(0, runs, runs))
+    table = fleet.rows_of_runs(np.arange(runs), fleet.binding.draw_columns(0, runs, runs))
     return dict(zip(fleet.layout.columns, table.T, strict=True))
 
 

@@ -21,7 +21,7 @@ from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, TwoLink
-from undeadzone.plants.robots.arm import torque
+from undeadzone.plants.robots.arm import inverse_dynamics
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.reader import read
 from undeadzone.signals import noise as noises
@@ -107,15 +107,15 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
     """The graph; the torque is computed from the true state and parameters."""
     observer, N = options.build(arm, where), arm.p
     first = observer.init(observer.params)
-    column, state = tree.symbols(first, "s")
-    numbers, params = tree.symbols(observer.params, "o")
+    column, state = tree.create_symbols(first, "s")
+    numbers, params = tree.create_symbols(observer.params, "o")
     x, path = ca.SX.sym("x", 2 * N), ca.SX.sym("path", 3 * N)
     noise, w = ca.SX.sym("e", N), ca.SX.sym("w", N)
     widths, truth = ca.SX.sym("d", 2 * N), ca.SX.sym("p", len(arm.params))
     assert arm.arm is not None
     q, v, a = ca.vertsplit(path, N)
     held = a + 100 * (q - x[:N]) + 20 * (v - x[N:])
-    u = torque(arm.arm, truth, x[:N], x[N:], held)
+    u = inverse_dynamics(arm.arm, truth, x[:N], x[N:], held)
     read = sensor.jump if where.kind == "jump" else sensor.deadzone
     y = read(arm.output(truth, x), widths[:N], widths[N:]) + noise * where.noise
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
@@ -125,13 +125,13 @@ def watch(options: Extended, arm: System, where: Zone) -> Watch:
         ca.vertcat(widths, truth, numbers),
     ]
     outputs = [
-        ca.vertcat(arm.move(truth, x, u + w), tree.stack(after)),
+        ca.vertcat(arm.move(truth, x, u + w), tree.stack_leaves(after)),
         ca.vertcat(x, *estimate, state.filter.mean),
     ]
     names = (["s", "w", "p"], ["next", "out"])
     step = ca.Function("watch", inputs, outputs, *names, {"cse": True})
     sizes = (2 * N, *(part.shape[0] for part in estimate))
-    return Watch(step, tree.pack(first), tree.pack(observer.params), sizes)
+    return Watch(step, tree.pack_tree(first), tree.pack_tree(observer.params), sizes)
 
 
 def sines(seconds: float, amplitude: float, pulses: Any, step: float) -> Floats:

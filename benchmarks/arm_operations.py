@@ -17,7 +17,7 @@ from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Extended
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, Plant
-from undeadzone.plants.robots.arm import acceleration
+from undeadzone.plants.robots.arm import forward_dynamics
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.util import tree
 from undeadzone_arena import GravityPD
@@ -59,7 +59,7 @@ def dynamics(arm: System) -> int:
     """Numbers of the file known, payload and friction 0."""
     assert arm.arm is not None
     q, v, u = (ca.SX.sym(name, arm.p) for name in "qvu")
-    return _operations([q, v, u], [acceleration(arm.arm, arm.params, q, v, u)])
+    return _operations([q, v, u], [forward_dynamics(arm.arm, arm.params, q, v, u)])
 
 
 def _operations(inputs: list[Any], outputs: list[Any]) -> int:
@@ -71,17 +71,17 @@ def watching(arm: System, options: Extended) -> int:
     """Of one step of a filter."""
     where = resolve(Sensor(right=0.15, left=0.15, noise=1e-3), arm.p, STEP)
     observer = options.build(arm, where)
-    numbers, params = tree.symbols(observer.params, "p")
-    column, state = tree.symbols(observer.init(observer.params), "s")
+    numbers, params = tree.create_symbols(observer.params, "p")
+    column, state = tree.create_symbols(observer.init(observer.params), "s")
     u, y = ca.SX.sym("u", arm.m), ca.SX.sym("y", arm.p)
     after, estimate = observer.step(params, state, u, Reading(y, sensor.side(y, where.threshold)))
-    return _operations([column, u, y, numbers], [tree.stack(after), ca.vertcat(*estimate)])
+    return _operations([column, u, y, numbers], [tree.stack_leaves(after), ca.vertcat(*estimate)])
 
 
 def driving(arm: System, options: Any) -> int:
     """The law alone, what is planned before the run being given."""
     controller = options.build(arm)
-    numbers, params = tree.symbols(controller.params, "p")
+    numbers, params = tree.create_symbols(controller.params, "p")
     x, x_ref = ca.SX.sym("x", arm.n), ca.SX.sym("x_ref", arm.n)
     u_ff, r = ca.SX.sym("u_ff", arm.m), ca.SX.sym("r", arm.p)
     plan = ca.SX.sym("plan", controller.plan_size)

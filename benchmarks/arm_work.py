@@ -13,7 +13,7 @@ from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.batch import constant_params
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.robots import urdf
-from undeadzone.plants.robots.arm import acceleration, arm, torque
+from undeadzone.plants.robots.arm import build_arm, forward_dynamics, inverse_dynamics
 from undeadzone.util.arrays import Floats
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
@@ -100,13 +100,13 @@ def virtual_machine(work: Work) -> Callable[[], Floats]:
 
 def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
     """next, out = step(s, w, p), with p and which of it are the torques."""
-    body = arm(urdf.chain(work.path))
+    body = build_arm(urdf.load_urdf_chain(work.path))
     N, first = body.size, len(body.names)
     s, w, p = ca.SX.sym("s", 2 * N), ca.SX.sym("w", 3 * N), ca.SX.sym("p", first + N)
     params, u = p[:first], p[first:]
 
     def rate(x: Any, u: Any) -> Any:
-        return ca.vertcat(x[N:], acceleration(body, params, x[:N], x[N:], u))
+        return ca.vertcat(x[N:], forward_dynamics(body, params, x[:N], x[N:], u))
 
     if work.move == "euler":
         v = s[N:] + work.step * rate(s, u)[N:]
@@ -117,7 +117,7 @@ def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
             q, v, a = ca.vertsplit(w, N)
             k_p, k_d = work.gains
             wanted = a + k_p * (q - s[:N]) + k_d * (v - s[N:])
-            held = torque(body, params, s[:N], s[N:], wanted)
+            held = inverse_dynamics(body, params, s[:N], s[N:], wanted)
         following = rk4(lambda x, _: rate(x, held), s, work.step)
     names = (["s", "w", "p"], ["next", "out"])
     step = ca.Function("arm", [s, w, p], [following, ca.SX(0, 1)], *names, {"cse": True})

@@ -134,12 +134,12 @@ def whole(fleet: Batch, runs: int = 512) -> list[str]:
     """The ensemble's loop with all that belongs to it, beside bare dynamics."""
     short = fleet._replace(exogenous=fleet.exogenous[:STEPS])
     numbers = np.arange(runs)
-    drawn = fleet.binding.lanes(fleet.binding.draw(0, runs, fleet.layout.runs))
+    drawn = fleet.binding.to_lanes(fleet.binding.draw_columns(0, runs, fleet.layout.runs))
     method = arm_accuracy.method(fleet.problem.scenario)
     label = f"**undeadzone, lanes, {runs} arms: RK4, dead zones, noise, `{method}`, controller**"
     lines = []
     for threads in THREADS:
-        measure = functools.partial(short.measure, numbers, drawn, threads)
+        measure = functools.partial(short.measure_lanes, numbers, drawn, threads)
         entries = [Entry(label, measure, runs * STEPS), *_bare(threads)]
         lines += rows(f"whole closed loop, {_threads(threads)}", entries, 10, alike=False)
     return lines

@@ -31,7 +31,7 @@ from undeadzone.nonlinearities.sensor import Sensor, resolve, side
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import pace, sample_plant
+from undeadzone.plants.system import plant_pace, sample_plant
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
@@ -133,8 +133,8 @@ def along(
         kept: what is kept
     """
     built = built_of(options, posed)
-    numbers = np.stack([tree.pack(one.params) for one in built])
-    states = np.stack([tree.pack(one.init(one.params)) for one in built])
+    numbers = np.stack([tree.pack_tree(one.params) for one in built])
+    states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
     kernel = lanes.build_kernel(
         step_of(built[0], kept), exogenous=range(2), params=range(numbers.shape[1])
     )
@@ -163,7 +163,7 @@ def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Obs
         sensor: in a user's words
         step: time between readings [s]
     """
-    zone = resolve(sensor, 1, step, pace(model))
+    zone = resolve(sensor, 1, step, plant_pace(model))
     built: Observer = options.build(sample_plant(system(Plant(**model._asdict())), step), zone)
     return built
 
@@ -177,12 +177,12 @@ def _kept(estimate: Estimate) -> list[Any]:
 
 def step_of(observer: Observer, kept: Callable[[Estimate], list[Any]]) -> ca.Function:
     """next, out = step(s, [y, u], p); kept: gives what is in out."""
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(observer.init(observer.params), "s")
+    p, params = tree.create_symbols(observer.params, "p")
+    s, state = tree.create_symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 2)
     after, estimate = observer.step(params, state, w[1], Reading(w[0], side(w[0])))
     names = (["s", "w", "p"], ["next", "out"])
-    out = [tree.stack(after), ca.vertcat(*kept(estimate))]
+    out = [tree.stack_leaves(after), ca.vertcat(*kept(estimate))]
     return ca.Function("observe", [s, w, p], out, *names, {"cse": True})
 
 

@@ -31,7 +31,7 @@ def table(rounds: int = 5) -> str:
 def _rows(name: str, problem: uz.Scenario, rounds: int) -> list[str]:
     """A row for each engine."""
     loop, state, exogenous = prepare(resolve_scenario(problem))
-    params = tree.pack(loop.params)
+    params = tree.pack_tree(loop.params)
     alone = lanes.build_kernel(loop.step, record=[], width=1)
     many = lanes.build_kernel(loop.step, record=[], width=lanes.WIDTH)
     states = np.tile(state, (LANES, 1))

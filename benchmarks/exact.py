@@ -96,8 +96,8 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
             place = "noise_before" if one.ahead else "noise"
             sensor = Sensor(right=RANGE[1], left=RANGE[1], **{place: one.noise})
             built.append(coverage.built_for(options(one), one.model, sensor, STEP))
-        numbers = np.stack([tree.pack(one.params) for one in built])
-        states = np.stack([tree.pack(one.init(one.params)) for one in built])
+        numbers = np.stack([tree.pack_tree(one.params) for one in built])
+        states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
         kernel = lanes.build_kernel(
             coverage.step_of(built[0], _kept), exogenous=range(2), params=range(numbers.shape[1])
         )

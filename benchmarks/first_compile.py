@@ -54,7 +54,7 @@ def _rows(name: str) -> list[str]:
     """A loop for an ensemble and for one run."""
     problem = resolve_scenario(_scenario(name))
     loop = close_problem(problem)
-    measured = metrics.with_metrics(loop, problem)
+    measured = metrics.add_metrics(loop, problem)
     parts = (loop.step, ()) if loop.parts is None else loop.parts
     many = _spent(measured.step, measured.rare, record=[], fused=True)
     one = _spent(*parts, width=1)

@@ -233,8 +233,10 @@ def bench(scenario: Mapping[str, Any]) -> Bench:
     """The loop of a scenario, compiled."""
     problem = resolve_scenario(convert({"title": "gears", **scenario}))
     loop = close(problem)
-    start = tree.pack(loop.state._replace(plant=problem.x0))
-    return Bench(problem, loop, CompiledStepper(loop.step, start, tree.pack(loop.params)), start)
+    start = tree.pack_tree(loop.state._replace(plant=problem.x0))
+    return Bench(
+        problem, loop, CompiledStepper(loop.step, start, tree.pack_tree(loop.params)), start
+    )
 
 
 class Outcome(NamedTuple):
@@ -265,7 +267,7 @@ def driven(made: Bench, arm: Arm, seed: int) -> Floats:
     """The outputs of a loop around MuJoCo's arm, to the first that are no numbers."""
     problem, stepper = made.problem, made.stepper
     N, Ts = len(arm.half), problem.scenario.simulation.step
-    where = tree.slices(made.loop.outputs)
+    where = tree.leaf_slices(made.loop.outputs)
     inputs = exogenous(problem, seed=seed)
     rng = np.random.default_rng(seed)
     twin = Twin(arm, problem.x0[N : 2 * N], rng.choice([-1.0, 1.0], N))
@@ -290,7 +292,7 @@ def outcome(made: Bench, arm: Arm, seed: int) -> Outcome:
 
 def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
     """What the outputs of a loop come to."""
-    problem, where = made.problem, tree.slices(made.loop.outputs)
+    problem, where = made.problem, tree.leaf_slices(made.loop.outputs)
     N, Ts = len(arm.half), problem.scenario.simulation.step
     assert problem.path is not None
     last = outputs[-round(LAST / Ts) :]
@@ -308,7 +310,7 @@ def judged(made: Bench, arm: Arm, outputs: Floats) -> Outcome:
     def rms(a: Floats, b: Floats) -> float:
         if N == 1 or body is None or problem.model.gears is None:
             return float(np.sqrt(np.mean((a - b) ** 2)))
-        params = problem.model.gears.links(problem.model.params)
+        params = problem.model.gears.link_params(problem.model.params)
         tips = evaluate_rows(body.tip, params, a) - evaluate_rows(body.tip, params, b)
         return float(np.sqrt(np.mean(np.sum(tips**2, axis=1))))
 

@@ -21,7 +21,7 @@ from undeadzone.numerics.gaussian import normal_cdf, normal_density
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.observers.contact import DRIFT, JERK, unknown_torques
 from undeadzone.observers.contact_filter.drive import FADING, LASTING
-from undeadzone.plants.robots.arm import acceleration
+from undeadzone.plants.robots.arm import forward_dynamics
 from undeadzone.plants.system import System
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -102,14 +102,14 @@ def _extended_step(model: System, scenario: Mapping[str, Any]) -> ca.Function:
         params = ca.SX(model.params)
         params[gears.names.index("half1")] = x[4]
         params[gears.names.index("payload")] = x[5]
-        apart = gears.angle(params, x[:4])
+        apart = gears.gear_angle(params, x[:4])
         pressed = _beyond(apart - x[4], spread) - _beyond(-apart - x[4], spread)
         closed = normal_cdf((apart - x[4]) / spread) + normal_cdf((-apart - x[4]) / spread)
-        f = gears.number(params, "contact")
+        f = gears.gear_number(params, "contact")
         tau = f * (gears.stiffness * f * pressed + gears.damping * closed * (x[2] - x[3]))
-        drive = w[1] + x[6] - gears.friction(params, x[2]) - tau
-        swung = acceleration(gears.arm, gears.links(params), x[1], x[3], tau)
-        spun = drive / gears.number(params, "inertia")
+        drive = w[1] + x[6] - gears.motor_friction_torque(params, x[2]) - tau
+        swung = forward_dynamics(gears.arm, gears.link_params(params), x[1], x[3], tau)
+        spun = drive / gears.gear_number(params, "inertia")
         return ca.vertcat(x[2], x[3], spun, swung, 0, 0, -x[6] / FADING)
 
     moved = x
@@ -183,7 +183,7 @@ def _online(tables: Mapping[str, Any]) -> Filter:
 
 def _rows(made: Bench, filters: Mapping[str, Filter], arms: Sequence[tuple[int, Arm]]) -> Any:
     """What each filter makes of the same loops, that of the loop first: errors and scores."""
-    where, last = tree.slices(made.loop.outputs), round(LAST / 1e-3)
+    where, last = tree.leaf_slices(made.loop.outputs), round(LAST / 1e-3)
     found: dict[str, list[tuple[float, float, float, bool]]] = {}
     for seed, arm in arms:
         outputs = driven(made, arm, seed)

@@ -21,7 +21,7 @@ from benchmarks.loop_logs import DISTURBANCES, KINDS, LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.names import commit
 from undeadzone.statistics.intervals import proportion
-from undeadzone.util.progress import on_terminal
+from undeadzone.util.progress import terminal_progress
 
 KEPT = Path("build/loops.jsonl")
 WORDS = {"input zone": "input_zone", "play": "play", "both ends": "two_zones"}
@@ -36,7 +36,7 @@ def outcomes(of: str) -> list[Outcome]:
     ends = time.monotonic() + 60 * float(os.environ.get("LOOPS_MINUTES", "inf"))
     seeds = [] if "LOOPS_COMMIT" in os.environ else range(first, first + count)
     wanted = list(itertools.product(seeds, KINDS, DISTURBANCES, (True, False)))
-    with on_terminal("logs", len(wanted), "log") as advance:
+    with terminal_progress("logs", len(wanted), "log") as advance:
         for key in wanted:
             if time.monotonic() < ends and key not in answers(of):
                 told = dict(zip(("seed", "kind", "disturbance", "closed"), key, strict=True))

@@ -24,7 +24,7 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.names_logs import TRUTHS, NamedLog, make
 from undeadzone.statistics.intervals import proportion
-from undeadzone.util.progress import on_terminal
+from undeadzone.util.progress import terminal_progress
 from undeadzone_identify.selection.decision import FEW
 
 KEPT = Path("build/names.jsonl")
@@ -54,7 +54,7 @@ def outcomes(of: str) -> list[Outcome]:
     first, count = int(os.environ.get("NAMES_FIRST", "1000")), int(os.environ.get("NAMES_LOGS", 40))
     ends = time.monotonic() + 60 * float(os.environ.get("NAMES_MINUTES", "inf"))
     wanted = [] if "NAMES_COMMIT" in os.environ else range(first, first + count)
-    with on_terminal("logs", len(wanted) * len(TRUTHS), "log") as advance:
+    with terminal_progress("logs", len(wanted) * len(TRUTHS), "log") as advance:
         for seed in wanted:
             for truth in TRUTHS:
                 if time.monotonic() < ends and (truth, seed) not in answers(of):

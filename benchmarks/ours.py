@@ -101,7 +101,7 @@ def _kernel(
     places = np.arange(len(shared))
     counted = (places >= len(shared) - work.tail) & (places % every == 0)
     exogenous = np.column_stack([shared, counted])
-    params, names = tree.pack(loop.params), tree.names(loop.params)
+    params, names = tree.pack_tree(loop.params), tree.number_addresses(loop.params)
     indices = tuple(names.index(name) for name in WIDTHS)
     constants = constant_params(params, indices)
     if not known:
@@ -141,7 +141,7 @@ def _summed(loop: Loop) -> tuple[ca.Function, tuple[ca.Function, ...]]:
     p = ca.SX.sym("p", step.size1_in(2))
     own = (s[:-1], w[:-1], p)  # what the loop itself takes
     following, out, *flag = step(*own)
-    error = tree.unpack(loop.outputs, out).z - tree.unpack(loop.instant, w).target.r
+    error = tree.unpack_column(loop.outputs, out).z - tree.unpack_column(loop.instant, w).target.r
     total = s[-1] + w[-1] * error**2
     usual = ca.Function("summed", [s, w, p], [ca.vertcat(following, total), out, *flag])
     return usual, tuple(ca.Function("rare", [s, w, p], part(*own)) for part in rare)

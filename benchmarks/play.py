@@ -18,7 +18,7 @@ from undeadzone.controllers import StateFeedback
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Censored, Certified, Kalman, Luenberger
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import pace
+from undeadzone.plants.system import plant_pace
 from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
@@ -202,7 +202,7 @@ def posed(world: World, reading: str, options: Options, mistaken: bool, seed: in
     if not mistaken:
         return problem
     plain = msgspec.structs.replace(sensor, kind="deadzone")
-    zone = resolve(plain, 1, world.step, pace(problem.flow.linear))
+    zone = resolve(plain, 1, world.step, plant_pace(problem.flow.linear))
     return problem._replace(observer=options(world, gaps).build(problem.model, zone))
 
 

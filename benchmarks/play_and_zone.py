@@ -30,7 +30,7 @@ from benchmarks.play import (
 from benchmarks.random_loops import Loops, run_loops
 from undeadzone.nonlinearities.sensor import Sensor, resolve
 from undeadzone.observers import Kalman
-from undeadzone.plants.system import pace
+from undeadzone.plants.system import plant_pace
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model
 
@@ -94,7 +94,7 @@ def posed(world: World, reading: str, entry: Entry, seed: int) -> Problem:
     if not entry.mistaken:
         return problem
     wrong = msgspec.structs.replace(sensor, kind=entry.mistaken, play=None)
-    zone = resolve(wrong, 1, world.step, pace(problem.flow.linear))
+    zone = resolve(wrong, 1, world.step, plant_pace(problem.flow.linear))
     return problem._replace(observer=options.build(problem.model, zone))
 
 

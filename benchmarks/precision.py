@@ -142,7 +142,7 @@ def _at_goal(points: list[tuple[float, float]]) -> str:
 
 def _draw(points: dict[Curve, list[tuple[float, float]]]) -> None:
     """Write the figure."""
-    figure, axes = style.sheet([["precision"]], "Error against cost", width=8.0, height=5.0)
+    figure, axes = style.create_panels([["precision"]], "Error against cost", width=8.0, height=5.0)
     panel = axes["precision"]
     for curve, each in points.items():
         if each:
@@ -151,5 +151,5 @@ def _draw(points: dict[Curve, list[tuple[float, float]]]) -> None:
             panel.loglog(cost, error, curve.line, label=curve.name, **look)
     panel.margins(x=0.05)
     title, x_label = "The paper's loop, final states", "seconds per run and second simulated"
-    style.finish(panel, title, "largest error", x_label, legend=2)
-    style.write(figure, FIGURE)
+    style.finish_panel(panel, title, "largest error", x_label, legend=2)
+    style.write_figure(figure, FIGURE)

@@ -79,14 +79,14 @@ def run_loops(each: Sequence[Problem], late: float) -> Loops:
     prepared = [prepare(problem) for problem in each]
     loop, step = prepared[0][0], each[0].scenario.simulation.step
     states = np.stack([state for _, state, _ in prepared])
-    numbers = np.stack([tree.pack(one.params) for one, _, _ in prepared])
+    numbers = np.stack([tree.pack_tree(one.params) for one, _, _ in prepared])
     own = np.stack([exogenous for _, _, exogenous in prepared], axis=2)
     kernel = lanes.build_kernel(
         loop.step, exogenous=range(own.shape[1]), params=range(numbers.shape[1])
     )
     shared = np.zeros(own.shape[:2])
     out, _ = lanes.run_lanes(kernel, states, shared, numbers[0], own, numbers, threads=1)
-    places = tree.slices(loop.outputs)
+    places = tree.leaf_slices(loop.outputs)
     estimate = places.estimate
     t = np.arange(len(shared)) * step
     r = np.stack([problem.reference.output_at(t)[:, 0] for problem in each])

@@ -163,8 +163,8 @@ def observe(
             right=RANGE[1], left=RANGE[1], noise=known.noise[k], threshold=0.0, range=ends
         )
         built.append(coverage.built_for(options(known, k), model, sensor, STEP))
-    numbers = np.stack([tree.pack(one.params) for one in built])
-    states = np.stack([tree.pack(one.init(one.params)) for one in built])
+    numbers = np.stack([tree.pack_tree(one.params) for one in built])
+    states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
     kernel = lanes.build_kernel(_step(built[0]), exogenous=range(3), params=range(numbers.shape[1]))
     y = np.clip(known.y, -limits, limits)
     own = np.stack([y, known.u, np.broadcast_to(limits, y.shape)], axis=1)
@@ -182,15 +182,17 @@ def observe(
 
 def _step(observer: Observer) -> ca.Function:
     """next, out = step(s, [y, u, limit], p); out: widths, z and their deviations."""
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(observer.init(observer.params), "s")
+    p, params = tree.create_symbols(observer.params, "p")
+    s, state = tree.create_symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 3)
     reading = to_reading(w[0], 0.0, Limits(-w[2], w[2]))
     after, estimate = observer.step(params, state, w[1], reading)
     stds = (estimate.right_std, estimate.left_std, estimate.width_std, estimate.x_std[0])
     record = ca.vertcat(estimate.right, estimate.left, estimate.z, *stds)
     names = (["s", "w", "p"], ["next", "out"])
-    return ca.Function("observe", [s, w, p], [tree.stack(after), record], *names, {"cse": True})
+    return ca.Function(
+        "observe", [s, w, p], [tree.stack_leaves(after), record], *names, {"cse": True}
+    )
 
 
 def coverage_table(count: int, seed: int) -> list[str]:

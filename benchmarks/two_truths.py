@@ -20,7 +20,7 @@ from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import build_exosystem
-from undeadzone.synthesis.assessment import knowledge, plan
+from undeadzone.synthesis.assessment import assess_identifiability, plan_branches
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
 
@@ -154,7 +154,7 @@ def _unlike(
 def claimed(tables: dict[str, Any], apart: float, folder: Path) -> bool:
     """Whether `check` says yes to a width with an interval that leaves out the other truth."""
     problem = resolve_scenario(convert(tables, folder))
-    (known,) = knowledge(problem, plan(problem, None), None)
+    (known,) = assess_identifiability(problem, plan_branches(problem, None), None)
     return any(
         getattr(known, name) and HALF_95 * known.std[name] < share * apart
         for name, share in (("right", 1.0), ("left", 1.0), ("centre", 1.0))

@@ -105,7 +105,7 @@ def draw(
     A, B, C = problem.plant.params
     observer, steps = problem.observer.params, problem.steps
     loop, _, exogenous = prepare(problem)
-    instants = exogenous[:steps].reshape(steps, -1, tree.size(loop.instant))[:, :, : n + 2]
+    instants = exogenous[:steps].reshape(steps, -1, tree.count_numbers(loop.instant))[:, :, : n + 2]
     x0 = np.random.default_rng([seed, 0]).normal(0.0, 0.1, (runs, n))
     widths = np.random.default_rng([seed, 1]).uniform(0.5, 2.0, (runs, 2))
     states = np.hstack([x0, np.zeros((runs, n)), np.full((runs, 2), 0.2)])

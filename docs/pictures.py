@@ -37,7 +37,7 @@ def compared(example: str) -> tuple[Run, Run]:
 
 def gears() -> Figure:
     """The tip of an arm behind gears with gaps."""
-    return run_figures.tip(*compared("two_link_gears"))
+    return run_figures.plot_tip(*compared("two_link_gears"))
 
 
 def hidden() -> Figure:
@@ -49,7 +49,7 @@ def hidden() -> Figure:
 
 def trade() -> Figure:
     """Certified gains of the paper's example."""
-    return gain_figures.front(uz.design(uz.read(EXAMPLES / "paper_5sin.toml")))
+    return gain_figures.plot_front(uz.design(uz.read(EXAMPLES / "paper_5sin.toml")))
 
 
 def leaderboard() -> Figure:
@@ -69,9 +69,9 @@ PICTURES: Final[dict[str, Callable[[], Figure]]] = {
 def draw(name: str) -> None:
     """Write a picture."""
     if name == "two_link":
-        animation.movie(*compared(name), FIGURES / "two_link.gif")
+        animation.write_movie(*compared(name), FIGURES / "two_link.gif")
     else:
-        style.write(PICTURES[name](), FIGURES / f"{name}.png")
+        style.write_figure(PICTURES[name](), FIGURES / f"{name}.png")
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from undeadzone.registry import CATALOGUES
+from undeadzone.registry import REGISTRIES
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Array
 
@@ -85,8 +85,8 @@ def inside(name: str, struct: type[msgspec.Struct]) -> list[str]:
 
 def structs(annotation: typing.Any) -> list[type[msgspec.Struct]]:
     """The structs that an annotation allows."""
-    if annotation in CATALOGUES:
-        return [*CATALOGUES[annotation].every()]
+    if annotation in REGISTRIES:
+        return [*REGISTRIES[annotation].list_options()]
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     found = []

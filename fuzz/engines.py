@@ -46,7 +46,7 @@ def _compared(tables: Table, folder: Path) -> None:
     """Run a scenario three times, and compare every bit of signals and final state."""
     problem = resolve_scenario(convert(tables))
     loop, state, exogenous = prepare(problem)
-    params = tree.pack(loop.params)
+    params = tree.pack_tree(loop.params)
     expected = interpret.run_interpreted(loop.step, state, exogenous, params)
     in_c = interpret.run_interpreted(_in_c(loop.step, folder), state, exogenous, params)
     assert all(map(identical, in_c, expected)), "C differs from the virtual machine"

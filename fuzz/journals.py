@@ -43,8 +43,8 @@ def _whole() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / NAME
         store = journal.start(path, _job().layout)
-        for block in store.missing:
-            store.put(block, _job().block(block))
+        for block in store.missing_blocks:
+            store.write_block(block, _job().block(block))
         store.close()
         return path.read_bytes()
 
@@ -65,10 +65,10 @@ def _resumed(folder: Path) -> None:
     job = _job()
     store = journal.start(folder / NAME, job.layout, resume=True)
     try:
-        for block in store.missing:
-            store.put(block, job.block(block))
-        rows = np.stack(list(store.columns().values()), axis=1)
-        expected = np.vstack([job.block(block) for block in range(job.layout.blocks)])
+        for block in store.missing_blocks:
+            store.write_block(block, job.block(block))
+        rows = np.stack(list(store.map_columns().values()), axis=1)
+        expected = np.vstack([job.block(block) for block in range(job.layout.number_of_blocks)])
         assert np.array_equal(rows, expected, equal_nan=True)
     finally:
         store.close()

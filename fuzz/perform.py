@@ -23,7 +23,7 @@ from fuzz.case import Case, End
 from undeadzone.cli import group
 from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.errors import UndeadzoneError
-from undeadzone.util.text import printable
+from undeadzone.util.text import escape_controls
 
 LONGEST: Final = 120  # [s] of the clock that a process of its own may take
 
@@ -92,7 +92,7 @@ def _called(case: Case, folder: Path) -> End:
             case.call(folder)
         return End(0, "", "")
     except UndeadzoneError as error:
-        return End(2, "", f"undeadzone: {printable(str(error))}\n")
+        return End(2, "", f"undeadzone: {escape_controls(str(error))}\n")
     except Exception:
         return End(70, "", traceback.format_exc())
 

@@ -39,7 +39,7 @@ def _read(build: bool, folder: Path) -> None:
     """A file read, and made a plant."""
     robot = urdf_elements.read_urdf(folder / NAME)
     for link in robot.links:
-        robot.way(link)
+        robot.joints_to_link(link)
     if build:
         system(Plant(arm=URDF(path=str(folder / NAME)), x0=None))
 

@@ -17,7 +17,7 @@ from undeadzone.analysis.dissipation import (
     deepest_solution,
 )
 from undeadzone.errors import InputError
-from undeadzone.util.arrays import Floats, matrix, vector
+from undeadzone.util.arrays import Floats, require_matrix, require_vector
 
 
 class Sector(NamedTuple):
@@ -54,7 +54,11 @@ def sector(
         ShapeError: for an argument of the wrong shape.
     """
     n, k = np.shape(G)
-    H, low, high = matrix("H", H, k, n), vector("low", low, k), vector("high", high, k)
+    H, low, high = (
+        require_matrix("H", H, k, n),
+        require_vector("low", low, k),
+        require_vector("high", high, k),
+    )
     if (low > high).any():
         raise InputError(f"low: must not exceed high, found {low.tolist()} and {high.tolist()}")
     errors = errors._replace(A=tuple(A + G * (low + high) / 2 @ H for A in errors.A))

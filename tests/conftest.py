@@ -26,7 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from undeadzone.ensemble import journal
-from undeadzone.report.style import own_settings
+from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
 from undeadzone_export import compiler
 
@@ -136,7 +136,7 @@ def compiled_once(pytestconfig: pytest.Config, code_of_no_effort: Path) -> Itera
             after = {(path, path.stat().st_mtime_ns) for path in folder.iterdir()}
             made = {path.name: path.read_bytes() for path, _ in after - before}
             if done.returncode == 0:
-                with files.replacing(kept) as new:
+                with files.replace_file(kept) as new:
                     new.write_bytes(pickle.dumps((done, made)))
             return done
         os.utime(kept)
@@ -157,7 +157,7 @@ def formulas_read_once() -> Iterator[None]:
 
     What is set depends on nothing but words, font and resolution, so pictures keep their bytes.
     """
-    own_settings()
+    import_default_matplotlib()
     from matplotlib import textpath
     from matplotlib.backends import backend_agg
 

@@ -48,7 +48,7 @@ class Sines(NamedTuple):
         if index == self.wrong:
             raise ArithmeticError("a block that fails")
         time.sleep(self.seconds)
-        runs = self.layout.within(index)
+        runs = self.layout.runs_in_block(index)
         k = np.arange(runs.start, runs.stop)[:, None]
         rows = np.sin(k * (1.0 + np.arange(len(self.layout.columns))))
         rows[k[:, 0] % 7 == 3, 0] = np.nan
@@ -78,7 +78,7 @@ def main(path: str, runs: str, seconds: str, block: str = "10") -> None:
     It prints the runs done at each block, and at the end the largest resident size [kB].
     """
     make = functools.partial(sines, int(runs), float(seconds), block=int(block))
-    run_blocks.run(make, Path(path), resume=True, progress=say).close()
+    run_blocks.compute_job(make, Path(path), resume=True, progress=say).close()
     say(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 

@@ -62,7 +62,7 @@ def design(
     progress: Callable[[int], None] | None = None,
 ) -> Design:
     """`undeadzone.design`, the same task once; progress is told of the first."""
-    task = toml.dumps(scenario), maximise, margin, seed
+    task = toml.to_toml(scenario), maximise, margin, seed
     if task not in _designs:
         _designs[task] = search(scenario, maximise, margin=margin, seed=seed, progress=progress)
     return _designs[task]

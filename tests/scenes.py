@@ -88,18 +88,18 @@ class OnNumbers:
 
     def __init__(self, observer: Observer, model: System) -> None:
         self._like = observer.init(observer.params)
-        p, params = tree.symbols(observer.params, "p")
-        s, state = tree.symbols(self._like, "s")
+        p, params = tree.create_symbols(observer.params, "p")
+        s, state = tree.create_symbols(self._like, "s")
         u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
         after, estimate = observer.step(params, state, u, Reading(y, side))
-        results = [*(leaf for _, leaf in tree.leaves(after)), *estimate]
+        results = [*(leaf for _, leaf in tree.iterate_leaves(after)), *estimate]
         rows = [ca.vec(ca.densify(ca.SX(result)).T) for result in results]
         self._ends = np.cumsum([row.numel() for row in rows])[:-1]
         self._function = ca.Function("step", [p, s, u, y, side], [ca.vertcat(*rows)])
         # Without a buffer, conversions take longer than the step.
         self._buffer, self._evaluate = self._function.buffer()
         self._given = [np.zeros(self._function.numel_in(k)) for k in range(5)]
-        self._given[0][:] = tree.pack(observer.params)
+        self._given[0][:] = tree.pack_tree(observer.params)
         self._out = np.zeros(self._function.numel_out(0))
         for k, values in enumerate(self._given):
             self._buffer.set_arg(k, values.data)
@@ -107,11 +107,11 @@ class OnNumbers:
 
     def __call__(self, state: Any, u: Any, y: Any, side: Any) -> tuple[Any, Estimate]:
         """(next state or derivative, estimate)."""
-        for place, value in zip(self._given[1:], (tree.pack(state), u, y, side), strict=True):
+        for place, value in zip(self._given[1:], (tree.pack_tree(state), u, y, side), strict=True):
             place[:] = np.ravel(value)
         self._evaluate()
         parts = iter(np.split(self._out.copy(), self._ends))
-        return tree.rebuild(self._like, parts), Estimate(*parts)
+        return tree.rebuild_tree(self._like, parts), Estimate(*parts)
 
 
 def slopes(steps: Any, errors: Any) -> Floats:

@@ -1,4 +1,4 @@
-"""Adaptive observers that see through a sensor's dead zone.
+"""Adaptive observers for plants with a dead zone or backlash in the sensor.
 
 The public names stand in `__init__.pyi`; each is imported when it is first used. Names that other
 packages register are found, too, and options of their methods by the name of the class. `dir` and
@@ -25,12 +25,12 @@ _RENAMED = {"Ear": "DeadzoneMemory", "Heard": "DeadzoneUpdate", "hear": "deadzon
 
 
 def __dir__() -> list[str]:
-    """Return the names that a first hour needs, and the packages of the others."""
+    """Return the names for a first hour, and the packages of the remaining names."""
     return [*_SHOWN.split(), "__version__", "__doc__"]
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name, an old one with a warning, or one that a package registers.
+    """Return a public name, an old name with a warning, or a name that a package registers.
 
     Raises:
         AttributeError: no such name.
@@ -47,6 +47,6 @@ def __getattr__(name: str) -> Any:
         return _own(current)
     if name in __all__ or name.startswith("_"):
         return _own(name)
-    from undeadzone.registry import registered_name
+    from undeadzone.registry import find_registered_name
 
-    return registered_name(name)
+    return find_registered_name(name)

@@ -1,4 +1,4 @@
-"""Methods by name: the tool's own, and those that other installed packages register.
+"""Registry of methods by name: the tool's own, and methods registered by other installed packages.
 
 A package registers an observer by a line in its `pyproject.toml`:
 
@@ -73,7 +73,7 @@ class CompensatorOptions(Protocol):
 
 
 class _Tagged(msgspec.Struct):
-    """A table as far as it names its method.
+    """Table reduced to the key that names its method.
 
     Attributes:
         method: its tag.
@@ -83,7 +83,7 @@ class _Tagged(msgspec.Struct):
 
 
 class Registry(NamedTuple):
-    """The methods of one kind.
+    """Methods of a kind: observers, controllers or compensators.
 
     Attributes:
         group: the entry points by which other packages register theirs.
@@ -93,17 +93,17 @@ class Registry(NamedTuple):
     group: str
     own: Mapping[str, str]
 
-    def tags(self) -> list[str]:
-        """Return every method's name, the tool's own first."""
-        return [*self.own, *_registered_places(self.group)]
+    def list_tags(self) -> list[str]:
+        """Return the names of all methods, the tool's own first."""
+        return [*self.own, *_list_registered_places(self.group)]
 
-    def options(self, tag: str) -> type[Options] | None:
-        """Return the options of a method; None where there is none of this name.
+    def find_options(self, tag: str) -> type[Options] | None:
+        """Return the class of the options of a method; None if the name is unknown.
 
         Raises:
             InputError: the package that registered it cannot be imported, or registers no options.
         """
-        place = self.own.get(tag) or _registered_places(self.group).get(tag)
+        place = self.own.get(tag) or _list_registered_places(self.group).get(tag)
         if place is None:
             return None
         options = _load_object(f"{self.group}: {tag!r}", place)
@@ -115,23 +115,25 @@ class Registry(NamedTuple):
             )
         return options
 
-    def has(self, options: type) -> bool:
+    def has_options(self, options: type) -> bool:
         """Return whether options of this class are of this kind."""
         place = f"{options.__module__}:{options.__name__}"
         if options.__module__.startswith("undeadzone."):  # no package registers those
             return place in self.own.values()
-        return place in _registered_places(self.group).values()
+        return place in _list_registered_places(self.group).values()
 
-    def every(self) -> list[type[Options]]:
-        """Return the options of every method, but of those whose package cannot be imported."""
+    def list_options(self) -> list[type[Options]]:
+        """Return the options classes of all methods, except of packages that cannot be
+        imported.
+        """
         found = []
-        for tag in self.tags():
+        for tag in self.list_tags():
             with suppress(InputError):
-                found.append(self.options(tag))
+                found.append(self.find_options(tag))
         return [options for options in found if options is not None]
 
-    def create(self, tag: str, **options: Any) -> Any:
-        """Return options of one of the tool's own methods.
+    def create_options(self, tag: str, **options: Any) -> Any:
+        """Return options of a method of the tool's own.
 
         Args:
             tag: the method.
@@ -140,7 +142,8 @@ class Registry(NamedTuple):
         return _load_object(tag, self.own[tag])(**options)
 
     def decode_options(self, table: Any) -> Any:
-        """Return options from a table of a scenario, by its key `method`; a struct stays as it is.
+        """Return options from a table of a scenario, by its key `method`; a struct stays
+        unchanged.
 
         Raises:
             ValueError: in msgspec's words, for a table that has no such method or no such keys.
@@ -150,10 +153,10 @@ class Registry(NamedTuple):
             return table
         try:
             tag = msgspec.convert(table, _Tagged).method
-            options = self.options(tag)
+            options = self.find_options(tag)
             if options is None:
                 raise ValueError(f"Invalid value {tag!r} - at `$.method`")
-            return msgspec.convert(table, options, dec_hook=arrays.decode)
+            return msgspec.convert(table, options, dec_hook=arrays.decode_array)
         except msgspec.ValidationError as error:
             raise ValueError(str(error)) from None
 
@@ -193,26 +196,29 @@ COMPENSATORS: Final = Registry(
         "smooth_inverse": "undeadzone.compensators.smooth_inverse:SmoothZoneInverse",
     },
 )
-CATALOGUES: Final[Mapping[Any, Registry]] = {
+REGISTRIES: Final[Mapping[Any, Registry]] = {
     ObserverOptions: OBSERVERS,
     ControllerOptions: CONTROLLERS,
     CompensatorOptions: COMPENSATORS,
 }
 
 
-def decode(kind: type, value: Any) -> Any:
-    """What msgspec asks of a scenario's tables for: options of methods, and arrays.
+def decode_field(kind: type, value: Any) -> Any:
+    """Return options of methods or arrays from tables of a scenario; the decode hook of
+    msgspec.
 
     Raises:
         ValueError: what a value cannot be; msgspec says where.
         InputError: the package that registered a method cannot be imported.
     """
-    catalogue = CATALOGUES.get(kind)
-    return arrays.decode(kind, value) if catalogue is None else catalogue.decode_options(value)
+    catalogue = REGISTRIES.get(kind)
+    return (
+        arrays.decode_array(kind, value) if catalogue is None else catalogue.decode_options(value)
+    )
 
 
 def attach_package(package: str, file: str, *catalogues: Registry) -> tuple[Any, Any, list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names stand in its stub.
+    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names are in its stub.
 
     Args:
         package: its `__name__`.
@@ -222,15 +228,16 @@ def attach_package(package: str, file: str, *catalogues: Registry) -> tuple[Any,
     own, listed, names = lazy_loader.attach_stub(package, file)
 
     def get(name: str) -> Any:
+        """Return a name of the stub, or the options of a class name."""
         if name in names or not name[:1].isupper():
             return own(name)
-        return options_named(name, *catalogues)
+        return find_options_class(name, *catalogues)
 
     return get, listed, names
 
 
-def registered_name(name: str) -> Any:
-    """What a package registers under `undeadzone.names`, or the options of a method.
+def find_registered_name(name: str) -> Any:
+    """Return the object registered under `undeadzone.names`, or the options of a method.
 
     Args:
         name: by which it is registered, or of the options' class.
@@ -239,12 +246,12 @@ def registered_name(name: str) -> Any:
         AttributeError: there is none.
         InputError: the package that registered it cannot be imported.
     """
-    place = _registered_places("undeadzone.names").get(name)
-    return options_named(name) if place is None else _load_object(f"undeadzone.{name}", place)
+    place = _list_registered_places("undeadzone.names").get(name)
+    return find_options_class(name) if place is None else _load_object(f"undeadzone.{name}", place)
 
 
-def options_named(name: str, *catalogues: Registry) -> type[Options]:
-    """Return the options of which the class has a name.
+def find_options_class(name: str, *catalogues: Registry) -> type[Options]:
+    """Return the class of options with a given class name.
 
     Args:
         name: of the class.
@@ -253,31 +260,35 @@ def options_named(name: str, *catalogues: Registry) -> type[Options]:
     Raises:
         AttributeError: there are none.
     """
-    for catalogue in catalogues or CATALOGUES.values():
-        for place in [*catalogue.own.values(), *_registered_places(catalogue.group).values()]:
+    for catalogue in catalogues or REGISTRIES.values():
+        for place in [*catalogue.own.values(), *_list_registered_places(catalogue.group).values()]:
             if place.rpartition(":")[2] == name:
                 return _load_object(f"{catalogue.group}: {name}", place)
     raise AttributeError(f"undeadzone has no {name!r}, and no package registers such options")
 
 
-def _registered_places(group: str) -> dict[str, str]:
-    """Where other packages' options stand, by method; read again once a package is installed."""
+def _list_registered_places(group: str) -> dict[str, str]:
+    """Return the `module:Class` of registered options by method; read anew after an
+    installation.
+    """
     folders = filter(os.path.isdir, map(os.path.abspath, sys.path))
-    return _places_of_group(
+    return _find_entry_points(
         group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders)
     )
 
 
 @functools.lru_cache
-def _places_of_group(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
-    """Where options stand, by method, while the folders searched are as old as they were."""
+def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
+    """Return the `module:Class` of a group by method; cached while the searched folders are
+    unchanged.
+    """
     from importlib.metadata import entry_points
 
     return {point.name: point.value for point in entry_points(group=group)}
 
 
 def _load_object(what: str, place: str) -> Any:
-    """What stands at `module:Class`. Raises InputError."""
+    """Return the object at `module:Class`. Raises InputError."""
     module, _, name = place.partition(":")
     try:
         return getattr(import_module(module), name)

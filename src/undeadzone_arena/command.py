@@ -12,15 +12,15 @@ from click.core import ParameterSource
 from undeadzone.cli.common import (
     PATH,
     add_guards,
+    build_origin,
     force_option,
-    origin,
     print_blocks,
     print_json,
-    say,
-    writable,
+    print_line,
+    require_writable,
 )
-from undeadzone.cli.output import line_of_files, prepare_figures, tell_anew
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.cli.output import files_line, prepare_figures, report_fresh_start
+from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
     from undeadzone.scenario.schema import Scenario
@@ -128,7 +128,7 @@ def arena(
     and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
     crash --resume goes on. See docs/arena.md.
     """
-    from undeadzone.util.own_files import require_own
+    from undeadzone.util.own_files import require_own_file
     from undeadzone_arena.contest.scenario_sets import SETS, scenarios_from_files
     from undeadzone_arena.contest.scenario_sets import arena_scenarios as built_in
 
@@ -141,15 +141,15 @@ def arena(
     folder = out or FOLDER
     writes = tuning or html or out is not None
     if tuning:
-        require_own(writable(folder) / "tuned.toml", force)
+        require_own_file(require_writable(folder) / "tuned.toml", force)
         if resume:
-            tell_anew(folder / "tuned.toml.partial")
+            report_fresh_start(folder / "tuned.toml.partial")
         return _run_tuning(
             names, own or built_in(tuned_on), budget, processes, folder, as_json, resume
         )
     keep = folder / "results.json.partial" if _can_store_results(folder, writes) else None
     if resume and keep is not None:
-        tell_anew(keep)
+        report_fresh_start(keep)
     grounds = own or built_in(held_out)
     try:
         contest = _announce_and_run(
@@ -190,11 +190,11 @@ def _can_store_results(folder: Path, writes: bool) -> bool:
     from undeadzone.errors import FileError
 
     try:
-        writable(folder)
+        require_writable(folder)
     except FileError as error:
         if writes:
             raise
-        say(f"arena: nothing is kept meanwhile: {error}", err=True)
+        print_line(f"arena: nothing is kept meanwhile: {error}", err=True)
         return False
     return True
 
@@ -235,7 +235,7 @@ def _announce_and_run(
         else [require_method(name) for name in names]
     )
     every = list(dict.fromkeys([*FRAME, *chosen]))
-    say(f"arena: {effort_text(every, grounds, len(seeds), 'seed', processes)}", err=True)
+    print_line(f"arena: {effort_text(every, grounds, len(seeds), 'seed', processes)}", err=True)
     runs = len(grounds) * len(seeds) * len(every)
     with progress("arena", runs, "runs") as advance:
         return run_contest(
@@ -268,7 +268,9 @@ def _run_tuning(
         else [require_method(name) for name in names]
     )
     adjustable = [name for name in chosen if method_registry()[name].knobs]
-    say(f"arena: {effort_text(adjustable, grounds, budget, 'candidate', processes)}", err=True)
+    print_line(
+        f"arena: {effort_text(adjustable, grounds, budget, 'candidate', processes)}", err=True
+    )
     with progress("tuning", len(chosen), "methods") as advance:
         tuned = tune_methods(
             chosen,
@@ -302,12 +304,12 @@ def _write_results(contest: Contest, folder: Path, own: bool) -> list[Path]:
     from undeadzone_arena.contest.traces import trace_runs
 
     written = contest.save(folder / "results.json")
-    written += write_arena(contest, trace_runs(contest), folder, origin(None))
+    written += write_arena(contest, trace_runs(contest), folder, build_origin(None))
     if own and contest.contestants:
         best = contest.contestants[0].method
         for title in contest.scenarios:
             try:
-                text = toml.dumps(contest.scenario(best, title))
+                text = toml.to_toml(contest.scenario(best, title))
             except InputError:
                 continue
             written.append(write_text(text, folder / f"{title}-{best}.toml"))
@@ -316,7 +318,7 @@ def _write_results(contest: Contest, folder: Path, own: bool) -> list[Path]:
 
 def _print_leaderboard(contest: Contest, written: list[Path]) -> None:
     """Print the leaderboard."""
-    print_blocks(contest.blocks(), line_of_files(written))
+    print_blocks(contest.blocks(), files_line(written))
 
 
 def _print_tuned(tuned: Tuned, path: Path) -> None:
@@ -326,4 +328,4 @@ def _print_tuned(tuned: Tuned, path: Path) -> None:
         regret = f"{found.before:.3f} -> {found.regret:.3f}"
         knobs = [f"{address} {value:.3g}" for address, value in found.knobs.items()]
         rows.append((name, regret, str(found.candidates), ", ".join(knobs)))
-    print_blocks([rows], line_of_files([path]))
+    print_blocks([rows], files_line([path]))

@@ -9,7 +9,7 @@ from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import fast_gain
 from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System, fastest_pole, moving_poles
-from undeadzone.util.arrays import Array, Floats, scalar
+from undeadzone.util.arrays import Array, Floats, require_number
 
 
 def injection_gain(
@@ -72,4 +72,4 @@ def rate_or_default(model: System, key: str, rate: float | None, default: float)
     """
     if rate is None:
         return default * fastest_pole(model)
-    return scalar(key, rate, above=0.0)
+    return require_number(key, rate, above=0.0)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone_export.code import Code
 from undeadzone_export.compiler import compile_library, stack_bytes, write_sources
 from undeadzone_export.exported_step import Field, field_slices, total_size
@@ -172,7 +172,7 @@ def _compare_precisions(
                 f"float is not enough: a correlation matrix has an eigenvalue of {eigenvalue:.2g} "
                 f"in {real}, below {bar:g}; use --precision double"
             )
-    in_double, in_float = finite(least.tolist())
+    in_double, in_float = to_json_value(least.tolist())
     return plain._replace(
         steps=len(rows),
         float_against_double=table,

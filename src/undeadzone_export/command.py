@@ -12,15 +12,15 @@ import click
 from undeadzone.cli.common import (
     PATH,
     add_guards,
-    cmd,
-    flag,
+    flag_option,
     force_option,
-    option,
     print_blocks,
     print_json,
-    say,
+    print_line,
+    shell_command,
+    value_option,
 )
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.text import count_noun
 
 if TYPE_CHECKING:
@@ -29,33 +29,33 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@option(
+@value_option(
     "--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st, page or snippet.", default="c"
 )
-@option(
+@value_option(
     "--out",
     "DIR",
     "Folder for the files (default: firmware; with --check alone, none); of a page, the file "
     "(default: live.html).",
     type=PATH,
 )
-@option(
+@value_option(
     "--precision", "P", "single (default of c, arduino and st) or double (default of the others)."
 )
-@option("--part", "PART", "observer (default) or observer+controller.", default="observer")
-@option(
+@value_option("--part", "PART", "observer (default) or observer+controller.", default="observer")
+@value_option(
     "--tunable",
     "NAME",
     "A number that stays a parameter, such as observer.gamma; may be repeated.",
     multiple=True,
 )
-@option("--name", "NAME", "What every symbol begins with.")
-@flag(
+@value_option("--name", "NAME", "What every symbol begins with.")
+@flag_option(
     "--check",
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
 )
 @force_option
-@flag("--json", "Print the report as one JSON object.", "as_json")
+@flag_option("--json", "Print the report as one JSON object.", "as_json")
 @add_guards
 def export(
     scenario: Path,
@@ -99,7 +99,7 @@ def export(
         folder = Path(scratch) / "firmware" if kept is None else kept
         with progress("exporting", None, of=problem.observer):
             options = (precision, part, tunable, name, check, force)
-            result = run(problem, to, folder, *options, told=partial(say, err=True))
+            result = run(problem, to, folder, *options, told=partial(print_line, err=True))
     files = [] if kept is None else [str(path) for path in result.files]
     if as_json:
         print_json(result.report | {"written": files})
@@ -154,7 +154,7 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["along the run"] = [_sentence_on_run(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
-        build = cmd("make", "-C", Path(files[0]).parent)
+        build = shell_command("make", "-C", Path(files[0]).parent)
         pairs["next"] = f"{build} builds the self-test; README.md has the rest"
     return pairs
 

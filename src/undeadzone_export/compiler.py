@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 from undeadzone.errors import InputError
-from undeadzone.util.files import reason
+from undeadzone.util.files import failure_reason
 
 FLAGS = ("-std=c99", "-ffp-contract=off", "-fno-math-errno")
 NAMES = ("cc", "gcc", "clang")
@@ -76,7 +76,9 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
     try:
         return subprocess.run(line, capture_output=True, text=True, cwd=folder)
     except OSError as error:
-        raise InputError(f"{line[0]}: the C compiler cannot be run: {reason(error)}") from None
+        raise InputError(
+            f"{line[0]}: the C compiler cannot be run: {failure_reason(error)}"
+        ) from None
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:

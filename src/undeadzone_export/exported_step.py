@@ -81,7 +81,7 @@ def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
         units: names of the scenario's units.
         drop: a prefix of the names in the tree to be left out.
     """
-    sizes = {name: int(np.size(leaf)) for name, leaf in tree.leaves(state) if np.size(leaf)}
+    sizes = {name: int(np.size(leaf)) for name, leaf in tree.iterate_leaves(state) if np.size(leaf)}
     shorts = [name.removeprefix(drop).strip(".") for name in sizes]
     known, unknown = state_meanings(units), "memory of the method"
     meanings = [known.get(short.rsplit(".", 1)[-1], unknown) for short in shorts]
@@ -264,8 +264,8 @@ def build_step(
     )
     column, params, defaults = fold_numbers(numbers, tunable)
     traced = _trace_loop if closed else _trace_observer
-    step = traced(problem, observer, tree.unpack(numbers, column))
-    following, out = tree.stack(step.following), tree.stack(step.out)
+    step = traced(problem, observer, tree.unpack_column(numbers, column))
+    following, out = tree.stack_leaves(step.following), tree.stack_leaves(step.out)
     columns = [step.state, ca.vertcat(*step.inputs), params.symbols]
     names = ["s", "w", "p"], ["next", "out"]
     function = ca.Function("step", columns, [following, out], *names, {"cse": True})
@@ -273,7 +273,7 @@ def build_step(
     p, m = problem.model.p, problem.model.m
     return ExportedStep(
         function=function,
-        start=tree.pack(step.memory),
+        start=tree.pack_tree(step.memory),
         state=state_fields(step.memory, problem.scenario.units, "" if closed else "observer"),
         inputs=[_y_field(p, problem.scenario.units), *step.input_fields],
         outputs=step.output_fields,
@@ -313,7 +313,7 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     """
     model = problem.model
     memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
-    column, s = tree.symbols(memory, "s")
+    column, s = tree.create_symbols(memory, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
     reading = to_reading(y, *params.sensor)
@@ -334,10 +334,10 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
         controller.init(controller.params),
         None if compensator is None else compensator.init(compensator.params),
     )
-    column, s = tree.symbols(memory, "s")
+    column, s = tree.create_symbols(memory, "s")
     y = ca.SX.sym("y", model.p)
     like = no_target(problem)
-    t_column, target = tree.symbols(like, "target")
+    t_column, target = tree.create_symbols(like, "target")
     reading = to_reading(y, *params.sensor)
     own = observer, controller, params, compensator
     following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
@@ -392,8 +392,8 @@ class TunableNumbers(NamedTuple):
 
 def fold_numbers(numbers: Any, tunable: tuple[str, ...]) -> tuple[ca.SX, TunableNumbers, Floats]:
     """Return all numbers as a column of constants and symbols, the tunable ones, their values."""
-    places = dict(tree.leaves(tree.slices(numbers)))
-    values = tree.pack(numbers)
+    places = dict(tree.iterate_leaves(tree.leaf_slices(numbers)))
+    values = tree.pack_tree(numbers)
     column = ca.SX(ca.DM(values))
     symbols = [ca.SX(0, 1)]
     fields: list[Field] = []

@@ -21,7 +21,7 @@ from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.text import HALF_95
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
@@ -174,9 +174,9 @@ def _leaner_choices(observer: Any) -> dict[str, Callable[[], Any]]:
     if own not in ("kalman", "certified"):
         sides = ("right", "left")
         claims = {name: getattr(observer, name) for name in sides if hasattr(observer, name)}
-        leaner["kalman"] = partial(OBSERVERS.create, "kalman", **claims)
+        leaner["kalman"] = partial(OBSERVERS.create_options, "kalman", **claims)
     if own != "certified":
-        leaner["certified"] = partial(OBSERVERS.create, "certified")
+        leaner["certified"] = partial(OBSERVERS.create_options, "certified")
     return leaner
 
 
@@ -265,7 +265,7 @@ def _quality_along_run(scenario: Scenario) -> dict[str, float | None]:
     if run.d_std is not None:
         inside = np.abs(np.ravel(run.info.widths) - run.d_hat) <= HALF_95 * run.d_std
         covered = float(inside[run.last].mean())
-    return {"rms": finite(run.rms_estimation), "coverage": covered}
+    return {"rms": to_json_value(run.rms_estimation), "coverage": covered}
 
 
 def _struct_bytes(printed: Code) -> dict[str, int]:

@@ -27,7 +27,7 @@ from undeadzone.compile.print_st import (
     statement_operands,
 )
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import one_line
+from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import (
     Field,
@@ -252,7 +252,7 @@ class _BlockBuilder:
         ]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if_statement("NOT hold", stored)
-        meaning = f"{one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
+        meaning = f"{to_one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
         return PlcUnit("FUNCTION_BLOCK", name, meaning, variables, text)
 
     def _input_variables(self) -> list[PlcVariable]:

@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import undeadzone
 from undeadzone.compile.print_c import wrap_statement
 from undeadzone.compile.print_st import TYPES
-from undeadzone.util.text import one_line
+from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
 from undeadzone_export.plc import PlcUnit, PlcVariable
 from undeadzone_export.source import Labels
@@ -69,7 +69,7 @@ def _declaration_lines(variables: list[PlcVariable], declared: tuple[str, str]) 
 
 def _to_ascii_remark(text: str) -> str:
     """Return a text on one line that cannot end a comment, in ASCII for old editors."""
-    line = one_line(text).encode("ascii", "replace").decode()
+    line = to_one_line(text).encode("ascii", "replace").decode()
     return line.replace("*)", "* )").replace("(*", "( *")
 
 

@@ -81,11 +81,11 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
 def _inputs_along_run(problem: Problem, step: ExportedStep) -> Floats:
     """Run the loop and return the inputs of a step."""
     loop, state, exogenous = prepare(problem)
-    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
+    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
     signals = name_outputs(loop, outputs)
     if step.acting:
         return np.hstack([signals.y, signals.u])
-    places = tree.slices(loop.instant).target
+    places = tree.leaf_slices(loop.instant).target
     return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
 
 

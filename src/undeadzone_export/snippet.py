@@ -16,7 +16,7 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.files import read_text
-from undeadzone.util.text import one_line, printable
+from undeadzone.util.text import escape_controls, to_one_line
 from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_folder
 
 SURE: Final = 0.8  # probability below which a verdict is no ground for a snippet
@@ -195,8 +195,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     words = {
         "name": name,
         "Name": name.capitalize(),
-        "unit": "" if lost.unit == "1" else printable(one_line(lost.unit)),
-        "source": printable(one_line(lost.source)).replace("*", "_"),
+        "unit": "" if lost.unit == "1" else escape_controls(to_one_line(lost.unit)),
+        "source": escape_controls(to_one_line(lost.source)).replace("*", "_"),
         "interval": ", ".join(f"{_literal(low)}..{_literal(high)}" for _, low, high in bounded)
         if any(low < high for _, low, high in bounded)
         else "given, no interval",

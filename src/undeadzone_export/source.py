@@ -11,7 +11,7 @@ from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import ASSUMPTION_CHECKS
-from undeadzone.util.text import one_line
+from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import ExportedStep, Field, member_entries, name_entries
 from undeadzone_export.template import fill_template
@@ -163,7 +163,7 @@ _STRUCTS = {
 
 def _to_comment_line(text: str) -> str:
     """Return a text on one line that cannot end a comment."""
-    line = one_line(text).replace("\\", "/")  # first: it makes new slashes
+    line = to_one_line(text).replace("\\", "/")  # first: it makes new slashes
     return line.replace("*/", "* /").replace("/*", "/ *")
 
 

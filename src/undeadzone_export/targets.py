@@ -10,9 +10,9 @@ from typing import Any, Final, NamedTuple
 
 from undeadzone.errors import FileError
 from undeadzone.scenario.schema import Units
-from undeadzone.util.files import read_text, require_folder, writing
-from undeadzone.util.own_files import CURE, digest, edited_files
-from undeadzone.util.text import one_line, printable
+from undeadzone.util.files import convert_write_errors, read_text, require_folder
+from undeadzone.util.own_files import CURE, content_digest, list_edited_files
+from undeadzone.util.text import escape_controls, to_one_line
 from undeadzone_export import plc, plcopen
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import Field
@@ -52,7 +52,7 @@ def require_replaceable(out: Path, force: bool = False) -> None:
             f"{out}: holds no {MANIFEST} of `{GENERATOR}` as it was written, so it is not "
             f"replaced; {CURE}"
         )
-    changed = edited_files(out, written)
+    changed = list_edited_files(out, written)
     if changed:
         raise FileError(f"{out / changed[0]}: someone edited it; {CURE}")
 
@@ -65,7 +65,7 @@ def _earlier_digests(out: Path) -> dict[str, str]:
         is_whole = text == _manifest_json(content) and content["generator"] == GENERATOR
         written = content["files"]
         own, written[MANIFEST] = written[MANIFEST], ""
-        if not is_whole or own != digest(_manifest_json(content).encode()):
+        if not is_whole or own != content_digest(_manifest_json(content).encode()):
             return {}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
@@ -78,9 +78,11 @@ def _add_digests(files: Files) -> Files:
     The manifest's own digest is computed with that entry empty.
     """
     content = json.loads(files[MANIFEST])
-    content["files"] = {path: digest(_to_bytes(text)) for path, text in sorted(files.items())}
+    content["files"] = {
+        path: content_digest(_to_bytes(text)) for path, text in sorted(files.items())
+    }
     content["files"][MANIFEST] = ""
-    content["files"][MANIFEST] = digest(_manifest_json(content).encode())
+    content["files"][MANIFEST] = content_digest(_manifest_json(content).encode())
     return files | {MANIFEST: _manifest_json(content)}
 
 
@@ -112,13 +114,13 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
     """
     require_replaceable(out, force)
     before = _earlier_digests(out)
-    own = {MANIFEST, *before} - set(edited_files(out, before))
+    own = {MANIFEST, *before} - set(list_edited_files(out, before))
     for path in files:
         if (out / path).parent.resolve() != out.resolve() / Path(path).parent:
             raise FileError(f"{out / path}: a link leads elsewhere; give another folder")
         if not force and path not in own and (out / path).exists():
             raise FileError(f"{out / path}: exists already, and someone else wrote it; {CURE}")
-    with writing(out):
+    with convert_write_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".fresh-") as name:
             fresh = Path(name)
@@ -217,7 +219,7 @@ def _readme_text(report: dict[str, Any], build: str = "") -> str:
 def _template_words(report: dict[str, Any]) -> dict[str, Any]:
     """Return the values of the words in the templates."""
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())
-    shown = {"shown_title": printable(report["title"]), "seconds": f"{report['step']:g}"}
+    shown = {"shown_title": escape_controls(report["title"]), "seconds": f"{report['step']:g}"}
     shown |= {"counts": counts, "upper": report["name"].upper()}
     shown |= {f"{struct}_bytes": size for struct, size in report["sizes"].items()}
     return report | call_words(report["name"], bool(report["tunable"])) | shown
@@ -237,7 +239,7 @@ def _build_system_files(report: dict[str, Any], math: bool) -> dict[str, str]:
 def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
     """Return the texts around the C of an Arduino library, by name."""
     name = report["name"]
-    words = _template_words(report) | {"title": one_line(str(report["title"]))}
+    words = _template_words(report) | {"title": to_one_line(str(report["title"]))}
     build = (
         "Copy this folder into the libraries folder of the Arduino IDE. The example\n"
         f"{name}_test runs the self-test on the board and prints its verdict."
@@ -321,4 +323,4 @@ def _field_lines(fields: list[Field]) -> str:
 
 def _to_docstring_line(text: str) -> str:
     """Return a text on one line that cannot end a docstring."""
-    return one_line(text).replace("\\", "/").replace('"', "'")
+    return to_one_line(text).replace("\\", "/").replace('"', "'")

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.util.arrays import Floats, finite
-from undeadzone.util.text import with_unit
+from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.text import append_unit
 
 if TYPE_CHECKING:
     from undeadzone.results.estimation import Estimation
@@ -52,7 +52,7 @@ def run_firmware_chain(
         InputError: a step is refused.
     """
     from undeadzone.analysis.identifiability.linear import format_yes_no
-    from undeadzone.cli.common import writable
+    from undeadzone.cli.common import require_writable
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
     from undeadzone.synthesis.check import check
@@ -61,7 +61,7 @@ def run_firmware_chain(
     scenario = read(path)
     known = check(scenario).known
     found = estimate(scenario, log, columns=columns, strict=strict)
-    kept = found.save(writable(folder) / "estimate.npz")
+    kept = found.save(require_writable(folder) / "estimate.npz")
     for precision in PRECISIONS:
         firmware = export(scenario, "c", folder / "firmware", precision, check=True)
         if firmware.has_passed:
@@ -83,10 +83,12 @@ def run_firmware_chain(
         "check": [format_yes_no(msgspec.structs.asdict(one)) for one in known],
         "consistent": {None: "not tested", True: "yes", False: "NO"}[found.consistent],
         "firmware": [f"{precision}: {numbers['self_test']}", *firmware.report["refusals"]],
-        "reading off": f"rms y - z {with_unit(f'{hidden:.3g}', unit)} along the log",
-        "firmware off": f"rms z^ - z {with_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
+        "reading off": f"rms y - z {append_unit(f'{hidden:.3g}', unit)} along the log",
+        "firmware off": f"rms z^ - z {append_unit(f'{left:.3g}', unit)}, z^ by the C there{own}",
     }
-    return FirmwareChain(words, finite(numbers), [kept, *firmware.files], firmware.has_passed)
+    return FirmwareChain(
+        words, to_json_value(numbers), [kept, *firmware.files], firmware.has_passed
+    )
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

@@ -9,23 +9,23 @@ import click
 
 from undeadzone.cli.common import (
     PATH,
-    cmd,
+    add_untrusted,
+    build_origin,
     columns_option,
-    flag,
+    flag_option,
     force_option,
     help_all,
-    naming,
-    option,
-    origin,
+    name_file_in_errors,
     rarely,
+    require_writable,
+    shell_command,
     strict_option,
-    untrusted,
-    writable,
+    value_option,
 )
-from undeadzone.cli.output import Output, common, line_of_files, partial_file
+from undeadzone.cli.output import Output, add_output_options, files_line, partial_file
 from undeadzone.errors import InputError
 from undeadzone.util.files import write_text
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
     from undeadzone_identify.results.next_log import NextLog
@@ -42,11 +42,15 @@ PLACES = click.Choice(["auto", "sensor"])
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG [LOG ...]")
 @columns_option
-@option("--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto")
-@option("--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4")
-@option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
-@option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
-@option("--zero", "READING", "What the sensor reads inside its zone.", default=0.0)
+@value_option(
+    "--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto"
+)
+@value_option(
+    "--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4"
+)
+@value_option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@value_option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
+@value_option("--zero", "READING", "What the sensor reads inside its zone.", default=0.0)
 @rarely("--integrators", None, "Poles of the plant at 0: 1 for a motor's position.", default=0)
 @rarely("--offset", "RMS|free", "Of a constant offset of the output.", default="0")
 @rarely("--held-out", None, "Share of the log, at its end, that checks.", default=0.3)
@@ -56,14 +60,16 @@ PLACES = click.Choice(["auto", "sensor"])
 @rarely("--threshold", "|y|", "Up to which y is silent.", type=float)
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
-@option("--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH)
-@option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
-@flag("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@value_option(
+    "--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH
+)
+@value_option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
+@flag_option("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
 @help_all
 @force_option
-@untrusted
-@naming
-@common
+@add_untrusted
+@name_file_in_errors
+@add_output_options
 def identify(
     logs: tuple[Path, ...],
     output: Output,
@@ -87,7 +93,7 @@ def identify(
     else that a scenario could be written for; or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
-    from undeadzone.util.own_files import require_own
+    from undeadzone.util.own_files import require_own_file
     from undeadzone_identify.chain import run_firmware_chain
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.result import WRITTEN
@@ -95,13 +101,13 @@ def identify(
     first = logs[0]
     if chain is not None and (len(logs) > 1 or options["zero"]):
         raise click.UsageError("--chain follows one log, with --zero taken off its readings")
-    folder = output.folder(f"{first.stem}-identify")
-    path = writable(output.out or Path()) / f"{first.stem}.toml"
+    folder = output.choose_folder(f"{first.stem}-identify")
+    path = require_writable(output.out or Path()) / f"{first.stem}.toml"
     if chain is not None:
-        writable(chain)
+        require_writable(chain)
     require_table(str(first))
     for made in filter(None, (path, further)):
-        require_own(made, force)
+        require_own_file(made, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
@@ -124,7 +130,7 @@ def identify(
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
     if folder is not None and answer.verdict in ("dead_zone", "input_zone", "play"):
-        few = cmd("undeadzone", "export", folder / "identify.json", "--to", "snippet")
+        few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes what compensates it"}
     is_done, more = is_found or is_written, {}
     if chain is not None and is_written:
@@ -132,14 +138,14 @@ def identify(
             reached = run_firmware_chain(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
         why, more = why | reached.words, {"chain": reached.numbers}
-        follow = {"next": f"{cmd('make', '-C', chain / 'firmware')} builds the self-test"}
+        follow = {"next": f"{shell_command('make', '-C', chain / 'firmware')} builds the self-test"}
     elif chain is not None:
         is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
-    output.show(
+    output.print_result(
         lambda: answer.numbers() | more,
         answer.blocks,
         written,
-        why | line_of_files(written) | follow,
+        why | files_line(written) | follow,
     )
     return 0 if is_done else 1
 
@@ -151,13 +157,13 @@ def _next_commands(
 
     Where fewer inputs drive than outputs are read nothing follows a reference.
     """
-    words = cmd("undeadzone", "run", scenario)
+    words = shell_command("undeadzone", "run", scenario)
     if not driven:
-        words = f"{cmd('undeadzone', 'watch', scenario)} of what is read from now on"
+        words = f"{shell_command('undeadzone', 'watch', scenario)} of what is read from now on"
     if len(logs) == 1 and not options["zero"] and options["resample"] is None:
         columns = ["--columns", options["columns"]] * bool(options["columns"])
-        words = f"{cmd('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
-    return f"{words}, or {cmd('undeadzone', 'export', scenario)}" if driven else words
+        words = f"{shell_command('undeadzone', 'estimate', scenario, *logs, *columns)}, {words}"
+    return f"{words}, or {shell_command('undeadzone', 'export', scenario)}" if driven else words
 
 
 def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]]:
@@ -175,25 +181,27 @@ def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]
 
 def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:
     """Write the scenario; return its path, or no path and the reason."""
-    from undeadzone.util.own_files import write_own
+    from undeadzone.util.own_files import write_own_file
 
     try:
-        return [write_own(answer.scenario(path.stem), path, force)], None
+        return [write_own_file(answer.scenario(path.stem), path, force)], None
     except InputError as error:
         return [], str(error)
 
 
 def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | None) -> list[Path]:
     """Write a page with figures for each output to a folder; return the paths."""
-    from undeadzone.results.mjcf import write
+    from undeadzone.results.mjcf import write_gears
     from undeadzone_identify.page import write_identified
     from undeadzone_identify.results.result import Identified
     from undeadzone_identify.results.words import servo_joints
 
     if isinstance(answer, Identified):
-        written = write(servo_joints(answer.answer), folder)
-        return written + write_identified(answer, folder, source, origin(None), best)
+        written = write_gears(servo_joints(answer.answer), folder)
+        return written + write_identified(answer, folder, source, build_origin(None), best)
     written = []
     for k, (name, one) in enumerate(zip(answer.names, answer.outputs, strict=True)):
-        written += write_identified(one, folder / f"output-{k}", f"{source}, {name}", origin(None))
+        written += write_identified(
+            one, folder / f"output-{k}", f"{source}, {name}", build_origin(None)
+        )
     return written

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.report import ink
-from undeadzone.report.style import finish, label, plain, sheet
-from undeadzone.util.text import HALF_95
+from undeadzone.report.style import create_panels, escape_formulas, finish_panel
+from undeadzone.util.text import HALF_95, label_with_unit
 from undeadzone_identify.models.kalman_fit import filter_innovations as filtered
 from undeadzone_identify.models.plant import MANY
 from undeadzone_identify.models.zone_fit import mean_reading
@@ -61,10 +61,10 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
 
 def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
     """Plot the input to record next."""
-    figure, panels = sheet([["u"]], "What to record next", height=2.4)
+    figure, panels = create_panels([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
-    finish(panels["u"], further.words, label("u", unit), _time_label(found_log))
+    finish_panel(panels["u"], further.words, label_with_unit("u", unit), _time_label(found_log))
     return figure
 
 
@@ -110,7 +110,9 @@ def _time_label(found_log: Identified) -> str:
 def overview(found_log: Identified) -> Figure:
     """Plot z^, y and the zone over time, the held-out parts shaded, with the sides below."""
     data, part = found_log.answer.fit.objective.data, _time_window(found_log)
-    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    figure, panels = create_panels(
+        [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
+    )
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
     fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
@@ -118,7 +120,7 @@ def overview(found_log: Identified) -> Figure:
     whose = "Side of ẑ" if behind else "Side of the readings"
     side = np.where(data.ok, fit.objective.branch_sides(fit.theta), np.nan)[part]
     _plot_sides(panels["sides"], t, side, "silent")
-    finish(panels["sides"], whose, "", _time_label(found_log), legend=0)
+    finish_panel(panels["sides"], whose, "", _time_label(found_log), legend=0)
     return figure
 
 
@@ -137,7 +139,7 @@ def signals(axes: Axes, found_log: Identified, of: str = "") -> None:
     _plot_readings(axes, found_log, _time_window(found_log))
     _shade_held_out(axes, found_log)
     title = f"Output{of} and reading; shaded: held out"
-    finish(axes, title, label("z, y", _unit_of_output(found_log)), "")
+    finish_panel(axes, title, label_with_unit("z, y", _unit_of_output(found_log)), "")
 
 
 def _plot_output(axes: Axes, found_log: Identified, part: slice) -> None:
@@ -156,9 +158,9 @@ def _plot_readings(axes: Axes, found_log: Identified, part: slice) -> None:
 
 def of_outputs(result: IdentifiedOutputs) -> Figure:
     """Plot the log and the fit of each output in separate panels."""
-    figure, panels = sheet([[name] for name in result.names], "The log and its fits")
+    figure, panels = create_panels([[name] for name in result.names], "The log and its fits")
     for name, one in zip(result.names, result.outputs, strict=True):
-        signals(panels[name], one, f" {plain(name)}")
+        signals(panels[name], one, f" {escape_formulas(name)}")
     return figure
 
 
@@ -195,14 +197,15 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
     """Plot the hidden output with its 95 % band against the reading, for the end of the log."""
     states = found_log.states()
     part = _time_window(found_log, MOST_AT_END)
-    figure, panels = sheet([["z"]], "The hidden output", height=3.2)
+    figure, panels = create_panels([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
     t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
     _plot_zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
     _plot_readings(axes, found_log, part)
-    finish(axes, "Inside the zone the sensor is silent", label("z, y", _unit_of_output(found_log)),
+    unit = _unit_of_output(found_log)
+    finish_panel(axes, "Inside the zone the sensor is silent", label_with_unit("z, y", unit),
            _time_label(found_log))  # fmt: skip
     return figure
 
@@ -212,7 +215,7 @@ def _plot_residual_map(found_log: Identified) -> Figure:
     answer = found_log.answer
     residuals, scale = answer.case.residuals, answer.scale
     fit = answer.chosen.singles
-    figure, panels = sheet([["map", "static"]], "What the zone leaves", height=3.4)
+    figure, panels = create_panels([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
@@ -222,12 +225,14 @@ def _plot_residual_map(found_log: Identified) -> Figure:
     axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
     axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit_of_output(found_log)
-    finish(axes, "Residual by ẑ", label("y - E[y | ẑ]", unit), label("ẑ", unit))
+    finish_panel(
+        axes, "Residual by ẑ", label_with_unit("y - E[y | ẑ]", unit), label_with_unit("ẑ", unit)
+    )
     axes = panels["static"]
     _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
     z, expected = _sensor_characteristic(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish(axes, "Reading by ẑ", label("y", unit), label("ẑ", unit))
+    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), label_with_unit("ẑ", unit))
     return figure
 
 
@@ -251,17 +256,21 @@ def _plot_residual_correlation(found_log: Identified) -> Figure:
         value, use = filtered(kalman[0]), data.ok & (data.side != 0)
     else:
         value, use = one_step_residuals(fit, data.ok)
-    figure, panels = sheet([["auto", "cross"]], "Is the one-step residual white?", height=2.8)
+    figure, panels = create_panels(
+        [["auto", "cross"]], "Is the one-step residual white?", height=2.8
+    )
     band = HALF_95 / math.sqrt(max(int(use.sum()), 1))
     lags = np.arange(1, LAGS + 1)
     _plot_stems(panels["auto"], lags, known_autocorrelation(value, use, LAGS), band)
-    finish(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
+    finish_panel(panels["auto"], "Residual with itself", "correlation", "lag [samples]", legend=0)
     u = data.u[:, 0] - data.u[:, 0].mean()
     centred = (value - value[use].mean()) * use
     power = math.sqrt(float(centred @ centred) * float(u @ u)) + 1e-300
     cross = [float(centred[lag:] @ u[: u.size - lag]) / power for lag in lags]
     _plot_stems(panels["cross"], lags, np.array(cross), HALF_95 / math.sqrt(u.size))
-    finish(panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0)
+    finish_panel(
+        panels["cross"], "Residual with past input", "correlation", "lag [samples]", legend=0
+    )
     return figure
 
 
@@ -276,7 +285,7 @@ def _plot_stems(axes: Axes, lags: object, values: object, band: float) -> None:
 def _plot_profiles(found_log: Identified) -> Figure:
     """Plot the profile likelihoods of both widths."""
     answer = found_log.answer
-    figure, panels = sheet([["right", "left"]], "Profile likelihoods", height=2.8)
+    figure, panels = create_panels([["right", "left"]], "Profile likelihoods", height=2.8)
     for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
         interval = getattr(found_log, name)
         axes = panels[name]
@@ -289,25 +298,27 @@ def _plot_profiles(found_log: Identified) -> Figure:
             axes.axvline(interval.value, color=ink.TRUTH, linewidth=0.8)
             good = np.isfinite(fall)
             axes.plot((values * answer.scale)[good], fall[good], "o-", color=colour, markersize=3)
-        finish(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
-               label(f"$d_{name[0]}$", _unit_of_output(found_log)), legend=0)  # fmt: skip
+        finish_panel(axes, f"d_{name[0]}; shaded: printed interval", "log likelihood less its top",
+               label_with_unit(f"$d_{name[0]}$", _unit_of_output(found_log)), legend=0)  # fmt: skip
     return figure
 
 
 def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     """Plot z^, its noise-free reading and the readings over time, contacts or sides below."""
     grid, part = found_log.answer.case.grid, _time_window(found_log, MOST_AT_END)
-    figure, panels = sheet([["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9)
+    figure, panels = create_panels(
+        [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
+    )
     axes, t = panels["signals"], grid.t[part]
     _plot_output(axes, found_log, part)
     _plot_readings(axes, found_log, part)
     if element.kind != "input_zone":
         expected = (element.readings * found_log.answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
-    finish(axes, "The end of the log", label("z, y", grid.output_unit), "")
+    finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
     _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
     title = SIDES.get(element.kind, "Contact")
-    finish(panels["sides"], title, "", _time_label(found_log), legend=0)
+    finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
 
 
@@ -315,29 +326,37 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     """Plot readings by z^ with the expected path, and the residual (by u for an input zone)."""
     answer = found_log.answer
     grid, scale, unit = answer.case.grid, answer.scale, _unit_of_output(found_log)
-    figure, panels = sheet([["map", "left"]], "What was found", height=3.4)
+    figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
     axes, z, title = panels["map"], element.z * scale, "Reading by z^"
-    x, x_label, of_input = z, label("ẑ", unit), element.kind == "input_zone"
+    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind == "input_zone"
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
         path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
-    finish(axes, title, label("y", unit), x_label)
+    finish_panel(axes, title, label_with_unit("y", unit), x_label)
     axes, title = panels["left"], "What is left"
     if of_input:
-        x, x_label, title = grid.u[:, 0], label("u", grid.input_unit), f"{title}, by the input"
+        x, x_label, title = (
+            grid.u[:, 0],
+            label_with_unit("u", grid.input_unit),
+            f"{title}, by the input",
+        )
     residual = (answer.fit.objective.data.y - element.readings) * scale
     _plot_dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
-    finish(axes, title, label("y - E[y]", unit), x_label)
+    finish_panel(axes, title, label_with_unit("y - E[y]", unit), x_label)
     return figure
 
 
 def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
     """Plot the gap at each crossing by time, y and duration, with the printed interval shaded."""
     unit, width = _unit_of_output(found_log), found_log.width
-    figure, panels = sheet([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
-    places = {"t": _time_label(found_log), "y": label("y", unit), "duration": "duration [s]"}
+    figure, panels = create_panels([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
+    places = {
+        "t": _time_label(found_log),
+        "y": label_with_unit("y", unit),
+        "duration": "duration [s]",
+    }
     middle = float(np.median(columns["gap"]))
     reach = float(np.quantile(np.abs(columns["gap"] - middle), WITHIN))
     for name, x_label in places.items():
@@ -349,7 +368,7 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
             own = columns["side"] == side
             axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)
         axes.set_ylim(middle - 2 * reach, middle + 2 * reach)
-        finish(axes, f"By {name}", label("gap", unit), x_label)
+        finish_panel(axes, f"By {name}", label_with_unit("gap", unit), x_label)
     return figure
 
 

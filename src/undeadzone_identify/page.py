@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from undeadzone.report import html
-from undeadzone.util.text import HALF_95, label, with_interval
+from undeadzone.util.text import HALF_95, format_with_interval, label_with_unit
 from undeadzone_identify.figures import build_figures
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
@@ -92,8 +92,8 @@ def build_identified_page(
     """
     answer = found_log.answer
     good = "yes" if found_log.verdict == "dead_zone" else "no"
-    head = html.paragraph(
-        html.tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
+    head = html.build_paragraph(
+        html.build_tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
     )
     first: list[tuple[str, str]] = []
     rest: list[tuple[str, str]] = []
@@ -102,23 +102,25 @@ def build_identified_page(
             room = name != "note" or len(first) < html.MOST
             (first if room and FIRST.fullmatch(name) else rest).append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
-    shown = html.pictures(images, captions)
-    return html.page(
+    shown = html.encode_pictures(images, captions)
+    return html.build_page(
         f"Identified: {source}",
         head,
-        *map(html.paragraph, answer.reasons),
-        html.section(
-            "The answer", html.table(("what", "value"), first), *html.pick(shown, "overview")
+        *map(html.build_paragraph, answer.reasons),
+        html.build_section(
+            "The answer",
+            html.build_table(("what", "value"), first),
+            *html.pick_pictures(shown, "overview"),
         ),
-        html.section("Hidden output", *html.pick(shown, "hidden")),
-        html.section("What it is", *html.pick(shown, "element")),
+        html.build_section("Hidden output", *html.pick_pictures(shown, "hidden")),
+        html.build_section("What it is", *html.pick_pictures(shown, "element")),
         *_crossings_section(found_log, shown),
-        *([html.section("What to record next", shown["next"])] if "next" in shown else []),
-        html.section(
+        *([html.build_section("What to record next", shown["next"])] if "next" in shown else []),
+        html.build_section(
             "How it was decided",
-            html.table(("what", "value"), rest),
+            html.build_table(("what", "value"), rest),
             *_rivals_table(found_log),
-            *html.pick(shown, "residual_map"),
+            *html.pick_pictures(shown, "residual_map"),
         ),
         *_fit_sections(found_log, shown),
         origin=origin,
@@ -134,8 +136,10 @@ def _crossings_section(found_log: Identified, shown: dict[str, html.Html]) -> li
     heads = ("t [s]", "to the", "speed", "duration [s]", "y", "gap")
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     return [
-        html.section(
-            "The gap at each crossing", *html.pick(shown, "crossings"), html.table(heads, rows)
+        html.build_section(
+            "The gap at each crossing",
+            *html.pick_pictures(shown, "crossings"),
+            html.build_table(heads, rows),
         )
     ]
 
@@ -147,10 +151,14 @@ def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[ht
     if found_log.answer.element is not None:
         return []
     return [
-        html.section(
-            "How sure are the widths?", _stages_table(found_log), *html.pick(shown, "profiles")
+        html.build_section(
+            "How sure are the widths?",
+            _stages_table(found_log),
+            *html.pick_pictures(shown, "profiles"),
         ),
-        html.section("Order and residual", _orders_table(found_log), *html.pick(shown, "residual")),
+        html.build_section(
+            "Order and residual", _orders_table(found_log), *html.pick_pictures(shown, "residual")
+        ),
     ]
 
 
@@ -167,8 +175,8 @@ def _rivals_table(found_log: Identified) -> list[html.Html]:
     )
     rivals = describe_rivals(answer)
     return [
-        html.table(("what may be there", "odds", "behind, nats a reading"), rivals),
-        html.paragraph(words),
+        html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),
+        html.build_paragraph(words),
     ]
 
 
@@ -176,7 +184,7 @@ def _stages_table(found_log: Identified) -> html.Html:
     """Return the table of widths by stage of the fit."""
     answer = found_log.answer
     if answer.case.jump_edges is not None:
-        return html.paragraph(
+        return html.build_paragraph(
             "The edges of a jump sensor come from the least readings of their passages; plant and"
             " likelihoods take them as known."
         )
@@ -191,11 +199,11 @@ def _stages_table(found_log: Identified) -> html.Html:
         cells = []
         for edge, value in (("right", right), ("left", left)):
             std = halves[edge] * answer.scale / HALF_95
-            cells.append(with_interval(value * answer.scale, std))
+            cells.append(format_with_interval(value * answer.scale, std))
         rows.append((names[name], *cells))
     unit = answer.case.grid.output_unit
-    heads = [label(edge, unit) for edge in ("d_r", "d_l")]
-    return html.table(("likelihood of", *heads), rows)
+    heads = [label_with_unit(edge, unit) for edge in ("d_r", "d_l")]
+    return html.build_table(("likelihood of", *heads), rows)
 
 
 def _orders_table(found_log: Identified) -> html.Html:
@@ -214,7 +222,9 @@ def _orders_table(found_log: Identified) -> html.Html:
                 _order_remark(found_log, one),
             )
         )
-    return html.table(("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows)
+    return html.build_table(
+        ("order", "BIC above the least", "held-out error", "d_r", "d_l", ""), rows
+    )
 
 
 def _order_remark(found_log: Identified, one: OrderFit) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
 from undeadzone_identify.logs.prepare import PreparedLog, prepare_log
@@ -149,7 +149,7 @@ def identify(
         one._replace(y=one.y - options.zero)
         for one in _collect_logs(log, (t, u, y, r), columns, strict)
     ]
-    with in_notebook(progress, "identifying", None) as advance:
+    with notebook_progress(progress, "identifying", None) as advance:
         if keep is None:
             return _identify_logs(logs, options, advance)
         return _identify_with_cache(logs, options, advance, keep, resume)
@@ -172,7 +172,7 @@ def _identify_with_cache(
             refused = error
         finally:
             climbs.stop_caching()
-    answers.drop()
+    answers.delete_file()
     raise refused
 
 

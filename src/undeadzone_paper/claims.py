@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import finite
+from undeadzone.util.arrays import to_json_value
 from undeadzone_paper.evidence import CONDITIONS, Evidence
 from undeadzone_paper.trials import ClaimNumbers, measure_claims
 
@@ -94,8 +94,8 @@ class Claim(NamedTuple):
         """Return the claim ready for JSON, with None for missing or infinite values."""
         return {
             **self.text._asdict(),
-            "printed": None if self.worst_printed is None else finite(self.worst_printed),
-            "repaired": None if self.repaired is None else finite(self.repaired),
+            "printed": None if self.worst_printed is None else to_json_value(self.worst_printed),
+            "repaired": None if self.repaired is None else to_json_value(self.repaired),
             "measured": self.numbers_text,
             "verdict": self.verdict,
         }

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import origin, print_json
-from undeadzone.cli.output import Output, common
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.cli.common import build_origin, print_json
+from undeadzone.cli.output import Output, add_output_options
+from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,7 +22,7 @@ COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of 
 
 
 @click.command(epilog="Example: undeadzone paper --out results, then look at results/report.html")
-@common
+@add_output_options
 def paper(output: Output) -> int:
     """Run the paper's example as printed and repaired, and check every claim.
 
@@ -31,12 +31,14 @@ def paper(output: Output) -> int:
     """
     from undeadzone_paper import audit, write
 
-    folder = output.folder("paper-results")
+    folder = output.choose_folder("paper-results")
     written: list[Path] = []
     with progress("auditing the paper", None) as advance:
         result = audit(progress=advance)
         if folder is not None:
-            written = write(result, folder, output.figures, progress=advance, origin=origin(None))
+            written = write(
+                result, folder, output.figures, progress=advance, origin=build_origin(None)
+            )
     summary = result.summary()
     if output.as_json:
         print_json(summary, written)

@@ -11,7 +11,7 @@ from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import matrices, system
+from undeadzone.plants.build import linear_matrices, system
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import outputs_of, prepare
 from undeadzone.util.arrays import Floats
@@ -57,7 +57,7 @@ def compute_facts() -> list[Fact]:
     Poles and gains of (40), gains of (34) with A - L C, the certificate of (12, 15), the answer to
     r as a force.
     """
-    plants = {name: matrices(reading.plant) for name, reading in READINGS.items()}
+    plants = {name: linear_matrices(reading.plant) for name, reading in READINGS.items()}
     rows = []
     for name, linear in plants.items():
         rows += _pole_facts(name, linear)
@@ -173,7 +173,7 @@ def _response_facts(amplitude: float) -> list[Fact]:
     rows = []
     t, outputs = response_to_force(amplitude)
     for name, z in outputs.items():
-        A, B, _ = matrices(READINGS[name].plant)
+        A, B, _ = linear_matrices(READINGS[name].plant)
         a0, a1 = -A[1]  # of the plant's polynomial s^2 + a1 s + a0
         force = amplitude * B[1, 0]
         where = f"{name}, u = {amplitude:g} sin 2 pi t"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from undeadzone.report import ink
-from undeadzone.report.style import finish, plot_magnitude, shade_zone, sheet
+from undeadzone.report.style import create_panels, finish_panel, plot_magnitude, shade_zone
 from undeadzone.results.run import Run
 from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
@@ -78,7 +78,7 @@ def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
         reference: of these runs, in words
     """
     lines = _LINES[number]
-    sketch, panels = sheet(
+    sketch, panels = create_panels(
         [["printed", "repaired"], ["V printed", "V repaired"]],
         f"Figure {number}: {to_mathtext(FIGURES[number])}, {reference}",
     )
@@ -86,19 +86,19 @@ def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
     _plot_lines(axes, lines, runs.begun)
     _plot_from_rest(axes, runs.resting, lines[0].value)
     start = f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}"
-    finish(axes, start, ", ".join(line.name for line in lines))
+    finish_panel(axes, start, ", ".join(line.name for line in lines))
     _plot_lines(panels["repaired"], lines, runs.repaired)
-    finish(panels["repaired"], "Repaired")
+    finish_panel(panels["repaired"], "Repaired")
     axes = panels["V printed"]
     axes.plot(
         runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside the zone"
     )
     _plot_from_rest(axes, runs.resting, _values_of_V)
-    finish(axes, "V of (30), as printed", "V")
+    finish_panel(axes, "V of (30), as printed", "V")
     plot_magnitude(
         panels["V repaired"], runs.repaired.t, _values_of_V(runs.repaired), ink.TRUTH, "V"
     )
-    finish(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
+    finish_panel(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
     return sketch
 
 
@@ -140,7 +140,7 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
         outputs: z at these instants, by reading of the plant
     """
     title = "Why the sensor says nothing: 5 sin 2πt as a force, from rest"
-    sketch, panels = sheet([["all", "all", "inside"]], title, height=3.0)
+    sketch, panels = create_panels([["all", "all", "inside"]], title, height=3.0)
     everything, inside = panels["all"], panels["inside"]
     early = t <= EARLY
     shade_zone(everything, D, D)
@@ -152,6 +152,6 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
             inside.plot(t[early], z[early], color=colour, label=name)
     inside.set_ylim(-D / 2, D / 2)
     leaves = "Only with unity DC gain does the output leave the dead zone"
-    finish(everything, leaves, "output z", legend=5)
-    finish(inside, "The three others, enlarged", legend=0)
+    finish_panel(everything, leaves, "output z", legend=5)
+    finish_panel(inside, "The three others, enlarged", legend=0)
     return sketch

@@ -6,7 +6,7 @@ import numpy as np
 
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.nonlinearities.sensor import deadzone, indicators, zone
-from undeadzone.plants.build import matrices
+from undeadzone.plants.build import linear_matrices
 from undeadzone.results.run import LAST, Run
 from undeadzone.results.scales import LIMIT
 from undeadzone.util.arrays import Floats
@@ -28,7 +28,7 @@ def with_printed_V(run: Run) -> Run:
 
     The scalar C P C' stands for the n x n matrix P beside the scalar y~.
     """
-    A, B, C = matrices(example_as_printed(1.0).plant)
+    A, B, C = linear_matrices(example_as_printed(1.0).plant)
     P = paper_riccati(A - np.array([L_PRINTED]).T @ C, B, ALPHA, np.eye(2)).P
     of_reading = run.innovation[:, 0] ** 2 * float((C @ P @ C.T)[0, 0])
     of_widths = (width_errors(run) ** 2).sum(axis=1) / 2

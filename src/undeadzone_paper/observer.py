@@ -14,7 +14,7 @@ from undeadzone.observers.adaptive.adaptation_laws import to_width_pairs
 from undeadzone.observers.adaptive.gain import innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, scalar
+from undeadzone.util.arrays import Array, Floats, require_number
 
 STAND_INS = {
     "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",
@@ -87,17 +87,17 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
         """Return the observer's numbers. Raises InputError, ShapeError, StructureError."""
         A, B, C = model.linear
         L = innovation_gain(self.L, model)
-        alpha = scalar("observer.alpha", self.alpha, above=0.0)
+        alpha = require_number("observer.alpha", self.alpha, above=0.0)
         P = paper_riccati(A - L @ C, B, alpha, require_weight("observer.Q", self.Q, model.n)).P
         right, left = to_width_pairs("observer.widths0", self.widths0, 1)[0]
         return PrintedParams(
             model=model.params,
             L=L,
-            sigma=np.float64(scalar("observer.sigma", self.sigma)),
+            sigma=np.float64(require_number("observer.sigma", self.sigma)),
             cpl=C @ P @ L,
-            sharpness=np.float64(scalar("observer.sharpness", self.sharpness)),
+            sharpness=np.float64(require_number("observer.sharpness", self.sharpness)),
             feed_input=np.float64(self.feed_input),
-            left_sign=np.float64(scalar("observer.left_sign", self.left_sign)),
+            left_sign=np.float64(require_number("observer.left_sign", self.left_sign)),
             right0=np.array([right]),
             left0=np.array([left]),
         )

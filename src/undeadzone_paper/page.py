@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Final
 from undeadzone.report.html import (
     Html,
     Origin,
+    build_page,
+    build_paragraph,
+    build_section,
+    build_table,
+    build_tag,
+    encode_picture,
     fold_section,
-    page,
-    paragraph,
-    picture,
-    section,
-    table,
-    tag,
 )
-from undeadzone.report.style import write
+from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
 from undeadzone_paper.claims import HOW, verdict_counts_text
 from undeadzone_paper.equations import FIGURES
@@ -53,13 +53,15 @@ def write_audit_figures(
         silence.svg; figure_3.svg ... figure_8.svg for r = 5 sin; figure_3_2sin.svg ... for 2 sin.
     """
     evidence = paper.evidence
-    written = [write(plot_silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")]
+    written = [
+        write_figure(plot_silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")
+    ]
     trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
         for number in FIGURES:
             drawn = plot_paper_figure(number, RunTrio(*trio), f"r = {amplitude:g} sin 2πt")
-            written.append(write(drawn, folder / f"figure_{number}{suffix}.svg"))
+            written.append(write_figure(drawn, folder / f"figure_{number}{suffix}.svg"))
             if progress is not None:
                 progress(1)
     return written
@@ -82,16 +84,18 @@ def write_audit_page(
         "and what then holds of what it claims."
     )
     caption = "Each reading of the plant with the reference acting as a force, from rest."
-    text = page(
+    text = build_page(
         "Output deadzone: the paper's example, as printed and repaired",
-        paragraph(verdict_counts_text(paper.claims)),
-        paragraph(intro, "note"),
+        build_paragraph(verdict_counts_text(paper.claims)),
+        build_paragraph(intro, "note"),
         _outcome_table(paper),
-        section("The paper's claims", *_claims_section(paper)),
-        section("As printed", *_variants_section(paper), picture(silent.read_bytes(), caption)),
-        section("Figures 3-8", *_figures_section(numbered)),
-        section("Numbers against their closed forms", _facts_table(paper)),
-        section("Where each equation went", _equations_table(paper)),
+        build_section("The paper's claims", *_claims_section(paper)),
+        build_section(
+            "As printed", *_variants_section(paper), encode_picture(silent.read_bytes(), caption)
+        ),
+        build_section("Figures 3-8", *_figures_section(numbered)),
+        build_section("Numbers against their closed forms", _facts_table(paper)),
+        build_section("Where each equation went", _equations_table(paper)),
         origin=origin,
     )
     return write_text(text, path)
@@ -126,7 +130,7 @@ def _outcome_table(paper: Paper) -> Html:
     for key, words in _WORDS.items():
         repaired = [summary[column][key] for column in _REPAIRED]
         rows.append((words, printed.get(key), *repaired))
-    return table(("", "as printed, 5 sin, from rest", *_REPAIRED.values()), rows)
+    return build_table(("", "as printed, 5 sin, from rest", *_REPAIRED.values()), rows)
 
 
 def _claims_section(paper: Paper) -> list[Html]:
@@ -134,12 +138,12 @@ def _claims_section(paper: Paper) -> list[Html]:
     rows = []
     for claim in paper.claims:
         text = claim.text
-        verdict = tag("span", claim.verdict, _COLOURS[claim.verdict])
+        verdict = build_tag("span", claim.verdict, _COLOURS[claim.verdict])
         quoted = f"\u201c{text.words}\u201d, {text.where}"
         rows.append((text.claim, quoted, claim.numbers_text, verdict, text.why))
     return [
-        paragraph(HOW),
-        table(("claim", "in the paper", "measured", "verdict", "why"), rows),
+        build_paragraph(HOW),
+        build_table(("claim", "in the paper", "measured", "verdict", "why"), rows),
     ]
 
 
@@ -178,13 +182,14 @@ def _variants_section(paper: Paper) -> list[Html]:
             numbers = (outcome.steady, outcome.peak, outcome.diverged_at)
             leaving.append((*outcome.variant, *numbers))
     return [
-        paragraph(_SILENCE),
-        table(head, counts),
-        paragraph(f"Variants {DEFINITION}. {_BRINK}", "note"),
-        paragraph("The least that makes the printed equations agree in shape:"),
-        table(("equation", "stand-in"), stand_ins),
+        build_paragraph(_SILENCE),
+        build_table(head, counts),
+        build_paragraph(f"Variants {DEFINITION}. {_BRINK}", "note"),
+        build_paragraph("The least that makes the printed equations agree in shape:"),
+        build_table(("equation", "stand-in"), stand_ins),
         fold_section(
-            f"The {len(leaving)} variants that leave the zone from rest", table(_VARIANT, leaving)
+            f"The {len(leaving)} variants that leave the zone from rest",
+            build_table(_VARIANT, leaving),
         ),
     ]
 
@@ -198,14 +203,14 @@ def _figures_section(images: list[Path]) -> list[Html]:
     ]
     shown = []
     for image, caption in zip(images, captions * 2, strict=True):
-        shown.append(picture(image.read_bytes(), caption))
+        shown.append(encode_picture(image.read_bytes(), caption))
     return [*shown[:half], fold_section("The same for the reference 2 sin 2πt", *shown[half:])]
 
 
 def _facts_table(paper: Paper) -> Html:
     """Return a table of numbers as measured and in closed form."""
     head = ("where", "what", "measured", "closed form", "difference")
-    return table(head, [(*fact, fact.relative_error) for fact in paper.facts])
+    return build_table(head, [(*fact, fact.relative_error) for fact in paper.facts])
 
 
 def _equations_table(paper: Paper) -> Html:
@@ -215,4 +220,4 @@ def _equations_table(paper: Paper) -> Html:
         *cells, claims = entry.values()
         rows.append((*cells, ", ".join(claims)))
     head = ("number", "what", "where in the code", "status", "what was changed", "claims")
-    return table(head, rows)
+    return build_table(head, rows)

@@ -189,7 +189,7 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
         plant=np.array([x1, 0.0]),
         observer=loop.state.observer._replace(right=widths, left=widths),
     )
-    return loop._replace(params=params), tree.pack(state)
+    return loop._replace(params=params), tree.pack_tree(state)
 
 
 def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:

@@ -23,7 +23,7 @@ from undeadzone.nonlinearities.sensor import (
     saturation_bound,
     zone,
 )
-from undeadzone.plants.build import matrices, system
+from undeadzone.plants.build import linear_matrices, system
 from undeadzone.registry import OBSERVERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
@@ -70,7 +70,7 @@ def measure_claims(evidence: Evidence) -> Numbers:
     return {
         **_sensor_claims(evidence),
         **_slope_claim(evidence),
-        **_gain_claims(matrices(example_as_printed(1.0).plant)),
+        **_gain_claims(linear_matrices(example_as_printed(1.0).plant)),
         **_observer_claims(evidence),
         **_robustness_claims(evidence),
         **_remedy_claims(evidence),
@@ -378,7 +378,7 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
         gain: of the switched part
         step: of sampling [s]
     """
-    Ad, Bd, _ = zoh(matrices(example_as_printed(1.0).plant), step)
+    Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), step)
     x, inputs = np.array([1.0, 0.0]), []
     for _ in range(round(5.0 / step)):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))
@@ -392,14 +392,14 @@ def observer_operations(scenario: Scenario) -> float:
     model = system(scenario.plant)
     sensor = resolve(scenario.sensor, model.p, scenario.simulation.step)
     observer = require_graph(scenario.observer.build(model, sensor))
-    p_column, p = tree.symbols(observer.params, "p")
-    s_column, s = tree.symbols(observer.init(observer.params), "s")
+    p_column, p = tree.create_symbols(observer.params, "p")
+    s_column, s = tree.create_symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
     following, estimate = observer.step(p, s, u, Reading(y, side))
     function = ca.Function(
         "step",
         [s_column, p_column, u, y, side],
-        [tree.stack(following), tree.stack(estimate)],
+        [tree.stack_leaves(following), tree.stack_leaves(estimate)],
         {"cse": True},
     )
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)

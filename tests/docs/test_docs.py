@@ -35,7 +35,7 @@ def blocks(kind: str) -> list[tuple[str, str]]:
 
 def methods() -> list[str]:
     """The names of all observers and controllers."""
-    return [*OBSERVERS.tags(), *CONTROLLERS.tags()]
+    return [*OBSERVERS.list_tags(), *CONTROLLERS.list_tags()]
 
 
 @pytest.mark.parametrize(("name", "code"), blocks("python"))

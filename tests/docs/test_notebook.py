@@ -152,5 +152,5 @@ def test_a_bar_counts_and_says_how_fast(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_no_bar_before_patience_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "PATIENCE", 1e9)
-    with progress._show_bar(progress._Page(), "running", 10, None) as advance:
+    with progress._show_bar(progress._NotebookBar(), "running", 10, None) as advance:
         advance(10)

@@ -12,7 +12,7 @@ import once
 import undeadzone as uz
 from scenes import scene
 from undeadzone.util import shown
-from undeadzone.util.text import with_interval
+from undeadzone.util.text import format_with_interval
 
 FOLDER = Path(__file__).parents[2] / "docs/tutorials"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
@@ -56,8 +56,8 @@ def test_blocks_are_aligned_and_escaped() -> None:
         {"one": 1.0, "many": ["x", "y"]},
         [("h", "i"), ("1", "<")],
     ]
-    assert shown.text(blocks) == "a & b\n\none   1\nmany  x\n      y\n\nh  i\n1  <"
-    html = shown.html(blocks)
+    assert shown.format_blocks(blocks) == "a & b\n\none   1\nmany  x\n      y\n\nh  i\n1  <"
+    html = shown.blocks_to_html(blocks)
     assert "a &amp; b" in html
     assert "x<br>y" in html
     assert "<td>&lt;</td>" in html
@@ -76,4 +76,4 @@ def test_blocks_are_aligned_and_escaped() -> None:
     ],
 )
 def test_the_deviation_decides_an_intervals_digits(value: float, std: float, words: str) -> None:
-    assert with_interval(value, std) == words
+    assert format_with_interval(value, std) == words

@@ -531,7 +531,7 @@ def test_a_long_set_up_is_shown_before_the_first_step(monkeypatch: pytest.Monkey
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 0.01)
-    with progress.on_terminal("simulating", 10) as advance:
+    with progress.terminal_progress("simulating", 10) as advance:
         assert shown(terminal, "setting up")
         advance(4)
         advance(3)
@@ -544,7 +544,7 @@ def test_a_step_that_came_early_is_shown_all_the_same(monkeypatch: pytest.Monkey
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 0.2)
-    with progress.on_terminal("simulating", 10) as advance:
+    with progress.terminal_progress("simulating", 10) as advance:
         advance(4)
         assert shown(terminal, "4/10")
 
@@ -553,7 +553,7 @@ def test_a_short_command_shows_no_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setattr(progress, "PATIENCE", 60.0)
-    with progress.on_terminal("simulating", 10) as advance:
+    with progress.terminal_progress("simulating", 10) as advance:
         advance(10)
     assert terminal.getvalue() == ""
 

@@ -28,7 +28,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
 from undeadzone.tuning.tune import tune
 from undeadzone.util.answers import Answers
-from undeadzone.util.own_files import write_own
+from undeadzone.util.own_files import write_own_file
 from undeadzone_arena.contest.contest import run_contest
 from undeadzone_identify.pipeline import identify
 from undeadzone_identify.selection.widths import profile_likelihood
@@ -52,7 +52,7 @@ def squares(
 
     kept = Answers(path, PROBLEM, "squares", resume)
     with kept.hold_file():
-        return kept.of(list(range(10)), compute)
+        return kept.compute_missing(list(range(10)), compute)
 
 
 # --- The file
@@ -124,7 +124,7 @@ def test_two_at_once_are_refused(tmp_path: Path) -> None:
             squares(tmp_path / "kept")
         (tmp_path / "kept").unlink()
         with pytest.raises(FileError, match="it was removed"):
-            first.of([1], lambda missing: iter([(0, 1)]))
+            first.compute_missing([1], lambda missing: iter([(0, 1)]))
 
 
 def test_nothing_kept_leaves_no_file(tmp_path: Path) -> None:
@@ -343,7 +343,7 @@ def test_what_is_finished_is_not_replaced_by_resuming_it(
     )  # fmt: skip
     folder.mkdir()
     finished = folder / name
-    write_own("{}\n", finished)
+    write_own_file("{}\n", finished)
     before = finished.read_bytes()
     given = scenario if command == "tune" else log
     refused = undeadzone(command, str(given), "--out", str(folder), "--resume")

@@ -12,13 +12,19 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
-from undeadzone.ensemble.metrics import Tally, rows
+from undeadzone.ensemble.metrics import Tally, metric_rows
 from undeadzone.linalg.hold import discretise_noise, zoh, zoh_slopes
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.observers.filtering.prior import Assumptions, build_prior
 from undeadzone.plants.build import system
-from undeadzone.plants.system import pace, rates_of_motion, sample_plant, state_units, time_scale
+from undeadzone.plants.system import (
+    moving_pole_sizes,
+    plant_pace,
+    sample_plant,
+    state_units,
+    time_scale,
+)
 from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -105,7 +111,7 @@ def test_states_that_are_large_in_their_unit_have_not_diverged() -> None:
     one, none = np.ones((1, 1)), np.zeros((1, 0))
     tally = Tally(one, one, one, one, one, one, one, one, none, none)
     for factor, lost in ((1.0, 0.0), (1e12, 1.0), (np.nan, 1.0)):
-        assert rows(tally, factor * states, scales, 10, 5, 1)[0, -1] == lost
+        assert metric_rows(tally, factor * states, scales, 10, 5, 1)[0, -1] == lost
 
 
 def random_plant(rng: np.random.Generator, n: int) -> Matrices:
@@ -177,7 +183,7 @@ def test_the_pace_of_a_plant_follows_its_unit_of_time(seed: int, n: int, decades
     usual, time = random_plant(rng, n), 10.0**decades
     states = 10 ** rng.uniform(-3, 3, n)
     other = in_units(usual, states, time)
-    assert pace(other) * time == pytest.approx(pace(usual), rel=1e-9)
+    assert plant_pace(other) * time == pytest.approx(plant_pace(usual), rel=1e-9)
     assert time_scale(other) / time == pytest.approx(time_scale(usual), rel=1e-9)
     assert state_units(other) * states == pytest.approx(state_units(usual), rel=1e-9)
 
@@ -208,7 +214,7 @@ def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None
     chain = Matrices(np.eye(2, k=1), np.eye(2)[:, 1:], np.eye(2)[:1])
     assert time_scale(chain) == 1.0
     assert time_scale(chain, 0.01 * time) == pytest.approx(0.5 * time)
-    assert pace(chain, 0.01 * time) == pytest.approx(np.pi / time)
+    assert plant_pace(chain, 0.01 * time) == pytest.approx(np.pi / time)
     np.testing.assert_allclose(state_units(chain, 0.01 * time), [1.0, np.pi / time])
     built = []
     for unit in (1.0, time):
@@ -224,8 +230,8 @@ def test_a_chain_of_integrators_has_the_time_of_its_samples(time: float) -> None
 def test_integrators_and_slow_poles_are_told_apart_in_any_unit_of_time() -> None:
     for rate in (1e-8, 1.0, 1e8):
         motor = np.array([[0.0, 1.0], [0.0, -rate]])
-        assert rates_of_motion(motor) == pytest.approx([rate])
-    assert rates_of_motion(np.eye(3, k=1)).size == 0
+        assert moving_pole_sizes(motor) == pytest.approx([rate])
+    assert moving_pole_sizes(np.eye(3, k=1)).size == 0
     equal = companion_form(np.poly(-np.full(4, 2.5))[:0:-1])
-    assert pace(equal) == pytest.approx(2.5, rel=1e-12)
+    assert plant_pace(equal) == pytest.approx(2.5, rel=1e-12)
     assert state_units(equal) == pytest.approx(2.5 ** np.arange(4), rel=1e-12)

@@ -46,8 +46,8 @@ from undeadzone.observers.filtering.innovation_tests import (
 )
 from undeadzone.observers.filtering.motion_detection import update_line
 from undeadzone.observers.filtering.prior import _read_branch_ranges
-from undeadzone.plants.robots.build import two_link
-from undeadzone.plants.robots.geared import Gears, motion_of_geared_arm
+from undeadzone.plants.robots.build import build_two_link
+from undeadzone.plants.robots.geared import Gears, build_geared_arm
 
 
 def test_a_range_below_0_of_one_output_is_refused() -> None:
@@ -154,7 +154,7 @@ def test_friction_of_one_of_two_loads_that_is_not_known_becomes_an_unknown() -> 
     assert np.diag(found["cov"]) == pytest.approx([0.09, 0.0])
 
 
-GEARS = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+GEARS = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
 
 
 def test_a_link_moves_the_motors_that_others_touch() -> None:

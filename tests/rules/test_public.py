@@ -93,7 +93,7 @@ def hidden(kinds: typing.Iterable[type]) -> list[str]:
 
 
 def test_every_part_of_a_scenario_is_public() -> None:
-    methods = [*OBSERVERS.every(), *CONTROLLERS.every(), *COMPENSATORS.every()]
+    methods = [*OBSERVERS.list_options(), *CONTROLLERS.list_options(), *COMPENSATORS.list_options()]
     kinds = structs(Scenario).union(*map(structs, methods))
     assert len(kinds) > 60
     assert not hidden(kinds)

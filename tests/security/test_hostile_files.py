@@ -17,22 +17,22 @@ from hypothesis import strategies as st
 from commands import forked
 from commands import undeadzone as in_process
 from undeadzone.analysis.certificate.design_file import Design
-from undeadzone.cli.common import json_text, print_blocks
+from undeadzone.cli.common import print_blocks, to_json_text
 from undeadzone.ensemble import journal, saved
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.robots import urdf_elements
-from undeadzone.report.html import page, table
-from undeadzone.report.style import plain
+from undeadzone.report.html import build_page, build_table
+from undeadzone.report.style import escape_formulas
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import confine_files, parse, read
 from undeadzone.signals.exosystem import read_csv
 from undeadzone.simulation.simulate import compare, simulate
 from undeadzone.util import files
 from undeadzone.util.files import read_bytes, require_folder
-from undeadzone.util.shown import text as text_of
-from undeadzone.util.text import UNPRINTABLE, printable
-from undeadzone.util.text import json_line as escaped_json
+from undeadzone.util.shown import format_blocks as text_of
+from undeadzone.util.text import UNPRINTABLE, escape_controls
+from undeadzone.util.text import escape_json_controls as escaped_json
 from undeadzone_export.source import _to_comment_line as commented
 from undeadzone_identify.logs.log import read_log
 
@@ -67,7 +67,7 @@ output = 'm\u001b[31m'
 
 def steers(text: str) -> bool:
     """Whether a text holds a control character other than the ends of its lines."""
-    return printable(text.replace("\n", "")) != text.replace("\n", "")
+    return escape_controls(text.replace("\n", "")) != text.replace("\n", "")
 
 
 def undeadzone(
@@ -90,10 +90,10 @@ def scenario(folder: Path, text: str = SCENARIO, **changes: str) -> Path:
 
 @given(st.text())
 def test_nothing_printable_is_changed_and_nothing_else_is_left(text: str) -> None:
-    assert not steers(printable(text))
-    assert "\n" not in printable(text)
+    assert not steers(escape_controls(text))
+    assert "\n" not in escape_controls(text)
     if text.isprintable():
-        assert printable(text) == text
+        assert escape_controls(text) == text
 
 
 @given(st.text())
@@ -115,7 +115,7 @@ def test_tables_and_pairs_hold_no_line_of_others(capsys: pytest.CaptureFixture[s
 
 
 def test_pages_hold_no_control_characters() -> None:
-    text = page(FORGED, table([FORGED], [[FORGED]]))
+    text = build_page(FORGED, build_table([FORGED], [[FORGED]]))
     assert not steers(text)
 
 
@@ -124,7 +124,7 @@ def test_text_on_a_figure_is_shown_as_it_is() -> None:
 
     figure = Figure()
     for text in ("$", "$x$", "a $ b $ c", r"\$x$", r"$\frac$", "x^2"):
-        shown = figure.text(0.5, 0.5, plain(text))
+        shown = figure.text(0.5, 0.5, escape_formulas(text))
         assert shown._preprocess_math(shown.get_text()) == (text, False)
 
 
@@ -158,7 +158,7 @@ def test_json_has_no_bare_nan(capsys: pytest.CaptureFixture[str]) -> None:
     def refuse(constant: str) -> None:
         raise AssertionError(constant)
 
-    assert json.loads(json_text(values), parse_constant=refuse) == expected
+    assert json.loads(to_json_text(values), parse_constant=refuse) == expected
 
 
 def test_watch_prints_json_whatever_it_reads(tmp_path: Path) -> None:

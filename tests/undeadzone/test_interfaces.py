@@ -24,7 +24,7 @@ def zone(model: System) -> Zone:
 def slopes(observer: Observer, model: System) -> tuple[np.ndarray, np.ndarray]:
     """Change of x^' (or x^+) and of d_r^' by a reading on the right, by differentiation."""
     state = observer.init(observer.params)
-    column, symbols = tree.symbols(state, "s")
+    column, symbols = tree.create_symbols(state, "s")
     y = ca.SX.sym("y", model.p)
     after, _ = observer.step(observer.params, symbols, np.zeros(model.m), Reading(y, np.ones(1)))
     width = getattr(after, "right", ca.SX.zeros(model.p))

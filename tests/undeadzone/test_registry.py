@@ -132,15 +132,15 @@ def test_what_is_installed_meanwhile_is_found(
     """As in a notebook; what was found before is not read again."""
     monkeypatch.syspath_prepend(tmp_path)
     for name in ("one", "other"):
-        assert OBSERVERS.options(f"held_{name}") is None
+        assert OBSERVERS.find_options(f"held_{name}") is None
         made = tmp_path / f"{name}-new"
         made.mkdir()
         (made / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
         point = f"held_{name} = undeadzone.observers.oracle:Oracle\n"
         (made / "entry_points.txt").write_text(f"[undeadzone.observers]\n{point}")
         made.rename(tmp_path / f"{name}-1.0.dist-info")
-        assert f"held_{name}" in OBSERVERS.tags()
-    assert {"held_one", "held_other"} <= set(OBSERVERS.tags())
+        assert f"held_{name}" in OBSERVERS.list_tags()
+    assert {"held_one", "held_other"} <= set(OBSERVERS.list_tags())
 
 
 def test_what_is_registered_and_cannot_be_imported_is_said(command: Run, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from scenes import scene, slopes
 from undeadzone.cli import group
-from undeadzone.ensemble.binding import bind, draw_values
+from undeadzone.ensemble.binding import bind_ensemble, build_run_noise
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers.luenberger import Luenberger
 from undeadzone.registry import OBSERVERS
@@ -181,9 +181,9 @@ def test_an_ensemble_draws_lost_readings_and_wear_as_single_runs_do() -> None:
     )
     problem = resolve_scenario(scenario)
     loop = close_problem(problem)
-    own = draw_values(problem, loop, bind(problem, loop))
+    own = build_run_noise(problem, loop, bind_ensemble(problem, loop))
     runs = np.array([3, 0])
-    supply = own.supply(runs)
+    supply = own.noise_supply(runs)
     assert supply is not None
     source = supply(np.arange(2))
     found = np.concatenate([source(0, 100), source(100, problem.steps + 1 - 100)])
@@ -233,7 +233,7 @@ def test_scenarios_are_many_different_and_declare_what_covers_the_truth() -> Non
         "dropout",
     } <= set(held_out)
     plain = [
-        toml.dumps(msgspec.structs.replace(scenario, title=""))
+        toml.to_toml(msgspec.structs.replace(scenario, title=""))
         for scenario in [*tuning_on.values(), *held_out.values()]
     ]
     assert len(set(plain)) == len(plain)
@@ -370,7 +370,9 @@ def test_every_method_runs_or_says_why_not(name: str, everyone: list[Result]) ->
 
 
 def test_every_observer_is_in_the_arena() -> None:
-    assert set(OBSERVERS.every()) <= {method.observer for method in method_registry().values()}
+    assert set(OBSERVERS.list_options()) <= {
+        method.observer for method in method_registry().values()
+    }
 
 
 def test_a_run_is_worth_what_its_signals_say() -> None:
@@ -622,7 +624,7 @@ def test_tuned_numbers_are_kept_and_bad_files_named(tmp_path: Path) -> None:
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
     path = tmp_path / "mine.toml"
-    path.write_text(toml.dumps(small()))
+    path.write_text(toml.to_toml(small()))
     return path
 
 

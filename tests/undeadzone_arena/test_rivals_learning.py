@@ -79,13 +79,15 @@ class Numbers:
 
     def __init__(self, observer: Observer, model: System) -> None:
         self.like = observer.init(observer.params)
-        self.state = tree.pack(self.like)
-        p, params = tree.symbols(observer.params, "p")
-        s, state = tree.symbols(self.like, "s")
+        self.state = tree.pack_tree(self.like)
+        p, params = tree.create_symbols(observer.params, "p")
+        s, state = tree.create_symbols(self.like, "s")
         u, y, side = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p), ca.SX.sym("side", model.p)
         after, estimate = observer.step(params, state, u, Reading(y, side))
-        self._function = ca.Function("step", [p, s, u, y, side], [tree.stack(after), *estimate])
-        self._numbers = tree.pack(observer.params)
+        self._function = ca.Function(
+            "step", [p, s, u, y, side], [tree.stack_leaves(after), *estimate]
+        )
+        self._numbers = tree.pack_tree(observer.params)
 
     def __call__(self, u: Any, y: Any, side: Any) -> Estimate:
         """Put the next state, or the derivative, into `state`."""
@@ -96,7 +98,7 @@ class Numbers:
     def part(self, name: str) -> Floats:
         """A field of the state as an array."""
         start = 0
-        for path, leaf in tree.leaves(self.like):
+        for path, leaf in tree.iterate_leaves(self.like):
             if path == name:
                 return self.state[start : start + leaf.size].reshape(leaf.shape, order="F")
             start += leaf.size
@@ -459,7 +461,7 @@ def test_one_of_them_as_generated_C(tmp_path: Path) -> None:
     generator.generate(f"{tmp_path}/")
     options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
     library = once.program(["step.so", *options, "step.c"], tmp_path)
-    arguments = (state, exogenous, tree.pack(loop.params))
+    arguments = (state, exogenous, tree.pack_tree(loop.params))
     computed, expected = (
         interpret.run_interpreted(ca.external("step", str(library)), *arguments)[0],
         interpret.run_interpreted(loop.step, *arguments)[0],
@@ -664,8 +666,8 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     basis = build_monomials("key", reach, 2)
     x, W, z = np.array([0.7, -1.0]), np.linspace(-1, 1, 6), 0.4
     r, x_ref, u_ff = 0.5, np.array([0.5, 0.2]), 1.5
-    p, params = tree.symbols(controller.params, "p")
-    s, state = tree.symbols(controller.init(controller.params), "s")
+    p, params = tree.create_symbols(controller.params, "p")
+    s, state = tree.create_symbols(controller.init(controller.params), "s")
     none = np.zeros(1)
     after, u = controller.step(
         params,
@@ -675,8 +677,8 @@ def test_output_feedback_law_on_numbers(Ts: float | None) -> None:
     )
     motion, force = (
         v.full().ravel()
-        for v in ca.Function("law", [p, s], [tree.stack(after), u])(
-            tree.pack(controller.params), np.concatenate([x, W])
+        for v in ca.Function("law", [p, s], [tree.stack_leaves(after), u])(
+            tree.pack_tree(controller.params), np.concatenate([x, W])
         )
     )
     e, E, phi = z - x[0], x - x_ref, values(basis, x)

@@ -66,9 +66,9 @@ def stepper(
 
     def step(*values: Any) -> tuple[Floats, Estimate]:
         after, estimate = run(*values)
-        return tree.pack(after), estimate
+        return tree.pack_tree(after), estimate
 
-    return tree.pack(observer.init(observer.params)), step
+    return tree.pack_tree(observer.init(observer.params)), step
 
 
 # --- Interval observer
@@ -149,9 +149,9 @@ def bounded(time: str, **observer: Any) -> tuple[Any, Scenario]:
     start = prepare(resolve_scenario(scenario))
     loop, exogenous = start.loop, start.exogenous
     instants = 3 if time == "continuous" else 1
-    after = tree.names(loop.instant).index("after[0]") + np.arange(instants) * tree.size(
-        loop.instant
-    )  # standard normal draws
+    after = tree.number_addresses(loop.instant).index("after[0]") + np.arange(
+        instants
+    ) * tree.count_numbers(loop.instant)  # standard normal draws
     exogenous[:, after] = np.random.default_rng(0).uniform(-6, 6, (len(exogenous), 1))
     return outputs_of(start), scenario
 
@@ -286,7 +286,7 @@ def test_interval_on_generated_C(tmp_path: Path) -> None:
     generator.generate(f"{tmp_path}/")
     options = ["-O1", "-ffp-contract=off", "-fPIC", "-shared"]
     library = once.program(["step.so", *options, "step.c"], tmp_path)
-    params = tree.pack(loop.params)
+    params = tree.pack_tree(loop.params)
     computed, expected = (
         interpret.run_interpreted(f, state, exogenous, params)[0]
         for f in (ca.external("step", str(library)), loop.step)

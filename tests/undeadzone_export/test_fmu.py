@@ -19,7 +19,7 @@ from scenes import scene
 from tools import require
 from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate
-from undeadzone.results.signals import of_kind
+from undeadzone.results.signals import quantity_unit
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone_export import compiler, exporting
 from undeadzone_export.fmu.package import KINDS
@@ -366,7 +366,7 @@ def test_every_quantity_has_a_unit_of_its_kind() -> None:
     """The widths of an actuator had none."""
     units = Units(output="mm", input="V", state=["mm", "mm/s"])
     kinds = {"right": 0, "actuator_right": 0, "x": 1, "w": 1, "theta": 0, "u_ff": 0}
-    told = [of_kind(KINDS[name], k, units) for name, k in kinds.items()]
+    told = [quantity_unit(KINDS[name], k, units) for name, k in kinds.items()]
     assert told == ["mm", "V", "mm/s", "mm/s/s", "1", "V"]
 
 

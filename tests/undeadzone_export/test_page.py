@@ -463,9 +463,11 @@ def test_the_flat_ends_of_a_range_are_explained() -> None:
 def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None:
     """The last column of intervals was, on a screen of 1280."""
     interval = "0.9936 [0.9867, 1.0004]"
-    table = html.table(("likelihood of", "d_r [rad]", "d_l [rad]"), [("pairs", interval, interval)])
+    table = html.build_table(
+        ("likelihood of", "d_r [rad]", "d_l [rad]"), [("pairs", interval, interval)]
+    )
     drawn = html.Html("<figure><svg width='900' height='300'></svg></figure>")
-    text = html.page("Widths", html.section("How sure?", table, drawn))
+    text = html.build_page("Widths", html.build_section("How sure?", table, drawn))
     path = tmp_path / "report.html"
     path.write_text(text.replace("<html", "<html data-numbers='1'", 1))
     page.open(path.as_uri())

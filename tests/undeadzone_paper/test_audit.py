@@ -23,7 +23,7 @@ import undeadzone_paper
 from tools import script_of_docs
 from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import matrices, system
+from undeadzone.plants.build import linear_matrices, system
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
@@ -331,7 +331,7 @@ def test_the_authors_own_doubt_is_quoted(paper: Paper) -> None:
 
 
 def test_with_40_every_alpha_stabilises_and_with_the_wanted_poles_only_those_below_nine() -> None:
-    plant = matrices(example_as_printed(1.0).plant)
+    plant = linear_matrices(example_as_printed(1.0).plant)
     drifts = [plant.A - np.reshape(L, (2, 1)) @ plant.C for L in (L_PRINTED, L_POLES)]
     for alpha in np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 31):
         assert rightmost_pole(plant, drifts[0], alpha) < 0.0
@@ -345,7 +345,7 @@ def test_a_sliding_mode_chatters_by_its_sign_alone() -> None:
 
 
 def test_the_printed_riccati_gain_stabilises_and_that_of_the_poles_does_not() -> None:
-    plant = matrices(example_as_printed(1.0).plant)
+    plant = linear_matrices(example_as_printed(1.0).plant)
     for L, pole in ((L_PRINTED, -2.44), (L_POLES, 0.024)):
         K = paper_riccati(plant.A - np.reshape(L, (2, 1)) @ plant.C, plant.B, ALPHA, np.eye(2)).K
         poles = np.linalg.eigvals(plant.A - plant.B @ K).real
@@ -386,7 +386,7 @@ def test_measures_see_what_they_should(five: Run) -> None:
 
 
 def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
-    linear = matrices(example_as_printed(1.0).plant)
+    linear = linear_matrices(example_as_printed(1.0).plant)
     assert pole_error(linear, L_POLES) < 1e-12
     assert pole_error(linear, L_PRINTED) > 1.0
 

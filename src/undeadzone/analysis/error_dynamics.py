@@ -16,7 +16,7 @@ import numpy as np
 from undeadzone.analysis.dissipation import Inequality, build_quadratic_form
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices, balance_states, delta_form
-from undeadzone.util.arrays import Floats, array, matrix, vector
+from undeadzone.util.arrays import Floats, require_array, require_matrix, require_vector
 
 
 class Dynamics(NamedTuple):
@@ -159,7 +159,7 @@ def build_error_dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float |
         InputError, ShapeError: for gains of the wrong kind.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    L = matrix("L", L, n, p, "states x outputs")
+    L = require_matrix("L", L, n, p, "states x outputs")
     return Dynamics((delta_form(linear, Ts).A,), linear.C, L, adaptation_matrix(gamma, p), Ts)
 
 
@@ -184,7 +184,7 @@ def adaptation_matrix(gamma: Floats, p: int) -> Floats:
         InputError: if it is negative, or a full matrix is not symmetric and positive definite.
         ShapeError: if it has none of these shapes.
     """
-    gains = array("gamma", gamma)
+    gains = require_array("gamma", gamma)
     if gains.ndim == 2 and gains.shape == (2 * p, 2 * p):
         # Only rounding may make it asymmetric: V = d~'W Gamma^-1 d~ holds its symmetric part.
         rounding = 8 * np.finfo(float).eps * np.abs(gains).max()
@@ -192,9 +192,9 @@ def adaptation_matrix(gamma: Floats, p: int) -> Floats:
             raise InputError("gamma: a full matrix must be symmetric and positive definite")
         return np.asarray((gains + gains.T) / 2)
     if gains.ndim < 2:
-        per_edge = np.repeat(vector("gamma", gains, p, "one per output"), 2)
+        per_edge = np.repeat(require_vector("gamma", gains, p, "one per output"), 2)
     else:
-        per_edge = matrix("gamma", gains, p, 2, "[right, left] per output").ravel()
+        per_edge = require_matrix("gamma", gains, p, 2, "[right, left] per output").ravel()
     if (per_edge < 0).any():
         raise InputError(f"gamma: must not be negative, found {per_edge.min():g}")
     return np.diag(per_edge)

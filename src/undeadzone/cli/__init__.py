@@ -1,4 +1,4 @@
-"""The command line: thin, one file per command; a command imports what it needs when it runs."""
+"""Command line: a file per command; a command imports its needs when it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import click
 import undeadzone
 from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
-from undeadzone.cli.common import say
+from undeadzone.cli.common import print_line
 from undeadzone.cli.design import design
 from undeadzone.cli.ending import report_failure, run_to_exit_code
 from undeadzone.cli.ensemble import ensemble
@@ -43,12 +43,15 @@ OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena
 
 
 class Commands(click.Group):
-    """The commands, which say what may be meant by a name that is none of them."""
+    """Group of commands that suggests a name for a misspelt command."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command, and its arguments. Raises UsageError."""
+        """Return the name of the command, the command and its arguments.
+
+        Raises UsageError.
+        """
         name = args[0]
         if name == "help":
             args = [*(args[1:] or [""]), "--help"]
@@ -65,32 +68,36 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
-        """What a command returns; of a broken pipe click would make an exit code of its own."""
+        """Return the result of a command; a broken pipe is reported here, as click has its
+        own exit code.
+        """
         try:
             return super().invoke(ctx)
         except BrokenPipeError as error:
             return report_failure(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands, those of other packages last."""
-        return [*super().list_commands(ctx), *_registered_commands()]
+        """Return the names of all commands, commands of further packages last."""
+        return [*super().list_commands(ctx), *_list_registered_commands()]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return a command by its name; None where there is none."""
+        """Return a command by its name; None for an unknown name."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
-        point = _registered_commands().get(name)
+        point = _list_registered_commands().get(name)
         return None if point is None else _load_command(point)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The commands in the order in which they are met, each with what to type."""
+        """Write the commands in the order of their use, each with its arguments."""
         known = [name for name in self.list_commands(ctx) if self._is_usable(ctx, name)]
         others = set(known).difference(*BLOCKS.values())
         blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
             with formatter.section(title):
-                formatter.write_dl([self._line(ctx, name) for name in names if name in known])
+                formatter.write_dl(
+                    [self._command_usage(ctx, name) for name in names if name in known]
+                )
         with formatter.section("Options of most commands"):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
@@ -100,11 +107,11 @@ class Commands(click.Group):
         try:
             return self.get_command(ctx, name) is not None
         except InputError as error:
-            say(f"undeadzone: {error}; it is left out", err=True)
+            print_line(f"undeadzone: {error}; it is left out", err=True)
             return False
 
-    def _line(self, ctx: click.Context, name: str) -> tuple[str, str]:
-        """Return what is typed for a command, and its summary.
+    def _command_usage(self, ctx: click.Context, name: str) -> tuple[str, str]:
+        """Return the usage of a command, and its summary.
 
         A command of another package that cannot be loaded is named with the reason.
         """
@@ -119,7 +126,7 @@ class Commands(click.Group):
 
 
 def _load_command(point: EntryPoint) -> click.Command:
-    """Return the command that a package registers. Raises InputError."""
+    """Return the command that an installed package registers."""
     place = f"command {point.name!r} is registered at {point.value}"
     try:
         command = point.load()
@@ -131,8 +138,9 @@ def _load_command(point: EntryPoint) -> click.Command:
 
 
 @functools.cache
-def _registered_commands() -> dict[str, EntryPoint]:
-    """Return the commands that installed packages register under `undeadzone.commands`, by name.
+def _list_registered_commands() -> dict[str, EntryPoint]:
+    """Return the commands that installed packages register under `undeadzone.commands`, by
+    name.
 
     `--help` asks for each; what is installed is read once, as a process is one command.
     """
@@ -166,8 +174,8 @@ for command in COMMANDS:
     group.add_command(command)
 
 
-def _keep_memory() -> None:
-    """Keep what is freed for what comes next.
+def _retain_freed_memory() -> None:
+    """Keep freed memory for later allocations.
 
     A fifth of the time of `identify` on 13,000 samples went into pages that were given back and
     cleared again (glibc; elsewhere nothing is done).
@@ -179,10 +187,13 @@ def _keep_memory() -> None:
 
 
 def main() -> None:
-    """Entry point: run a command, turn errors into one line on stderr and an exit code."""
+    """Run a command; an error becomes one line on stderr and an exit code.
+
+    Entry point of the tool.
+    """
     # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage
     # collection only delay it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
-    _keep_memory()
+    _retain_freed_memory()
     sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))

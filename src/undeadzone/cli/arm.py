@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from undeadzone.cli.common import PATH, cmd, flag, force_option, option, writable
-from undeadzone.cli.output import Output, common
+from undeadzone.cli.common import (
+    PATH,
+    flag_option,
+    force_option,
+    require_writable,
+    shell_command,
+    value_option,
+)
+from undeadzone.cli.output import Output, add_output_options
 from undeadzone.errors import InputError
 from undeadzone.util.files import write_text
 from undeadzone.util.shown import Block
@@ -23,16 +30,16 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
 
 @click.command(epilog="Example: undeadzone arm panda.urdf --tip panda_hand --out panda")
 @click.argument("robot", type=PATH, metavar="ROBOT.urdf")
-@option("--tip", "LINK", "Link in which the arm ends.")
-@option(
+@value_option("--tip", "LINK", "Link in which the arm ends.")
+@value_option(
     "--joints",
     "NAME,...",
     "Joints that move, from base to tip (default: all; the others are fixed at 0).",
 )
-@option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
-@flag("--gears", "Write gears with a gap in place of dead zones.")
+@value_option("--at", "Q1,...", "Posture [rad or m] (default: 0, or the middle between limits).")
+@flag_option("--gears", "Write gears with a gap in place of dead zones.")
 @force_option
-@common
+@add_output_options
 def arm(
     robot: Path,
     tip: str | None,
@@ -48,20 +55,20 @@ def arm(
     posture, with a dead zone there, or behind --gears whose numbers are a guess to be replaced.
     Exit code 1: its motors cannot hold the arm in this posture.
     """
-    from undeadzone.plants.robots.survey import survey
+    from undeadzone.plants.robots.survey import survey_urdf
 
-    folder = None if output.out is None else writable(output.out)
+    folder = None if output.out is None else require_writable(output.out)
     names = None if joints is None else [name.strip() for name in joints.split(",")]
-    found = survey(robot, names, tip, None if at is None else _numbers(at))
+    found = survey_urdf(robot, names, tip, None if at is None else _parse_numbers(at))
     written = [] if folder is None else [_write_scenario(found, robot, folder, gears, force)]
-    weak = _weak(found)
-    next_ = _advice(found, weak, written, robot)
-    blocks: list[Block] = [_in_words(found, robot), [HEAD, *_rows(found)], next_]
-    output.show(lambda: _in_numbers(found), lambda: blocks, written, last={})
+    weak = _list_weak_joints(found)
+    next_ = _advise_after_survey(found, weak, written, robot)
+    blocks: list[Block] = [_survey_to_text(found, robot), [HEAD, *_joint_rows(found)], next_]
+    output.print_result(lambda: _survey_to_json(found), lambda: blocks, written, last={})
     return 1 if weak else 0
 
 
-def _numbers(text: str) -> list[float]:
+def _parse_numbers(text: str) -> list[float]:
     """Return the numbers of an option. Raises InputError."""
     try:
         return [float(word) for word in text.split(",")]
@@ -72,25 +79,25 @@ def _numbers(text: str) -> list[float]:
 
 
 def _write_scenario(found: Survey, robot: Path, folder: Path, gears: bool, force: bool) -> Path:
-    """Return the scenario that was written. Raises FileError where there is one already."""
+    """Write the scenario and return its path. Raises FileError if the file exists already."""
     from undeadzone.scenario.urdf_start import starting_scenario
-    from undeadzone.util.own_files import require_own
+    from undeadzone.util.own_files import require_own_file
 
     path = folder / f"{robot.stem}.toml"
-    require_own(path, force)  # it is for the user to edit: without a mark
+    require_own_file(path, force)  # it is for the user to edit: without a mark
     relative = Path(os.path.relpath(robot, folder)).as_posix()
     return write_text(starting_scenario(found, relative, gears), path)
 
 
-def _weak(found: Survey) -> list[str]:
-    """Names of the joints whose motors cannot hold the arm."""
+def _list_weak_joints(found: Survey) -> list[str]:
+    """Return the names of the joints whose motors cannot hold the arm."""
     limits = found.body.chain.torque
     pairs = zip(found.joints, abs(found.holding) > limits, strict=True)
     return [joint.name for joint, over in pairs if over]
 
 
-def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
-    """What the file says, a line each."""
+def _survey_to_text(found: Survey, robot: Path) -> dict[str, Any]:
+    """Return the content of the file as text by name."""
     from undeadzone.util.arrays import list_numbers
 
     tree = found.robot
@@ -109,7 +116,7 @@ def _in_words(found: Survey, robot: Path) -> dict[str, Any]:
     return shown
 
 
-def _rows(found: Survey) -> list[list[str]]:
+def _joint_rows(found: Survey) -> list[list[str]]:
     """Return a row for each joint."""
     rows = []
     least = 1e-9 * max(abs(found.holding), default=0.0)  # what is left of 0 by rounding
@@ -118,36 +125,36 @@ def _rows(found: Survey) -> list[list[str]]:
         slides = joint.kind == "prismatic"
         unit, force = ("m", "N") if slides else ("rad", "N m")
         row = [joint.name, "slides" if slides else "turns"]
-        row += [_limit(end, unit) for end in joint.limits]
-        row += [_limit(joint.velocity, f"{unit}/s"), _limit(joint.effort, force)]
+        row += [_format_limit(end, unit) for end in joint.limits]
+        row += [_format_limit(joint.velocity, f"{unit}/s"), _format_limit(joint.effort, force)]
         row += [f"{holding:.3g} {force}", *(f"{share:.3g}" for share in joint.friction)]
         rows.append([*row, f"{mass:.4g} kg"])
     return rows
 
 
-def _limit(value: float, unit: str) -> str:
-    """Return a limit with its unit; a file need not have it."""
+def _format_limit(value: float, unit: str) -> str:
+    """Return a limit with its unit as text; none if it is infinite."""
     return f"{value:.4g} {unit}" if abs(value) < float("inf") else "none"
 
 
-def _advice(found: Survey, weak: list[str], written: list[Path], robot: Path) -> str:
-    """What to do next."""
+def _advise_after_survey(found: Survey, weak: list[str], written: list[Path], robot: Path) -> str:
+    """Return the advice on the next step."""
     if weak:
         return f"NO: the motors of {', '.join(weak)} cannot hold the arm there; try another --at"
     if written:
-        return f"wrote {written[0]}; next: {cmd('undeadzone', 'run', written[0])}"
+        return f"wrote {written[0]}; next: {shell_command('undeadzone', 'run', written[0])}"
     missing = []
     if not any(any(joint.friction) for joint in found.joints):
         missing.append("friction (plant.parameters b1, f1, ...)")
     missing.append("the dead zone of each joint (sensor.right, sensor.left; --gears: their gaps)")
     return (
         f"the file does not know {' and '.join(missing)}; "
-        f"a scenario to start from: {cmd('undeadzone', 'arm', robot, '--out', '.')}"
+        f"a scenario to start from: {shell_command('undeadzone', 'arm', robot, '--out', '.')}"
     )
 
 
-def _in_numbers(found: Survey) -> dict[str, Any]:
-    """What the file says, for JSON."""
+def _survey_to_json(found: Survey) -> dict[str, Any]:
+    """Return the content of the file for JSON."""
     joints = []
     for joint, mass, holding in zip(found.joints, found.masses, found.holding, strict=True):
         own = {name: getattr(joint, name) for name in OWN}

@@ -7,17 +7,23 @@ from pathlib import Path
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import cmd, json_text, origin, with_schema
-from undeadzone.cli.output import Output, export_of, line_of_files, on_scenario, to_type
+from undeadzone.cli.common import add_schema, build_origin, shell_command, to_json_text
+from undeadzone.cli.output import (
+    Output,
+    add_scenario_options,
+    export_command,
+    files_line,
+    next_line,
+)
 from undeadzone.util.files import write_text
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 
 
 @click.command(
     epilog="Example: undeadzone check examples/paper_5sin.toml --out verdict, then look at "
     "verdict/report.html"
 )
-@on_scenario
+@add_scenario_options
 def check(scenario: Path, output: Output, confine: Path | None) -> int:
     """Assess the scenario's gains, and how strongly its readings move z^.
 
@@ -29,31 +35,37 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
     (observers without constant gains need not be), a run leaves the region, or not every width can
     be identified.
     """
-    folder = output.folder(f"{scenario.stem}-check")
+    folder = output.choose_folder(f"{scenario.stem}-check")
     written = []
     judged = uz.read(scenario, confine)
     with progress("judging", None, of=judged.observer) as advance:
         result = uz.check(judged)
         if folder is not None:
-            text = json_text(with_schema(result.summary()))
+            text = to_json_text(add_schema(result.summary()))
             written.append(write_text(text + "\n", folder / "check.json"))
         if folder is not None and output.figures:
             from undeadzone.report.gains_page import write_gains
-            from undeadzone.synthesis.assessment import attack
+            from undeadzone.synthesis.assessment import attack_gains
 
-            attempts = attack(result.assessment)
-            again = origin(scenario, judged.simulation.seed)
+            attempts = attack_gains(result.assessment)
+            again = build_origin(scenario, judged.simulation.seed)
             advance(1)
             written += write_gains(result.assessment, attempts, folder, origin=again)
-    last = line_of_files(written) | _next(scenario, judged, result.summary()["certified"])
-    output.show(result.summary, result.blocks, written, last)
+    last = files_line(written) | _advise_after_check(
+        scenario, judged, result.summary()["certified"]
+    )
+    output.print_result(result.summary, result.blocks, written, last)
     return 0 if result.affirmed else 1
 
 
-def _next(path: Path, scenario: uz.Scenario, certified: bool | None) -> dict[str, str]:
-    """What to type after a verdict; certified: None of an observer without constant gains."""
+def _advise_after_check(
+    path: Path, scenario: uz.Scenario, certified: bool | None
+) -> dict[str, str]:
+    """Return the next commands after a verdict; `certified` is None without constant gains."""
     if certified is False:
-        return to_type(f"{cmd('undeadzone', 'design', path)} searches gains that have a proof")
+        return next_line(
+            f"{shell_command('undeadzone', 'design', path)} searches gains that have a proof"
+        )
     varies = scenario.ensemble is not None
-    ensemble = [f"{cmd('undeadzone', 'ensemble', path)} varies what may vary"] * varies
-    return to_type(*ensemble, *export_of(path, scenario))
+    ensemble = [f"{shell_command('undeadzone', 'ensemble', path)} varies what may vary"] * varies
+    return next_line(*ensemble, *export_command(path, scenario))

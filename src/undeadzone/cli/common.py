@@ -1,4 +1,4 @@
-"""What the commands share: options, folders, printing of numbers and words."""
+"""Shared parts of the commands: options, folders, printing of numbers and text."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ import click
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_text, require_folder
 from undeadzone.util.shown import Block
-from undeadzone.util.shown import text as text_of
-from undeadzone.util.text import printable
+from undeadzone.util.shown import format_blocks as text_of
+from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
     from undeadzone.report.html import Origin
@@ -38,40 +38,38 @@ VERDICT = re.compile(
 )
 
 
-class Name(click.Path):
-    """A file or a folder by its name; an empty one would be the folder in which one is."""
+class NonEmptyPath(click.Path):
+    """Path of a file or a folder; refuses the empty string, which means the current folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path. Raises BadParameter where the name is empty."""
+        """Return the path. Raises BadParameter if the name is empty."""
         if value == "":
             self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
         return super().convert(value, param, ctx)
 
 
-PATH = Name(path_type=Path)
+PATH = NonEmptyPath(path_type=Path)
 
 
-def option(
+def value_option(
     name: str, metavar: str | None, words: str, *into: str, **more: Any
 ) -> Callable[..., Any]:
-    """Return an option that takes a value; into: its argument, if another; more: what click
-    knows.
-    """
+    """Return an option with a value; into: its argument, if renamed; more: keywords of click."""
     return click.option(name, *into, metavar=metavar, help=words, **more)
 
 
-def flag(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
-    """Return an option that is given or not; into: its argument, if another; more: what click
-    knows.
+def flag_option(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
+    """Return an option without a value; into: its argument, if renamed; more: keywords of
+    click.
     """
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 
-rarely = functools.partial(option, hidden=True)  # `--help-all` shows it, `--help` does not
+rarely = functools.partial(value_option, hidden=True)  # `--help-all` shows it, `--help` does not
 
 
-def _all_options(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the help with every option, and end."""
+def _print_full_help(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the help with every option, and exit."""
     if not asked:
         return
     shown = copy.copy(context.command)
@@ -84,47 +82,48 @@ def _all_options(context: click.Context, _: click.Parameter, asked: bool) -> Non
 
 
 # Options that several commands have
-help_all = flag(
+help_all = flag_option(
     "--help-all",
     "Show this message with the options that are rarely needed, and exit.",
     is_eager=True,
     expose_value=False,
-    callback=_all_options,
+    callback=_print_full_help,
 )
-_confined = option(
+_confined = value_option(
     "--confine",
     "DIR",
     "Refuse files that the scenario names outside of DIR, as a service should.",
     type=PATH,
 )
-force_option = flag("--force", "Replace what someone else wrote or edited.")
-strict_option = flag("--strict", "Stop at the first line that cannot be read.")
-columns_option = option(
+force_option = flag_option("--force", "Replace what someone else wrote or edited.")
+strict_option = flag_option("--strict", "Stop at the first line that cannot be read.")
+columns_option = value_option(
     "--columns",
     "y=NAME,u=NAME",
     "Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
 )
 
 
-def untrusted(command: Command) -> Command:
-    """Add --untrusted, which holds as long as the command runs; it means --confine too."""
+def add_untrusted(command: Command) -> Command:
+    """Add --untrusted, which restricts the process until its end and implies --confine."""
 
     @functools.wraps(command)
     def held(*, untrusted: Path | None, **options: Any) -> Any:
+        """Run the command, in a restricted process if --untrusted is given."""
         if untrusted is None:
             return command(**options)
-        from undeadzone.cli.untrusted import hold_apart
+        from undeadzone.cli.untrusted import restrict_process
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
         _require_inside(untrusted, options)
-        for word in hold_apart(untrusted, _folder_to_write(options)):
-            say(f"untrusted: {word}", err=True)
+        for word in restrict_process(untrusted, _output_folder(options)):
+            print_line(f"untrusted: {word}", err=True)
         if "confine" in options:
             options["confine"] = untrusted
         return command(**options)
 
-    return option(
+    return value_option(
         "--untrusted",
         "DIR",
         "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
@@ -153,11 +152,11 @@ def _require_inside(folder: Path, options: Mapping[str, Any]) -> None:
 
 def add_guards(command: Command) -> Command:
     """Add --untrusted and --confine: a scenario names files, and may be a stranger's."""
-    return untrusted(_confined(naming(command)))
+    return add_untrusted(_confined(name_file_in_errors(command)))
 
 
-def naming(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return put the file in front of what is wrong with a key of the scenario, or with the log.
+def name_file_in_errors(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the command with errors that name the file of the wrong key or log.
 
     The readers of files name them; of what is found later, such as a value that does not fit,
     the key is known alone.
@@ -165,16 +164,17 @@ def naming(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(command)
     def named(**options: Any) -> Any:
+        """Run the command; an InputError names the file."""
         try:
             return command(**options)
         except InputError as error:
-            raise type(error)(_with_file(str(error), options)) from None
+            raise type(error)(_prefix_file(str(error), options)) from None
 
     return named
 
 
-def _with_file(message: str, options: Mapping[str, Any]) -> str:
-    """Return a message that begins with the scenario, or the logs, of which it is."""
+def _prefix_file(message: str, options: Mapping[str, Any]) -> str:
+    """Return a message that begins with the scenario, or the logs, in error."""
     from undeadzone.scenario.schema import Scenario
 
     first, scenario = re.split(r"\W", message, maxsplit=1)[0], options.get("scenario")
@@ -185,18 +185,16 @@ def _with_file(message: str, options: Mapping[str, Any]) -> str:
     return message
 
 
-def _folder_to_write(options: Mapping[str, Any]) -> Path | None:
-    """Return the folder that a command may write: --out, or where the one file lies that it
-    makes.
-    """
+def _output_folder(options: Mapping[str, Any]) -> Path | None:
+    """Return the folder that a command may write: --out, or the folder of its only file."""
     out, state = options.get("out"), options.get("state")
     file = out if options.get("to") == "page" else state
     folder: Path | None = out if file is None else file.parent
     return folder
 
 
-def origin(path: Path | None, seed: int | None = None) -> Origin:
-    """What it takes to get a result again, for its page: the command, and the scenario as given.
+def build_origin(path: Path | None, seed: int | None = None) -> Origin:
+    """Return the origin of a result for its page: the command, and the scenario as given.
 
     Args:
         path: of the scenario; None: there is none.
@@ -208,52 +206,53 @@ def origin(path: Path | None, seed: int | None = None) -> Origin:
     if path is not None:
         with suppress(OSError, ValueError):  # it was there when the command began
             text = read_text(path)
-    return Origin(cmd("undeadzone", *sys.argv[1:]), text, seed)
+    return Origin(shell_command("undeadzone", *sys.argv[1:]), text, seed)
 
 
-def cmd(*words: object) -> str:
-    """Return a command as a shell takes it: a name with a blank stands in quotes."""
+def shell_command(*words: object) -> str:
+    """Return a command as text for a shell; a name with a blank is quoted."""
     return shlex.join(map(str, words))
 
 
-def writable(folder: Path) -> Path:
-    """Return the folder. Raises FileError where nothing can be written."""
+def require_writable(folder: Path) -> Path:
+    """Return the folder. Raises FileError if it is not writable."""
     require_folder(folder)
     return folder
 
 
 def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) -> None:
-    """One JSON object on stdout, which begins with the version of its schema (docs/json.md).
+    """Print a JSON object on stdout, beginning with the version of its schema (docs/json.md).
 
     Args:
         value: the result.
         written: files, that are named at its end; None: the command writes none.
     """
     files = {} if written is None else {"files": [str(path) for path in written]}
-    click.echo(json_text(with_schema(value) | files))
+    click.echo(to_json_text(add_schema(value) | files))
 
 
-def with_schema(value: Mapping[str, Any]) -> dict[str, Any]:
+def add_schema(value: Mapping[str, Any]) -> dict[str, Any]:
     """Return a result under the version of its schema."""
     return {"schema": SCHEMA, **value}
 
 
-def say(text: str = "", err: bool = False) -> None:
-    """One line on stdout, or stderr, whatever characters a scenario put into it."""
-    click.echo(printable(text), err=err)
+def print_line(text: str = "", err: bool = False) -> None:
+    """Print a line on stdout, or stderr, with the control characters of a scenario escaped."""
+    click.echo(escape_controls(text), err=err)
 
 
-def json_text(value: Any) -> str:
+def to_json_text(value: Any) -> str:
     """Return a value as JSON; numbers that are not finite become null."""
-    from undeadzone.util.arrays import finite
+    from undeadzone.util.arrays import to_json_value
 
-    return json.dumps(finite(value), indent=2, allow_nan=False)
+    return json.dumps(to_json_value(value), indent=2, allow_nan=False)
 
 
 def print_blocks(
     blocks: Sequence[Block], last: Mapping[str, Any] | None = None, err: bool = False
 ) -> None:
-    """Blocks of a result, an empty line between them: folded and coloured on a terminal.
+    """Print the blocks of a result, separated by empty lines: folded and coloured on a
+    terminal.
 
     Args:
         blocks: what is printed.
@@ -273,16 +272,14 @@ def print_blocks(
 
 
 def paint_verdicts(text: str) -> str:
-    """Return a text whose verdicts are coloured; the lines that name a scenario stay as they
-    are.
-    """
+    """Return a text with coloured verdicts; lines that name a scenario stay unchanged."""
     lines = []
     for line in text.split("\n"):
-        lines.append(line if line.startswith("scenario") else VERDICT.sub(_paint, line))
+        lines.append(line if line.startswith("scenario") else VERDICT.sub(_paint_verdict, line))
     return "\n".join(lines)
 
 
-def _paint(found: re.Match[str]) -> str:
+def _paint_verdict(found: re.Match[str]) -> str:
     """Return a verdict in its colour."""
     return click.style(found[0], fg=COLOURS.get(found[0], "red"), bold=True)
 
@@ -292,6 +289,6 @@ def _wants_colour() -> bool:
     return not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-def exit_code(info: LogInfo) -> int:
-    """Return 1 where the record is not consistent, else 0."""
+def log_exit_code(info: LogInfo) -> int:
+    """Return 1 if the record is not consistent, else 0."""
     return 1 if info.consistent is False else 0

@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import cmd, force_option, option, origin
-from undeadzone.cli.output import Output, line_of_files, on_scenario
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.cli.common import build_origin, force_option, shell_command, value_option
+from undeadzone.cli.output import Output, add_scenario_options, files_line
+from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.shown import Block
 
 
-def powers(
+def parse_weights(
     context: click.Context, parameter: click.Parameter, value: str | None
 ) -> tuple[float, ...] | None:
     """Return the three numbers of D,M,N."""
@@ -42,17 +42,19 @@ COUNT = click.IntRange(min=0)
     epilog="Example: undeadzone design examples/paper_5sin.toml --out mine, then look at "
     "mine/report.html"
 )
-@option("--maximise", None, "The knee of the front (default), or the rate alone.", type=AIMS)
-@option(
+@value_option("--maximise", None, "The knee of the front (default), or the rate alone.", type=AIMS)
+@value_option(
     "--weights",
     "D,M,N",
     "Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
-    callback=powers,
+    callback=parse_weights,
 )
-@option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
-@option("--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT)
+@value_option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
+@value_option(
+    "--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT
+)
 @force_option
-@on_scenario
+@add_scenario_options
 def design(
     scenario: Path,
     maximise: str | None,
@@ -78,49 +80,49 @@ def design(
     this plant.
     """
     from undeadzone.scenario.problem import systems
-    from undeadzone.synthesis.assessment import attack
-    from undeadzone.synthesis.design import impossible, rounds, with_gains
-    from undeadzone.util.own_files import require_own
+    from undeadzone.synthesis.assessment import attack_gains
+    from undeadzone.synthesis.design import apply_design, count_design_rounds, why_not_certifiable
+    from undeadzone.util.own_files import require_own_file
 
     if maximise is not None and weights is not None:
         raise click.UsageError(
             "give --maximise or --weights, not both", click.get_current_context()
         )
     planned = uz.read(scenario, confine)
-    folder = output.folder(f"{scenario.stem}-design")
+    folder = output.choose_folder(f"{scenario.stem}-design")
     if folder is not None:
-        require_own(folder / "design.toml", force)
+        require_own_file(folder / "design.toml", force)
     _, flow, _ = systems(planned)
-    reason = impossible(flow)
+    reason = why_not_certifiable(flow)
     if reason:
-        output.show(
+        output.print_result(
             lambda: {"title": planned.title, "certified": False, "reasons": [reason]},
-            lambda: [_impossible(planned, scenario, reason)],
+            lambda: [_describe_impossible(planned, scenario, reason)],
             written=[],
         )
         return 1
     aim: Any = (maximise or "knee") if weights is None else uz.Weights(*weights)
-    with progress("designing", rounds(aim)) as advance:
+    with progress("designing", count_design_rounds(aim)) as advance:
         result = uz.design(planned, aim, margin=margin, seed=seed, progress=advance)
-        judged = uz.check(with_gains(planned, result))
+        judged = uz.check(apply_design(planned, result))
     written = [] if folder is None else [result.save(folder / "design.toml")]
     if folder is not None and output.figures:
         from undeadzone.report.gains_page import write_gains
 
         assessment = judged.assessment._replace(listens=())  # `check` tells these
-        attempts = attack(assessment, seed)
-        written += write_gains(assessment, attempts, folder, result, origin(scenario, seed))
-    output.show(
-        lambda: _numbers(result, judged),
-        lambda: _words(result, judged),
+        attempts = attack_gains(assessment, seed)
+        written += write_gains(assessment, attempts, folder, result, build_origin(scenario, seed))
+    output.print_result(
+        lambda: _design_to_json(result, judged),
+        lambda: _design_to_blocks(result, judged),
         written,
-        line_of_files(written) | _next(folder),
+        files_line(written) | _advise_after_design(folder),
     )
     return 0
 
 
-def _next(folder: Path | None) -> dict[str, str]:
-    """How a scenario uses the gains that were written; nothing where none were."""
+def _advise_after_design(folder: Path | None) -> dict[str, str]:
+    """Return the advice on use of the written gains in a scenario; empty without a file."""
     if folder is None:
         return {}
     return {
@@ -129,18 +131,18 @@ def _next(folder: Path | None) -> dict[str, str]:
     }
 
 
-def _impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict[str, str]:
-    """Why no gains can be certified."""
+def _describe_impossible(scenario: uz.Scenario, path: Path, reason: str) -> dict[str, str]:
+    """Return the reason that no gains can be certified, as text by name."""
     return {
         "scenario": scenario.title,
         "certified": "NO gains can be",
         "why": reason,
-        "next": f"{cmd('undeadzone', 'check', path)} says what can be known",
+        "next": f"{shell_command('undeadzone', 'check', path)} says what can be known",
     }
 
 
-def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
-    """Return a design for JSON, its gains first, and what `check` says of it."""
+def _design_to_json(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
+    """Return a design for JSON, its gains first, and the results of `check`."""
     import msgspec
 
     numbers, known = msgspec.to_builtins(design), judged.summary()
@@ -148,8 +150,8 @@ def _numbers(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
     return numbers.pop("best") | numbers | known
 
 
-def _words(design: uz.Design, judged: uz.Check) -> list[Block]:
-    """Return a design in words, and what `check` says of it."""
+def _design_to_blocks(design: uz.Design, judged: uz.Check) -> list[Block]:
+    """Return a design and the results of `check` as text."""
     import msgspec
 
     from undeadzone.analysis.certificate.design_file import describe_design as design_in_words

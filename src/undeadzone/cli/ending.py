@@ -1,4 +1,4 @@
-"""How a command ends: its exit code, one line on stderr, and what signals and closed streams do."""
+"""End of a command: exit code, one line on stderr, handling of signals and closed streams."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import click
 
-from undeadzone.cli.common import say
+from undeadzone.cli.common import print_line
 from undeadzone.errors import EarlierMeaning, Terminated, UndeadzoneError
 from undeadzone.util.streams import let_streams_wait
 
@@ -38,29 +38,29 @@ LONGEST: Final = 200  # characters of an unexpected exception's message that are
 
 
 def run_to_exit_code(command: Callable[[], Any]) -> int:
-    """Run a command; its exit code. Whatever it raises becomes one line on stderr."""
+    """Run a command and return its exit code. An exception becomes one line on stderr."""
     try:
-        if _open_streams():
+        if _open_closed_streams():
             return _report_refusal(
                 "stdout is closed, and the results would be lost; use > /dev/null"
             )
         let_streams_wait()
-        hindrance = _hindrance()
+        hindrance = _find_import_obstacle()
         if hindrance:
             return _report_refusal(hindrance)
-        _catch_terminate()
+        _catch_termination()
         with warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
                 warnings.simplefilter("ignore")
                 warnings.simplefilter("default", EarlierMeaning)
-                warnings.showwarning = _warned
+                warnings.showwarning = _print_warning
             code = command()
         sys.stdout.flush()
         return code if isinstance(code, int) else DONE
     except click.exceptions.Exit as error:
         return error.exit_code
     except click.ClickException as error:
-        return _report_refusal(error.format_message(), _where(error))
+        return _report_refusal(error.format_message(), _command_of_error(error))
     except UndeadzoneError as error:
         return _report_refusal(str(error))
     except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
@@ -71,22 +71,22 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         return report_failure(error)
 
 
-def _warned(message: Warning | str, *where: Any, **rest: Any) -> None:
+def _print_warning(message: Warning | str, *where: Any, **rest: Any) -> None:
     """Print a warning as one line on stderr."""
-    say(f"undeadzone: {message}", err=True)
+    print_line(f"undeadzone: {message}", err=True)
 
 
 def report_failure(error: Exception) -> int:
-    """What the system denied, or a mistake of the program's own."""
-    if _memory_ran_out(error):
+    """Print a refusal of the system or an internal error, and return the exit code."""
+    if _is_out_of_memory(error):
         return _report_refusal("memory ran out; allow more, or ask for less at once")
-    if isinstance(error, OSError) and _stdout_fails(error):
-        return _stdout_failed(error)
+    if isinstance(error, OSError) and _is_stdout_error(error):
+        return _report_stdout_failure(error)
     return _report_internal_error(error)
 
 
-def _open_streams() -> bool:
-    """Give closed standard streams a place that swallows everything; whether stdout was closed.
+def _open_closed_streams() -> bool:
+    """Open closed standard streams on the null device; return whether stdout was closed.
 
     Otherwise the next file opened takes the number of such a stream, and messages end up in it.
     """
@@ -105,8 +105,8 @@ def _open_streams() -> bool:
     return closed
 
 
-def _hindrance() -> str:
-    """Why libraries would fail, or never come back, while they are imported; empty: nothing."""
+def _find_import_obstacle() -> str:
+    """Return the reason that libraries would fail or hang while imported; empty if none."""
     if not os.environ.get(EPOCH, "0").isdecimal():
         return f"{EPOCH}: expected whole seconds since 1970; set it so, or unset it"
     if sys.platform == "win32":
@@ -122,40 +122,40 @@ def _hindrance() -> str:
     return ""
 
 
-def _catch_terminate() -> None:
-    """Let SIGTERM and SIGHUP end a command as Ctrl-C does, where they are not ignored."""
+def _catch_termination() -> None:
+    """Make SIGTERM, and SIGHUP of a closed terminal, end a command as Ctrl-C does."""
     with suppress(ValueError):  # signals are for the main thread, whose affair they are then
         for name in ("SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _terminate)
+                signal.signal(number, _raise_terminated)
 
 
-def _terminate(number: int, frame: FrameType | None) -> None:
-    """End the command."""
+def _raise_terminated(number: int, frame: FrameType | None) -> None:
+    """Raise Terminated, to end the command."""
     raise Terminated
 
 
 def _report_refusal(message: str, where: str = "undeadzone") -> int:
-    """What is wrong with the input."""
-    say(f"{where}: {message}", err=True)
+    """Print the error in the input, and return the exit code."""
+    print_line(f"{where}: {message}", err=True)
     return BAD_INPUT
 
 
 def _report_interruption(how: str, kept: str, code: int) -> int:
-    """That a command was stopped, and what is kept."""
-    say(": ".join(filter(None, (f"undeadzone: {how}", kept))), err=True)
+    """Print that a command was stopped, with the saved results, and return the exit code."""
+    print_line(": ".join(filter(None, (f"undeadzone: {how}", kept))), err=True)
     return code
 
 
 def _report_internal_error(error: Exception) -> int:
-    """Return a mistake of the program's own."""
+    """Print an internal error of the program, and return the exit code."""
     if os.environ.get(DEBUG):
         traceback.print_exc()
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
     words = f"{type(error).__name__}: {error}"[:LONGEST]
-    say(
+    print_line(
         f"undeadzone: internal error at {place}: {words}; please report it, with the traceback "
         f"that {DEBUG}=1 shows",
         err=True,
@@ -163,10 +163,8 @@ def _report_internal_error(error: Exception) -> int:
     return INTERNAL
 
 
-def _memory_ran_out(error: Exception) -> bool:
-    """Return whether the system gave no memory: for numbers, for a process, for the code of a
-    library.
-    """
+def _is_out_of_memory(error: Exception) -> bool:
+    """Return whether memory ran out: for numbers, for a process, for the code of a library."""
     if isinstance(error, MemoryError):
         return True
     if isinstance(error, OSError) and error.errno == errno.ENOMEM:
@@ -174,9 +172,9 @@ def _memory_ran_out(error: Exception) -> bool:
     return isinstance(error, ImportError | RuntimeError) and bool(NO_MEMORY.search(str(error)))
 
 
-def _stdout_fails(error: OSError) -> bool:
-    """Return whether an error is of stdout: raised where things are printed, or at every flush
-    again.
+def _is_stdout_error(error: OSError) -> bool:
+    """Return whether an error comes from stdout: raised during printing, or again at every
+    flush.
     """
     frames = traceback.extract_tb(error.__traceback__)
     if frames and Path(frames[-1].filename).parent.name in PRINTERS:
@@ -188,16 +186,16 @@ def _stdout_fails(error: OSError) -> bool:
     return False
 
 
-def _stdout_failed(error: OSError) -> int:
-    """That the results could not be printed; a reader who has seen enough is no failure."""
+def _report_stdout_failure(error: OSError) -> int:
+    """Print that stdout failed, and return the exit code; a closed pipe counts as success."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return DONE
     return _report_refusal(f"stdout: cannot write: {error.strerror}")
 
 
-def _where(error: click.ClickException) -> str:
-    """Return the command that an error is of."""
+def _command_of_error(error: click.ClickException) -> str:
+    """Return the name of the command that raised an error."""
     if isinstance(error, click.UsageError) and error.ctx:
         return error.ctx.command_path
     return "undeadzone"

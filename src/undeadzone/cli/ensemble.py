@@ -8,25 +8,33 @@ from typing import Any
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import cmd, flag, option, origin, writable
-from undeadzone.cli.output import Output, on_scenario, prepare_figures, tell_anew
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.cli.common import (
+    build_origin,
+    flag_option,
+    require_writable,
+    shell_command,
+    value_option,
+)
+from undeadzone.cli.output import Output, add_scenario_options, prepare_figures, report_fresh_start
+from undeadzone.util.progress import terminal_progress as progress
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
-@option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
-@flag("--resume", "Compute what an interrupted command left to do in DIR; the bits are the same.")
-@option(
+@value_option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
+@flag_option(
+    "--resume", "Compute what an interrupted command left to do in DIR; the bits are the same."
+)
+@value_option(
     "--workers", "N", "Compute on N processes of this computer; the bits are the same.", type=int
 )
-@option(
+@value_option(
     "--cluster",
     "ADDRESS",
     "Compute on the Dask cluster whose scheduler is there, such as tcp://10.0.0.1:8786 "
     "(needs the extra dask; docs/security.md says what is trusted).",
 )
-@flag("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
-@on_scenario
+@flag_option("--parquet", "Write runs.parquet instead of runs.npz (needs the extra parquet).")
+@add_scenario_options
 def ensemble(
     scenario: Path,
     runs: int | None,
@@ -52,12 +60,12 @@ def ensemble(
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
     computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
     """
-    varied = _with_number_of_runs(uz.read(scenario, confine), runs)
+    varied = _replace_run_count(uz.read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None
-    folder = writable(output.out or Path(f"{scenario.stem}-ensemble"))
+    folder = require_writable(output.out or Path(f"{scenario.stem}-ensemble"))
     path = folder / ("runs.parquet" if parquet else "runs.npz")
     if options["resume"] and not path.exists():
-        tell_anew(Path(f"{path}.partial"))
+        report_fresh_start(Path(f"{path}.partial"))
     with progress("running", total, "runs", of=varied.observer) as advance:
         result = uz.run_ensemble(varied, path, progress=advance, **options)
     summary = result.summary()
@@ -66,14 +74,14 @@ def ensemble(
         prepare_figures()
         from undeadzone.report.ensemble_page import write_ensemble
 
-        written += write_ensemble(result, summary, folder, origin(scenario, result.info.seed))
-    last = _last(summary, folder, written)
-    output.show(lambda: summary, lambda: result.blocks(summary), written, last)
+        written += write_ensemble(result, summary, folder, build_origin(scenario, result.info.seed))
+    last = _final_lines(summary, folder, written)
+    output.print_result(lambda: summary, lambda: result.blocks(summary), written, last)
     return 1 if summary["diverged"]["value"] else 0
 
 
-def _with_number_of_runs(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
-    """Return the scenario with that many runs. Raises InputError."""
+def _replace_run_count(scenario: uz.Scenario, runs: int | None) -> uz.Scenario:
+    """Return the scenario with the given number of runs. Raises InputError."""
     import msgspec
 
     if runs is None or scenario.ensemble is None:
@@ -82,13 +90,13 @@ def _with_number_of_runs(scenario: uz.Scenario, runs: int | None) -> uz.Scenario
     return msgspec.structs.replace(scenario, ensemble=ensemble)
 
 
-def _last(summary: dict[str, Any], folder: Path, written: list[Path]) -> dict[str, str]:
-    """Which runs are worst, how one is seen, and the files."""
+def _final_lines(summary: dict[str, Any], folder: Path, written: list[Path]) -> dict[str, str]:
+    """Return the lines on the worst runs, the command to show a run, and the files."""
     from undeadzone.ensemble.words import SHOWN
 
     worst = [row["run"] for row in summary["worst"]][:SHOWN]
     return {
         "worst runs": ", ".join(map(str, worst)),
-        "see one": cmd("undeadzone", "run", written[0], "--replay", worst[0]),
+        "see one": shell_command("undeadzone", "run", written[0], "--replay", worst[0]),
         "written": f"{folder}: {', '.join(path.name for path in written)}",
     }

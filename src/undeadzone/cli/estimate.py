@@ -9,30 +9,30 @@ import click
 import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
-    cmd,
+    build_origin,
     columns_option,
-    exit_code,
-    flag,
-    origin,
+    flag_option,
+    log_exit_code,
+    shell_command,
     strict_option,
 )
 from undeadzone.cli.output import (
     Output,
+    add_scenario_options,
     csv_option,
     decide_table,
-    line_of_files,
-    on_scenario,
-    to_type,
+    files_line,
+    next_line,
 )
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 
 
 @click.command(epilog="Example: undeadzone estimate mine.toml log.csv --columns y=angle,u=voltage")
 @columns_option
 @strict_option
-@flag("--causal", "The filter alone: no smoothing with the whole log.")
+@flag_option("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
-@on_scenario
+@add_scenario_options
 @click.argument("log", type=PATH, metavar="LOG")
 def estimate(
     scenario: Path,
@@ -58,7 +58,7 @@ def estimate(
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs
 
-    folder = output.folder(f"{log.stem}-estimate", as_csv)
+    folder = output.choose_folder(f"{log.stem}-estimate", as_csv)
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
         result = uz.estimate(
@@ -73,17 +73,23 @@ def estimate(
     written: list[Path] = []
     tables, left_out = decide_table(as_csv, result.table_size, "estimate.csv")
     if folder is not None:
-        written = write_estimation(result, folder, output.figures, tables, origin(scenario))
-    files = line_of_files(written) | left_out if written else {}
+        written = write_estimation(result, folder, output.figures, tables, build_origin(scenario))
+    files = files_line(written) | left_out if written else {}
     told = {} if cure is None else {"would fit": cure}
-    last = told | files | ({} if cure else _next(scenario, log, columns, result))
-    output.show(lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last)
-    return exit_code(result.info)
+    last = told | files | ({} if cure else _advise_after_estimate(scenario, log, columns, result))
+    output.print_result(
+        lambda: result.summary() | {"would_fit": cure}, result.blocks, written, last
+    )
+    return log_exit_code(result.info)
 
 
-def _next(scenario: Path, log: Path, columns: str | None, result: uz.Estimation) -> dict[str, str]:
-    """What to type after a log: firmware where it fits, else a model that does."""
+def _advise_after_estimate(
+    scenario: Path, log: Path, columns: str | None, result: uz.Estimation
+) -> dict[str, str]:
+    """Return the next command after a log: export if the model fits, else `identify`."""
     if result.info.consistent is False:
-        again = cmd("undeadzone", "identify", log, *["--columns", columns] * bool(columns))
-        return to_type(f"{again} finds a plant and a zone that fit")
-    return to_type(cmd("undeadzone", "export", scenario))
+        again = shell_command(
+            "undeadzone", "identify", log, *["--columns", columns] * bool(columns)
+        )
+        return next_line(f"{again} finds a plant and a zone that fit")
+    return next_line(shell_command("undeadzone", "export", scenario))

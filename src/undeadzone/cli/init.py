@@ -17,15 +17,15 @@ import click
 import undeadzone
 from undeadzone.cli.common import (
     PATH,
-    cmd,
-    flag,
+    flag_option,
     force_option,
-    option,
     print_blocks,
     print_json,
-    say,
+    print_line,
+    shell_command,
+    value_option,
 )
-from undeadzone.cli.output import Output, common
+from undeadzone.cli.output import Output, add_output_options
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_text, write_text
 from undeadzone.util.toml import require_short_keys
@@ -38,13 +38,13 @@ OTHERS: Final = {
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml")
 @click.argument("file", type=PATH, default=None, metavar="[FILE]")
-@option(
+@value_option(
     "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )
-@flag("--full", "Write the template with all its remarks and alternatives, 80 lines.")
-@flag("--list", "List the examples and write nothing.", "as_list")
+@flag_option("--full", "Write the template with all its remarks and alternatives, 80 lines.")
+@flag_option("--list", "List the examples and write nothing.", "as_list")
 @force_option
-@common
+@add_output_options
 def init(
     file: Path | None,
     example: str | None,
@@ -58,46 +58,52 @@ def init(
     With --full it says what else could stand there. With --example two_link write that example
     (default FILE: two_link.toml); --list shows all.
     """
-    from undeadzone.util.own_files import require_own
+    from undeadzone.util.own_files import require_own_file
 
     if as_list:
         return _print_examples(output.as_json)
-    texts = _texts(file, example, full, output.out or Path())
+    texts = _texts_to_write(file, example, full, output.out or Path())
     for path in texts:
-        require_own(path, force)
+        require_own_file(path, force)
     for path, text in texts.items():  # they are for the user to edit: without a mark
         write_text(text, path)
     if output.as_json:
         print_json({}, list(texts))
     else:
         first = next(iter(texts))
-        say(f"wrote {', '.join(map(str, texts))}{_next(first)}")
+        print_line(f"wrote {', '.join(map(str, texts))}{_advise_after_init(first)}")
     return 0
 
 
 def _print_examples(as_json: bool) -> int:
-    """Print names and titles of the examples."""
+    """Print names and titles of the examples, and return the exit code."""
 
-    found = titles()
+    found = example_titles()
     if as_json:
         print_json({"examples": found})
     else:
         print_blocks([[("example", "shows"), *found.items()]])
-        say("write one: undeadzone init --example two_link")
+        print_line("write one: undeadzone init --example two_link")
     return 0
 
 
-def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> dict[Path, str]:
-    """What is to be written, by path: the scenario first, then the files that it names."""
+def _texts_to_write(
+    file: Path | None, example: str | None, full: bool, folder: Path
+) -> dict[Path, str]:
+    """Return the texts to be written, by path: the scenario first, then the files that it
+    names.
+    """
     if example is not None and full:
         raise InputError("--full: an example is whole as it is; leave one of the two options out")
     if example is None:
         from importlib.resources import files
 
         template = files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8")
-        return {folder / (file or "scenario.toml"): template if full else _short(template)}
+        return {
+            folder / (file or "scenario.toml"): template if full else _shorten_template(template)
+        }
 
-    first, *named = files_of(example)
+    first, *named = example_files(example)
     target = folder / (file or first.name)
     texts = {target: first.read_text(encoding="utf-8")}
     for path in named:
@@ -105,29 +111,29 @@ def _texts(file: Path | None, example: str | None, full: bool, folder: Path) -> 
     return texts
 
 
-def _short(template: str) -> str:
-    """Return a template without its remarks and alternatives, but for what it says at its top."""
+def _shorten_template(template: str) -> str:
+    """Return a template without its remarks and alternatives, except those at its top."""
     head, _, _ = template.partition("\n\n")[0].partition("title")
     lines = [line for line in template.split("\n") if not line.startswith("#")]
     text = re.sub(r"\n{3,}", "\n\n", "\n".join(lines))
     return f"{head}# More keys and alternatives: undeadzone init --full, docs/keys.md.\n{text}"
 
 
-def _next(path: Path) -> str:
-    """What to type after a file was written."""
+def _advise_after_init(path: Path) -> str:
+    """Return the next command after a file was written."""
     starts = {".toml": ("undeadzone", "run"), ".py": ("python",)}
     start = starts.get(path.suffix)
-    return f"; next: {cmd(*start, path)}" if start else ""
+    return f"; next: {shell_command(*start, path)}" if start else ""
 
 
-def titles() -> dict[str, str]:
-    """What each example shows, by its name: that of a scenario, or of another file."""
-    scenarios = sorted(_folder().glob("*.toml"))
-    return {path.stem: str(_tables(path)["title"]) for path in scenarios} | OTHERS
+def example_titles() -> dict[str, str]:
+    """Return the title of each example by its name: of a scenario, or of a further file."""
+    scenarios = sorted(_examples_folder().glob("*.toml"))
+    return {path.stem: str(_load_tables(path)["title"]) for path in scenarios} | OTHERS
 
 
-def files_of(name: str) -> list[Path]:
-    """Return the file of an example, and then those that it names.
+def example_files(name: str) -> list[Path]:
+    """Return the file of an example, and then the files that it names.
 
     Args:
         name: of the example; `.toml` may be left out.
@@ -135,35 +141,35 @@ def files_of(name: str) -> list[Path]:
     Raises:
         InputError: there is no such example.
     """
-    known = titles()
+    known = example_titles()
     name = name.removesuffix(".toml")
     if name not in known:
         near = difflib.get_close_matches(name, known, 1)
         advice = f"did you mean {near[0]!r}? " if near else ""
         raise InputError(f"example: there is no {name!r}; {advice}--list shows all")
     if name in OTHERS:
-        return [_folder() / name]
-    path = _folder() / f"{name}.toml"
-    named = [_folder() / word for word in _words(_tables(path))]
+        return [_examples_folder() / name]
+    path = _examples_folder() / f"{name}.toml"
+    named = [_examples_folder() / word for word in _iterate_texts(_load_tables(path))]
     return [path, *[file for file in named if file.is_file()]]
 
 
-def _folder() -> Path:
-    """Where the examples are: beside the package's files in a wheel, else in the checkout."""
+def _examples_folder() -> Path:
+    """Return the folder of the examples: beside the package in a wheel, else in the checkout."""
     package = Path(undeadzone.__file__).parent
     packed = package / "examples"
     return packed if packed.is_dir() else package.parents[1] / "examples"
 
 
-def _tables(path: Path) -> dict[str, Any]:
+def _load_tables(path: Path) -> dict[str, Any]:
     """Return the tables of a scenario."""
     return tomllib.loads(require_short_keys(read_text(path)))
 
 
-def _words(tables: dict[str, Any]) -> Iterator[str]:
+def _iterate_texts(tables: dict[str, Any]) -> Iterator[str]:
     """Yield all texts in tables, which may be names of files."""
     for value in tables.values():
         if isinstance(value, dict):
-            yield from _words(value)
+            yield from _iterate_texts(value)
         elif isinstance(value, str):
             yield value

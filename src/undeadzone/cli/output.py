@@ -1,4 +1,4 @@
-"""What a command does with its result: it writes files, and prints one JSON object or words."""
+"""Output of a command's result: files, and a JSON object or text."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ import undeadzone as uz
 from undeadzone.cli.common import (
     PATH,
     add_guards,
-    cmd,
-    flag,
-    option,
+    flag_option,
     print_blocks,
     print_json,
-    say,
-    writable,
+    print_line,
+    require_writable,
+    shell_command,
+    value_option,
 )
 from undeadzone.util.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
-csv_option = flag(
+csv_option = flag_option(
     "--csv", f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.", "as_csv"
 )
 OUTPUTS = (
-    flag("--no-figures", "Compute only; draw nothing."),
-    flag("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
-    option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
+    flag_option("--no-figures", "Compute only; draw nothing."),
+    flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
+    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
 )
 
 
 class Output(NamedTuple):
-    """What a command does with its result.
+    """Output of a command's result.
 
     Attributes:
         out: folder that --out names; None: the command's own.
@@ -50,8 +50,8 @@ class Output(NamedTuple):
     as_json: bool
     figures: bool
 
-    def folder(self, default: str, tables: bool = False) -> Path | None:
-        """Return the folder for the files written; None: nothing is written.
+    def choose_folder(self, default: str, tables: bool = False) -> Path | None:
+        """Return the folder for the files written; None if the command writes no files.
 
         Called before the computation, so that a folder in which nothing can be written is noticed
         then; here libraries are imported as a process of our own may import them.
@@ -66,19 +66,19 @@ class Output(NamedTuple):
         _import_scipy()
         if self.out is None and not (self.figures or tables):
             return None
-        folder = writable(self.out or Path(default))
+        folder = require_writable(self.out or Path(default))
         if self.figures:
             prepare_figures()
         return folder
 
-    def show(
+    def print_result(
         self,
         numbers: Callable[[], Mapping[str, Any]],
         blocks: Callable[[], Sequence[Block]],
         written: Sequence[Path],
         last: Mapping[str, Any] | None = None,
     ) -> None:
-        """Print a result as one JSON object, or in words.
+        """Print a result as a JSON object, or as text.
 
         Args:
             numbers: gives the object.
@@ -89,27 +89,28 @@ class Output(NamedTuple):
         if self.as_json:
             print_json(numbers(), written)
         else:
-            print_blocks(blocks(), line_of_files(written) if last is None else last)
+            print_blocks(blocks(), files_line(written) if last is None else last)
 
 
-def common(command: Callable[..., int]) -> Callable[..., int]:
-    """Add --out, --json and --no-figures, which the command gets as one `Output`."""
+def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Add --out, --json and --no-figures, passed to the command as an `Output`."""
 
     @wraps(command)
     def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+        """Run the command with its `Output`."""
         return command(output=Output(out, as_json, not no_figures), **options)
 
     return reduce(lambda made, option: option(made), OUTPUTS, given)
 
 
-def on_scenario(command: Callable[..., int]) -> Callable[..., int]:
-    """Add SCENARIO.toml, --untrusted and --confine, and what `common` adds."""
+def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:
+    """Add SCENARIO.toml, --untrusted, --confine, and the options of `add_output_options`."""
     argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-    return argument(add_guards(common(command)))
+    return argument(add_guards(add_output_options(command)))
 
 
 def decide_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, str]]:
-    """Return whether a table of signals is written, and else the line that says so.
+    """Return whether a table of signals is written, and if not, the line that reports it.
 
     Args:
         as_csv: whether --csv is given.
@@ -122,7 +123,7 @@ def decide_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, 
 
 
 def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
-    """Where a search is kept until it is done; None: nowhere.
+    """Return the file that contains a search until it is done; None without a folder.
 
     Args:
         folder: of what it writes; None: it writes nothing.
@@ -137,21 +138,21 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
         if resume and whole.exists() and not partial.exists():
             raise click.UsageError(f"{whole}: is finished; leave --resume out to replace it")
         if resume:
-            tell_anew(partial)
+            report_fresh_start(partial)
         return partial
     if resume:
         raise click.UsageError("--resume needs the folder that was written to; name it with --out")
     return None
 
 
-def tell_anew(partial: Path) -> None:
-    """Say on stderr that --resume finds nothing in a folder that a stopped command has kept.
+def report_fresh_start(partial: Path) -> None:
+    """Report on stderr that --resume has no saved results in a folder.
 
     Args:
         partial: the file that it would have kept.
     """
     if not partial.exists():
-        say(f"--resume: there is no {partial}; begins anew", err=True)
+        print_line(f"--resume: there is no {partial}; begins anew", err=True)
 
 
 def _import_scipy() -> None:
@@ -172,32 +173,28 @@ def _import_scipy() -> None:
 
 
 def prepare_figures() -> None:
-    """Let figures look the same in every folder; called before the first is drawn."""
-    from undeadzone.report.style import own_settings
+    """Set the style of figures, equal in every folder; called before the first figure."""
+    from undeadzone.report.style import import_default_matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a cache of fonts that is not kept
-    own_settings()
+    import_default_matplotlib()
 
 
-def to_type(*words: str) -> dict[str, str]:
-    """Return the line that says what to type next, for `print_blocks`; each command with its
-    purpose.
-    """
+def next_line(*words: str) -> dict[str, str]:
+    """Return the line with the next commands and their purposes, for `print_blocks`."""
     return {"next": "; ".join(words)} if words else {}
 
 
-def export_of(path: Path, scenario: uz.Scenario) -> list[str]:
-    """Return the command that exports a scenario, and what it asks for first; none of a told
-    observer.
+def export_command(path: Path, scenario: uz.Scenario) -> list[str]:
+    """Return the command that exports a scenario, with a needed change; empty for
+    `full_state`.
     """
     if scenario.observer.__struct_config__.tag == "full_state":
         return []
     first = ' takes it with simulation.time = "sampled"' * (scenario.simulation.time != "sampled")
-    return [cmd("undeadzone", "export", path) + first]
+    return [shell_command("undeadzone", "export", path) + first]
 
 
-def line_of_files(written: Sequence[Path]) -> dict[str, Any]:
-    """Return the line that names the files written, for `print_blocks`; nothing where there are
-    none.
-    """
+def files_line(written: Sequence[Path]) -> dict[str, Any]:
+    """Return the line that names the written files, for `print_blocks`; empty without files."""
     return {"written": ", ".join(map(str, written))} if written else {}

@@ -8,20 +8,20 @@ from typing import Any, Final
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import PATH, cmd, option, origin, writable
+from undeadzone.cli.common import PATH, build_origin, require_writable, shell_command, value_option
 from undeadzone.cli.output import (
     Output,
+    add_scenario_options,
     csv_option,
     decide_table,
-    export_of,
-    line_of_files,
-    on_scenario,
+    export_command,
+    files_line,
+    next_line,
     prepare_figures,
-    to_type,
 )
 from undeadzone.errors import InputError
-from undeadzone.util.progress import on_terminal as progress
-from undeadzone.util.text import HALF_95, with_unit
+from undeadzone.util.progress import terminal_progress as progress
+from undeadzone.util.text import HALF_95, append_unit
 
 WIDE: Final = 0.2  # half of an interval, in widths: what narrows it is said
 CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
@@ -31,17 +31,17 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 @click.command(
     epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml --out results"
 )
-@option(
+@value_option(
     "--replay",
     "NUMBER",
     "Show a run of an ensemble, whose file stands for SCENARIO.toml.",
     type=int,
 )
-@option(
+@value_option(
     "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
 )
 @csv_option
-@on_scenario
+@add_scenario_options
 def run(
     scenario: Path,
     replay: int | None,
@@ -67,20 +67,20 @@ def run(
         from undeadzone.report.animation import require_movie
 
         require_movie(animation)
-        writable(animation.parent)
+        require_writable(animation.parent)
     rival: uz.Run | None = None
     deviation: float | None = None
     follow: dict[str, str] = {}
     name = scenario.stem if replay is None else f"run-{replay}"
-    folder = output.folder(f"{name}-results", as_csv)
+    folder = output.choose_folder(f"{name}-results", as_csv)
     if replay is None:
         wanted = _read_scenario(scenario, animation is not None, confine)
         result, rival = _simulate_and_compare(wanted)
-        follow = _next(scenario, wanted, result)
+        follow = _advise_after_run(scenario, wanted, result)
     else:
         with progress("replaying", None):
             result, deviation = _replay_and_compare(scenario, replay, confine)
-    given = origin(scenario if replay is None else None, result.info.seed)
+    given = build_origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = decide_table(as_csv, result.table_size, "run.csv")
     written: list[Path] = []
@@ -91,38 +91,38 @@ def run(
         if result.info.sensor == "gears":
             from undeadzone.results import mjcf
 
-            written += mjcf.write(mjcf.of_run(result), folder)
+            written += mjcf.write_gears(mjcf.joints_from_run(result), folder)
     if animation is not None:
-        written.append(_film(result, rival, animation))
-    files = line_of_files(written) | (left_out if folder is not None else {})
-    output.show(
-        lambda: _numbers(result, rival, replay, deviation),
+        written.append(_write_film(result, rival, animation))
+    files = files_line(written) | (left_out if folder is not None else {})
+    output.print_result(
+        lambda: _outcome_to_json(result, rival, replay, deviation),
         result.blocks,
         written,
-        _rival_numbers(rival) | _replay_in_words(deviation) | files | follow,
+        _describe_rival(rival) | _describe_replay(deviation) | files | follow,
     )
-    return 0 if _is_good(result) else 1
+    return 0 if _is_successful(result) else 1
 
 
-def _is_good(run: uz.Run) -> bool:
-    """Return whether a run is what was hoped for: exit code 0."""
+def _is_successful(run: uz.Run) -> bool:
+    """Return whether a run succeeded: exit code 0."""
     known = run.fully_identifiable or not run.adapts
     return run.divergence_time is None and not run.inexact and known
 
 
-def _next(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
-    """What to type after a run: what narrows wide intervals comes first."""
+def _advise_after_run(path: Path, scenario: uz.Scenario, run: uz.Run) -> dict[str, str]:
+    """Return the next commands after a run, first the remedy for wide intervals."""
     import numpy as np
 
-    check = f"{cmd('undeadzone', 'check', path)} says what can be known"
-    if not _is_good(run):
-        return to_type(check)
+    check = f"{shell_command('undeadzone', 'check', path)} says what can be known"
+    if not _is_successful(run):
+        return next_line(check)
     if run.d_std is None or (HALF_95 * run.d_std[-1] <= WIDE * np.abs(run.d_hat[-1])).all():
-        return to_type(check, *export_of(path, scenario))
+        return next_line(check, *export_command(path, scenario))
     claims = scenario.observer
     open_claims = [name for name in CLAIMS if getattr(claims, name, "no such claim") is None]
     narrower = f"narrower intervals: claim observer.{', '.join(open_claims)} if known"
-    return to_type(*[narrower] * bool(open_claims), check)
+    return next_line(*[narrower] * bool(open_claims), check)
 
 
 def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scenario:
@@ -145,11 +145,11 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
 
 
 def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]:
-    """Return the run of a scenario, and that of the observer that it is to be compared with."""
+    """Return the run of a scenario, and the run of the observer under comparison, or None."""
     from undeadzone.simulation.feedback import measure_feedback
     from undeadzone.simulation.simulate import beside
 
-    with progress("simulating", _steps(scenario), of=scenario.observer) as advance:
+    with progress("simulating", _count_simulated_steps(scenario), of=scenario.observer) as advance:
         if scenario.ensemble is not None:
             from undeadzone.ensemble.binding import require_bound
 
@@ -158,8 +158,8 @@ def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]
         return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 
 
-def _steps(scenario: uz.Scenario) -> int:
-    """How many steps are simulated: of each observer, of its twin of half the step, of `heard`."""
+def _count_simulated_steps(scenario: uz.Scenario) -> int:
+    """Return the number of simulated steps over all observers and repetitions."""
     from undeadzone.simulation.simulate import steps
 
     observers = 1 if scenario.compare is None else 2
@@ -167,14 +167,14 @@ def _steps(scenario: uz.Scenario) -> int:
 
 
 def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
-    """Return a run of an ensemble, and how far it lies from what it was there.
+    """Return a run of an ensemble, and its deviation from the run in the ensemble.
 
     Args:
         path: of the ensemble.
         number: of the run.
         confine: a folder outside of which the ensemble's scenario may name no file; None: any.
     """
-    from undeadzone.ensemble.run_ensemble import deviation
+    from undeadzone.ensemble.run_ensemble import replay_deviation
 
     ensemble = uz.Ensemble.load(path)
     if confine is not None:
@@ -182,21 +182,21 @@ def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[
         from undeadzone.scenario.reader import parse
 
         kept_inside(parse(ensemble.info.scenario), confine)
-    return uz.replay_run(ensemble, number), deviation(ensemble, number)
+    return uz.replay_run(ensemble, number), replay_deviation(ensemble, number)
 
 
-def _film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:
-    """Return the film of an arm's run, once it is written."""
-    from undeadzone.report.animation import frames, movie
+def _write_film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:
+    """Write the film of an arm's run and return its path."""
+    from undeadzone.report.animation import count_frames, write_movie
 
-    with progress("drawing", frames(result), "frames") as advance:
-        return movie(result, rival, path, advance)
+    with progress("drawing", count_frames(result), "frames") as advance:
+        return write_movie(result, rival, path, advance)
 
 
-def _numbers(
+def _outcome_to_json(
     result: uz.Run, rival: uz.Run | None, replay: int | None, deviation: float | None
 ) -> dict[str, Any]:
-    """What a run came to, for JSON."""
+    """Return the numbers of a run for JSON."""
     summary = result.summary()
     if rival is not None:
         summary["compare"] = rival.summary()
@@ -205,8 +205,8 @@ def _numbers(
     return summary
 
 
-def _replay_in_words(deviation: float | None) -> dict[str, str]:
-    """How far a run lies from what it was in its ensemble."""
+def _describe_replay(deviation: float | None) -> dict[str, str]:
+    """Return the deviation of a run from the run in its ensemble, as text."""
     if deviation is None:
         return {}
     if deviation == 0:
@@ -214,12 +214,12 @@ def _replay_in_words(deviation: float | None) -> dict[str, str]:
     return {"replayed": f"off by {deviation:.1g} of the ensemble: another processor or version"}
 
 
-def _rival_numbers(rival: uz.Run | None) -> dict[str, str]:
-    """What a rival's run came to."""
+def _describe_rival(rival: uz.Run | None) -> dict[str, str]:
+    """Return the errors of the run under comparison, as text."""
     if rival is None:
         return {}
     if rival.divergence_time is not None:
         return {"compared": f"{rival.name} diverges at {rival.divergence_time:g} s"}
     tip = "" if rival.rms_tip is None else f", tip {rival.rms_tip:.4g} m"
-    rms = with_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
+    rms = append_unit(f"{rival.rms_tracking:.4g}", rival.info.units.output)
     return {"compared": f"{rival.name}: rms z - r {rms}{tip}"}

@@ -8,10 +8,16 @@ from typing import Any
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import cmd, flag, force_option, option, origin
-from undeadzone.cli.output import Output, line_of_files, on_scenario, partial_file, to_type
+from undeadzone.cli.common import (
+    build_origin,
+    flag_option,
+    force_option,
+    shell_command,
+    value_option,
+)
+from undeadzone.cli.output import Output, add_scenario_options, files_line, next_line, partial_file
 from undeadzone.errors import InputError
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 
 STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 
@@ -20,21 +26,23 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
     epilog="Example: undeadzone tune examples/tune.toml --out tuned "
     "&& undeadzone run tuned/tuned.toml"
 )
-@option(
+@value_option(
     "--over",
     "ADDRESS=LOW:HIGH[:log]",
     "Tune this number too, or within these bounds; may be given several times.",
     multiple=True,
 )
-@option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
-@option("--statistic", None, "Of the runs (default: [tune] statistic, mean).", type=STATISTICS)
-@flag("--certified", "Keep the observer's gains certified.", default=None)
-@option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
-@option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
-@option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
-@flag("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
+@value_option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
+@value_option(
+    "--statistic", None, "Of the runs (default: [tune] statistic, mean).", type=STATISTICS
+)
+@flag_option("--certified", "Keep the observer's gains certified.", default=None)
+@value_option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
+@value_option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
+@value_option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
+@flag_option("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @force_option
-@on_scenario
+@add_scenario_options
 def tune(
     scenario: Path,
     over: tuple[str, ...],
@@ -63,12 +71,12 @@ def tune(
     after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
     or not certified though this was asked for.
     """
-    from undeadzone.util.own_files import require_own
+    from undeadzone.util.own_files import require_own_file
 
     tuned = uz.read(scenario, confine)
-    folder = output.folder(f"{scenario.stem}-tune")
+    folder = output.choose_folder(f"{scenario.stem}-tune")
     if folder is not None:
-        require_own(folder / "tuned.toml", force)
+        require_own_file(folder / "tuned.toml", force)
     wanted = _tuning_task(tuned, over, changes)
     keep = partial_file(folder, "tuned.toml", resume)
     with progress("tuning", wanted.budget, "candidates", of=tuned.observer) as advance:
@@ -79,25 +87,25 @@ def tune(
     if folder is not None and output.figures:
         from undeadzone.report.tune_page import write_tuned
 
-        written += write_tuned(result, folder, origin(scenario, result.seed))
-    last = line_of_files(written)
+        written += write_tuned(result, folder, build_origin(scenario, result.seed))
+    last = files_line(written)
     if written:
-        last |= to_type(cmd("undeadzone", "run", written[0]))
-    output.show(result.summary, result.blocks, written, last)
+        last |= next_line(shell_command("undeadzone", "run", written[0]))
+    output.print_result(result.summary, result.blocks, written, last)
     return 0 if result.improved and result.certified else 1
 
 
 def _tuning_task(scenario: uz.Scenario, over: tuple[str, ...], changes: dict[str, Any]) -> uz.Tune:
-    """Return the [tune] of a scenario with what the options say. Raises InputError."""
+    """Return the [tune] table of a scenario, updated by the options. Raises InputError."""
     import msgspec
 
     table = scenario.tune or uz.Tune()
     options = {name: value for name, value in changes.items() if value is not None}
-    entries = table.entries | dict(map(_bounds, over))
+    entries = table.entries | dict(map(_parse_bounds, over))
     return msgspec.structs.replace(table, entries=entries, **options)
 
 
-def _bounds(text: str) -> tuple[str, Any]:
+def _parse_bounds(text: str) -> tuple[str, Any]:
     """Return an address and its bounds, from ADDRESS=LOW:HIGH[:log]. Raises InputError."""
     address, _, bounds = text.partition("=")
     low, _, rest = bounds.partition(":")

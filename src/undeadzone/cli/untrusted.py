@@ -1,4 +1,4 @@
-"""A stranger's files held apart: what this process may still read, write and use, for good."""
+"""Restriction of this process for untrusted files: limits on reading, writing and resources."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ EVERY: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1}  # rights 
 TRUNCATE: Final = 1 << 14
 
 
-def hold_apart(folder: Path, out: Path | None) -> list[str]:
-    """Read strangers' files from `folder` and write below `out`, whatever they ask for.
+def restrict_process(folder: Path, out: Path | None) -> list[str]:
+    """Restrict this process to read strangers' files from `folder` and to write below `out`.
 
     No module comes from `folder`. Memory and CPU time are limited, unless less is allowed already.
     Where the kernel has Landlock, nothing else can be read but what programs and libraries need,
@@ -56,35 +56,37 @@ def hold_apart(folder: Path, out: Path | None) -> list[str]:
     if not folder.is_dir():
         raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
     here = Path(os.path.realpath(folder))
-    sys.path[:] = [place for place in sys.path if place and not _is_apart(Path(place), here)]
+    sys.path[:] = [
+        place for place in sys.path if place and not _is_untrusted_place(Path(place), here)
+    ]
     if out is not None:
         require_folder(out)
         out.mkdir(parents=True, exist_ok=True)
-        _keep_scratch(out)
-    written = [place for place in (out, _cache()) if place is not None]
+        _use_scratch_folder(out)
+    written = [place for place in (out, _kernel_cache_folder()) if place is not None]
     lacking = []
-    if not _limit():
+    if not _limit_resources():
         lacking.append("no limits of memory and time on this system")
-    if not _restrict_files([here, *_libraries()], written):
+    if not _restrict_files([here, *_library_places()], written):
         lacking.append("no Landlock on this system: paths are checked, nothing more")
     return lacking
 
 
-def _is_apart(place: Path, folder: Path) -> bool:
-    """Return whether modules come from `folder`, or from where `python -m` was started."""
+def _is_untrusted_place(place: Path, folder: Path) -> bool:
+    """Return whether a place of modules is in `folder`, or the start folder of `python -m`."""
     own, real = Path(__file__).parents[2], Path(os.path.realpath(place))
     return real.is_relative_to(folder) or (real == Path.cwd() and real != own)
 
 
-def _keep_scratch(out: Path) -> None:
-    """Put temporary files below `out`; they go when the process ends."""
+def _use_scratch_folder(out: Path) -> None:
+    """Put temporary files below `out`; they are deleted when the process ends."""
     scratch = tempfile.mkdtemp(dir=out.absolute(), prefix=".scratch-")
     atexit.register(shutil.rmtree, scratch, ignore_errors=True)
     tempfile.tempdir = os.environ["TMPDIR"] = scratch
 
 
-def _cache() -> Path | None:
-    """Where kernels are kept, made if missing; None where that cannot be."""
+def _kernel_cache_folder() -> Path | None:
+    """Return the folder of cached kernels, created if missing; None on failure."""
     from undeadzone.compile.cache_folder import cache_directory
 
     place = cache_directory()
@@ -96,15 +98,15 @@ def _cache() -> Path | None:
     return place
 
 
-def _libraries() -> list[Path]:
-    """What programs and libraries need to be read."""
+def _library_places() -> list[Path]:
+    """Return the places that programs and libraries need to read."""
     package = Path(__file__).parents[2]
     places = [*map(Path, (*SYSTEM, sys.prefix, sys.base_prefix, *sys.path)), package]
     return [place for place in places if place.exists()]
 
 
-def _limit() -> bool:
-    """Limit memory, CPU time, the size of a file, and files of crashes; whether the system can."""
+def _limit_resources() -> bool:
+    """Limit memory, CPU time and core files; return whether the system can."""
     if sys.platform == "win32":
         return False
     import resource
@@ -118,17 +120,17 @@ def _limit() -> bool:
         allowed, hard = resource.getrlimit(kind)
         if allowed == resource.RLIM_INFINITY or allowed > most:
             resource.setrlimit(kind, (most, hard))
-    signal.signal(signal.SIGXCPU, _out_of_time)
+    signal.signal(signal.SIGXCPU, _raise_out_of_time)
     return True
 
 
-def _out_of_time(number: int, frame: FrameType | None) -> None:
-    """End the command."""
+def _raise_out_of_time(number: int, frame: FrameType | None) -> None:
+    """Raise Terminated: CPU time ran out."""
     raise Terminated(f"{CPU_TIME} s of CPU time ran out, which --untrusted allows")
 
 
 def _restrict_files(read: Iterable[Path], written: Iterable[Path]) -> bool:
-    """Take every other right on files away; whether the kernel can."""
+    """Remove all further rights on files; return whether the kernel can."""
     if sys.platform != "linux":
         return False
     kernel = ctypes.CDLL(None, use_errno=True)
@@ -142,17 +144,17 @@ def _restrict_files(read: Iterable[Path], written: Iterable[Path]) -> bool:
         return False
     try:
         for place in read:
-            _grant(kernel, rules, place, EXECUTE | READ_FILE | READ_FOLDER)
+            _grant_rights(kernel, rules, place, EXECUTE | READ_FILE | READ_FOLDER)
         for place in (*written, Path(os.devnull)):
-            _grant(kernel, rules, place, every)
+            _grant_rights(kernel, rules, place, every)
         kernel.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
         return bool(kernel.syscall(RESTRICT, rules, 0) == 0)
     finally:
         os.close(rules)
 
 
-def _grant(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> None:
-    """Grant rights below a folder, or those of a file on a file."""
+def _grant_rights(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> None:
+    """Grant rights below a folder, or the rights of a file on a file."""
     if not place.is_dir():
         rights &= OF_FILES | TRUNCATE
     descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)

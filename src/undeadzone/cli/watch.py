@@ -19,19 +19,19 @@ from undeadzone.cli.common import (
     PATH,
     SCHEMA,
     add_guards,
+    add_schema,
     columns_option,
-    exit_code,
-    flag,
-    option,
+    flag_option,
+    log_exit_code,
     print_blocks,
-    say,
+    print_line,
+    require_writable,
     strict_option,
-    with_schema,
-    writable,
+    value_option,
 )
-from undeadzone.cli.output import to_type
+from undeadzone.cli.output import next_line
 from undeadzone.errors import FileError, Terminated
-from undeadzone.util.progress import on_terminal as progress
+from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
     from undeadzone.results.info import LogInfo
@@ -45,7 +45,7 @@ TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 def _check_seconds(
     ctx: click.Context, param: click.Parameter, seconds: float | None
 ) -> float | None:
-    """Return a time that can be waited for. Raises BadParameter."""
+    """Return a time that can be waited for [s]. Raises BadParameter."""
     if seconds is not None and math.isnan(seconds):
         raise click.BadParameter("nan is no time [s]", ctx, param)
     return seconds
@@ -56,11 +56,11 @@ def _check_seconds(
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
 @click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
-@flag("--json", "Print one JSON object per sample instead of CSV.", "as_json")
+@flag_option("--json", "Print one JSON object per sample instead of CSV.", "as_json")
 @columns_option
 @strict_option
-@option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
-@option(
+@value_option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
+@value_option(
     "--every",
     "SECONDS",
     "How often the state is saved.",
@@ -68,7 +68,7 @@ def _check_seconds(
     default=10.0,
     callback=_check_seconds,
 )
-@option(
+@value_option(
     "--heartbeat",
     "SECONDS",
     "Say on stderr so often how far it is.",
@@ -106,28 +106,28 @@ def watch(
     from undeadzone.simulation.follower import Follower, LiveLog
 
     if state is not None:
-        writable(state.parent)
+        require_writable(state.parent)
     watched = read_for_logs(scenario, confine)
     with progress("watching", None, of=watched.observer):
         follower = Follower(watched, live=True)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
         raise FileError("stdin: it is closed; give lines of readings and inputs")
-    kept = Kept(state, every, follower, log)
+    kept = SavedWatch(state, every, follower, log)
     try:
-        with _beating(heartbeat, follower, log):
-            _follow(log, follower, kept, as_json)
+        with _print_heartbeat(heartbeat, follower, log):
+            _estimate_stream(log, follower, kept, as_json)
     except (KeyboardInterrupt, Terminated):  # a live log ends this way
         if follower.samples:
-            _say_end(log.info(follower), as_json)
+            _print_log_summary(log.info(follower), as_json)
         raise
     info = log.info(follower)
-    _say_end(info, as_json)
-    return exit_code(info)
+    _print_log_summary(info, as_json)
+    return log_exit_code(info)
 
 
-class Kept:
-    """What the watch has come to, kept in a file; read at once if it is there.
+class SavedWatch:
+    """State of the watch, saved in a file; read at the start if the file exists.
 
     Args:
         path: of the file; None: nothing is kept.
@@ -147,7 +147,7 @@ class Kept:
             load(path, self._parts, self._digest)
             follower.go_on()
 
-    def save(self, when_due: bool = False) -> None:
+    def save_state(self, when_due: bool = False) -> None:
         """Replace the file.
 
         Args:
@@ -169,20 +169,25 @@ class Kept:
                 raise
             self._failures += 1
             often = f"not saved, {self._failures} times by now; tried again in {self._every:g} s"
-            say(f"undeadzone: {error}: {often}", err=True)
+            print_line(f"undeadzone: {error}: {often}", err=True)
 
 
 @contextmanager
-def _beating(seconds: float | None, follower: Follower, log: LiveLog) -> Iterator[None]:
-    """Provide say on stderr every so many seconds how far the watch is, while this lasts."""
+def _print_heartbeat(seconds: float | None, follower: Follower, log: LiveLog) -> Iterator[None]:
+    """Provide a block in which a thread reports the progress of the watch on stderr at
+    intervals.
+    """
     ended = threading.Event()
 
     def beat() -> None:
+        """Print the progress at intervals until the block ends."""
         seen, idle = follower.samples, 0.0
         while not ended.wait(seconds):
             idle = idle + (seconds or 0.0) if follower.samples == seen else 0.0
             seen, faults = follower.samples, sum(log.clock.faults.by_kind.values())
-            say(f"alive: {seen} samples, {faults} faults, {idle:g} s without a sample", err=True)
+            print_line(
+                f"alive: {seen} samples, {faults} faults, {idle:g} s without a sample", err=True
+            )
 
     beats = threading.Thread(target=beat, daemon=True)
     if seconds is not None:
@@ -195,18 +200,18 @@ def _beating(seconds: float | None, follower: Follower, log: LiveLog) -> Iterato
             beats.join()
 
 
-def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None:
-    """Answer every sample on stdin until it ends."""
+def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json: bool) -> None:
+    """Print an estimate for every sample on stdin until it ends."""
     stdin: Any = sys.stdin.buffer
-    text = _json if as_json else _csv
+    text = _to_json_lines if as_json else _to_csv_lines
     last = False
     header = not as_json
     while not last:
         try:
-            kept.save(when_due=True)
+            kept.save_state(when_due=True)
             data = stdin.read1(BLOCK)
         except (KeyboardInterrupt, Terminated):  # all that came in was followed
-            kept.save()
+            kept.save_state()
             raise
         last = not data
         for begins, samples in log.pieces(data, last):
@@ -214,61 +219,65 @@ def _follow(log: LiveLog, follower: Follower, kept: Kept, as_json: bool) -> None
                 follower.restart()
             estimate, sides, _ = follower.follow(samples)
             if header:
-                _write(_header(estimate, sides))
+                _write_stdout(_csv_header(estimate, sides))
                 header = False
-            _write(text(samples.t, estimate, sides))
-    kept.save()
+            _write_stdout(text(samples.t, estimate, sides))
+    kept.save_state()
 
 
-def _say_end(info: LogInfo, as_json: bool) -> None:
-    """What the log comes to, on stderr."""
-    from undeadzone.results.estimation import in_words
-    from undeadzone.util.arrays import finite
+def _print_log_summary(info: LogInfo, as_json: bool) -> None:
+    """Print the summary of the log on stderr."""
+    from undeadzone.results.estimation import blocks_from_log
+    from undeadzone.util.arrays import to_json_value
 
     if as_json:
-        say(json.dumps(finite(with_schema(info.summary())), allow_nan=False), err=True)
+        print_line(json.dumps(to_json_value(add_schema(info.summary())), allow_nan=False), err=True)
     else:
         words = "undeadzone estimate, with the scenario and the log in a file, tries what would fit"
-        print_blocks(in_words(info), to_type(words) if info.consistent is False else {}, err=True)
+        print_blocks(
+            blocks_from_log(info), next_line(words) if info.consistent is False else {}, err=True
+        )
 
 
-def _write(text: bytes) -> None:
-    """Write bytes to stdout, at once."""
+def _write_stdout(text: bytes) -> None:
+    """Write bytes to stdout immediately."""
     click.echo(text, nl=False)
 
 
-def _parts(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]:
-    """Return the parts of estimates, and the measured sides, by the names of their columns."""
+def _estimate_columns(estimate: uz.Estimate, sides: Floats) -> dict[str, Floats]:
+    """Return the parts of estimates, and the measured branches, by the names of their columns."""
     from undeadzone.interfaces import COLUMNS
 
     return dict(zip(COLUMNS, estimate, strict=True)) | {"side": sides}
 
 
-def _header(estimate: uz.Estimate, sides: Floats) -> bytes:
+def _csv_header(estimate: uz.Estimate, sides: Floats) -> bytes:
     """Return the names of the columns of a CSV file: t, x_hat[0], ..."""
     names = ["t"]
-    for name, part in _parts(estimate, sides).items():
+    for name, part in _estimate_columns(estimate, sides).items():
         names += [f"{name}[{i}]" for i in range(part.shape[1])]
     return ",".join(names).encode() + b"\n"
 
 
-def _csv(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
+def _to_csv_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
     """Return lines of a CSV file, with all digits."""
     import msgspec
     import numpy as np
 
-    table = np.hstack([t[:, None], *_parts(estimate, sides).values()])
+    table = np.hstack([t[:, None], *_estimate_columns(estimate, sides).values()])
     rows = msgspec.json.encode(table.tolist())[2:-2]  # the quickest exact way to write numbers
     if not np.isfinite(table).all():
         rows = rows.replace(b"null", b"nan")
     return rows.replace(b"],[", b"\n") + b"\n"
 
 
-def _json(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
-    """Return lines of JSON; what the observer does not estimate is left out."""
+def _to_json_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
+    """Return lines of JSON; quantities that the observer does not estimate are left out."""
     import msgspec
 
-    parts = {name: part for name, part in _parts(estimate, sides).items() if part.shape[1]}
+    parts = {
+        name: part for name, part in _estimate_columns(estimate, sides).items() if part.shape[1]
+    }
     lists = [part.tolist() for part in parts.values()]
     names = ("schema", "t", *parts)
     rows = zip(len(t) * [SCHEMA], t.tolist(), *lists, strict=True)

@@ -8,7 +8,7 @@ from undeadzone.compensators.parts.coasting import Coasts, build_zone_inverse, r
 from undeadzone.interfaces import Compensator
 from undeadzone.nonlinearities.actuator import Belief
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, positive
+from undeadzone.util.arrays import Array, require_positive
 
 SOFT = 0.1  # of the mean width: |v| over which the step is spread, unless it is given
 
@@ -30,5 +30,5 @@ class SmoothZoneInverse(
         drive = require_drive(belief)
         usual = SOFT * np.maximum((drive.right + drive.left) / 2, 1e-12)
         given = usual if self.soft is None else self.soft
-        soft = positive("compensator.soft", given, model.m, "one per input")
+        soft = require_positive("compensator.soft", given, model.m, "one per input")
         return build_zone_inverse(self, model, drive, soft)

@@ -25,7 +25,7 @@ from undeadzone.compile.kernel import KINDS, KernelGraphs, build_graphs, print_k
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import Form, Shape, environment_form, host_machine
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import Floats, Integers, shape_text
+from undeadzone.util.arrays import Floats, Integers, describe_shape
 
 WIDTH = 128
 WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
@@ -453,6 +453,6 @@ def _require_shape(name: str, value: Floats, *shape: int) -> Floats:
     """Return an array of a given shape. Raise ShapeError for other shapes."""
     numbers = np.asarray(value, float)
     if numbers.shape != shape:
-        present = shape_text(numbers.shape)
-        raise ShapeError(f"{name}: expected {shape_text(shape)}, found {present}")
+        present = describe_shape(numbers.shape)
+        raise ShapeError(f"{name}: expected {describe_shape(shape)}, found {present}")
     return numbers

@@ -20,7 +20,7 @@ from undeadzone.compile.print_llvm import TYPES, Names, Text, print_lanes, print
 from undeadzone.compile.schedule import lane_instructions
 from undeadzone.compile.trace import Numpy, Value
 from undeadzone.errors import ShapeError
-from undeadzone.util.arrays import Floats, Integers, shape_text
+from undeadzone.util.arrays import Floats, Integers, describe_shape
 
 
 def fill_normal(
@@ -42,7 +42,7 @@ def fill_normal(
     if numbers.shape[1:] != (channels, lanes):
         raise ShapeError(
             f"numbers: expected steps x {channels} channels x {lanes} lanes, "
-            f"found {shape_text(numbers.shape)}"
+            f"found {describe_shape(numbers.shape)}"
         )
     kernel = cache.load_block(*_fill_program())
     streams, lane_runs = np.asarray(words, np.uint32), np.asarray(runs, np.uint64)
@@ -63,8 +63,8 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
     """
     if state.shape != numbers.shape[1:]:
         raise ShapeError(
-            f"state: expected {shape_text(numbers.shape[1:])} (channels x lanes), "
-            f"found {shape_text(state.shape)}"
+            f"state: expected {describe_shape(numbers.shape[1:])} (channels x lanes), "
+            f"found {describe_shape(state.shape)}"
         )
     if first == 0:  # the very first number stays as it is
         state[:] = numbers[0]

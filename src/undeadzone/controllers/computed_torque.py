@@ -22,11 +22,11 @@ from undeadzone.feedforward.flank_path import LEAD, choose_flank, doubly_integra
 from undeadzone.feedforward.targets import Target, along_targets
 from undeadzone.interfaces import Controller, Estimate, Plan
 from undeadzone.nonlinearities.sensor import deadzone
-from undeadzone.plants.robots.arm import Arm, acceleration, torque
+from undeadzone.plants.robots.arm import Arm, forward_dynamics, inverse_dynamics
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, positive, scalar
+from undeadzone.util.arrays import Array, Floats, require_number, require_positive
 
 KEY = "controller.crossing"
 FLOATS = 0.5  # of a gap's half, by which a link that hangs in its gap is off its path
@@ -85,7 +85,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
             speed_error = target.x_ref[N:] - v - drift
             error = target.x_ref[:N] - q
             wanted = target.plan + p.k_d * speed_error + p.k_p * error
-            return s, torque(arm, p.model, q, v, wanted - push)
+            return s, inverse_dynamics(arm, p.model, q, v, wanted - push)
 
         plan = Plan(N, model.params, lambda params, target: path_accelerations(arm, params, target))
         return Controller(Params(model.params, k_p, k_d), lambda p: None, step, plan)
@@ -102,7 +102,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
 
         def per_joint(name: str) -> Floats:
             """Return a positive option per joint (N)."""
-            return positive(f"controller.{name}", getattr(self, name), N, "one per joint")
+            return require_positive(f"controller.{name}", getattr(self, name), N, "one per joint")
 
         if chosen == ["bandwidth"]:
             w, z = per_joint("bandwidth"), per_joint("damping")
@@ -136,7 +136,7 @@ def path_accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
     """
     N = arm.size
     return along_targets(
-        lambda x, u: acceleration(arm, ca.SX(params), x[:N], x[N:], u),
+        lambda x, u: forward_dynamics(arm, ca.SX(params), x[:N], x[N:], u),
         target,
     )
 
@@ -190,7 +190,7 @@ def build_gear_controller(
     assert gears is not None
     assert Ts is not None
     N = gears.size
-    numbers = doubly_integrated(scalar(KEY, crossing, above=0.0), Ts, KEY)
+    numbers = doubly_integrated(require_number(KEY, crossing, above=0.0), Ts, KEY)
     ahead = round(LEAD / crossing / Ts)
 
     def init(p: Params) -> State:
@@ -203,17 +203,19 @@ def build_gear_controller(
         q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
         motor, link, spin, speed = ca.vertsplit(estimate.x, N)
         astray = q - link + (LEAD / crossing + 2 * p.k_d / p.k_p) * (v - speed)
-        half = gears.number(p.model, "half")
+        half = gears.gear_number(p.model, "half")
         back = swung + p.k_p / 4 * deadzone(astray, FLOATS * half, FLOATS * half)
         towards = carrying_flank(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
         push, following = step_filters(p.crossing, moved, (towards * half).T)
-        place, turning = q - gears.number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
+        place, turning = q - gears.gear_number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
         correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
-        links = torque(gears.arm, gears.links(p.model), q, v, a + correction)
+        links = inverse_dynamics(gears.arm, gears.link_params(p.model), q, v, a + correction)
         known = reject and estimate.w.shape[0] > 0  # what the model leaves out
         spinning = a + push.T + correction - (estimate.w[2 * N : 3 * N] if known else 0.0)
-        motors = gears.number(p.model, "inertia") * spinning + gears.friction(p.model, turning)
+        motors = gears.gear_number(p.model, "inertia") * spinning + gears.motor_friction_torque(
+            p.model, turning
+        )
         return State(ca.reshape(following.T, 2 * N, 1), towards), links + motors
 
     def along(params: Any, target: Target) -> Floats:
@@ -238,7 +240,7 @@ def carrying_flank(gears: Geared, params: Any, path: Any, before: Any) -> Any:
         path: positions, speeds and accelerations of the links (3, N each).
         before: the flank before (N).
     """
-    load = torque(gears.arm, gears.links(params), *path)
+    load = inverse_dynamics(gears.arm, gears.link_params(params), *path)
     return choose_flank(ca.sign(load) * (ca.fabs(load) > ROUNDING), before)
 
 
@@ -257,8 +259,10 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
     def turned_together(x: Any, u: Any) -> Any:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""
         q, v = x[N : 2 * N], x[3 * N :]
-        held = torque(gears.arm, gears.links(p), q, v, ca.SX(N, 1)) + gears.friction(p, v)
-        M = gears.arm.mass(gears.links(p), q) + ca.diag(gears.number(p, "inertia"))
+        held = inverse_dynamics(
+            gears.arm, gears.link_params(p), q, v, ca.SX(N, 1)
+        ) + gears.motor_friction_torque(p, v)
+        M = gears.arm.mass(gears.link_params(p), q) + ca.diag(gears.gear_number(p, "inertia"))
         return ca.solve(M, u - held)
 
     return along_targets(turned_together, target)

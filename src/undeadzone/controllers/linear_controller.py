@@ -11,10 +11,10 @@ from undeadzone.controllers.parts.tracked_error import require_square, select_tr
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.plants.interop import in_state_space
+from undeadzone.plants.interop import to_state_space
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
+from undeadzone.util.arrays import Array, Floats, require_array, require_matrix, require_number
 
 SAME_STEP = 1e-9  # relative difference of two sample times that are the same
 
@@ -90,7 +90,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         m, p = model.m, model.p
         D: Floats = np.zeros((m, p))
         if self.D is not None:
-            D = matrix("controller.D", self.D, m, p, "inputs x outputs")
+            D = require_matrix("controller.D", self.D, m, p, "inputs x outputs")
         if self.A is None and self.B is None and self.C is None:
             if self.D is None:
                 raise InputError(
@@ -101,11 +101,11 @@ class LinearController(Options, frozen=True, tag="linear"):
         absent = [name for name in "ABC" if getattr(self, name) is None]
         if absent:
             raise InputError(f"controller.{absent[0]}: 'linear' needs A, B and C together")
-        A = matrix("controller.A", self.A)
+        A = require_matrix("controller.A", self.A)
         k = A.shape[0]
-        A = matrix("controller.A", A, k, k, "square")
-        B = matrix("controller.B", self.B, k, p, "controller's states x outputs")
-        C = matrix("controller.C", self.C, m, k, "inputs x controller's states")
+        A = require_matrix("controller.A", A, k, k, "square")
+        B = require_matrix("controller.B", self.B, k, p, "controller's states x outputs")
+        C = require_matrix("controller.C", self.C, m, k, "inputs x controller's states")
         return Params(A, B, C, D)
 
     def _realise_transfer_function(self) -> Params:
@@ -115,8 +115,10 @@ class LinearController(Options, frozen=True, tag="linear"):
         if self.numerator is None or self.denominator is None:
             absent = "numerator" if self.numerator is None else "denominator"
             raise InputError(f"controller.{absent}: 'linear' needs numerator and denominator")
-        numerator = np.trim_zeros(np.atleast_1d(array("controller.numerator", self.numerator)), "f")
-        denominator = np.atleast_1d(array("controller.denominator", self.denominator))
+        numerator = np.trim_zeros(
+            np.atleast_1d(require_array("controller.numerator", self.numerator)), "f"
+        )
+        denominator = np.atleast_1d(require_array("controller.denominator", self.denominator))
         denominator = np.trim_zeros(denominator, "f")
         if numerator.ndim != 1 or denominator.ndim != 1:
             raise InputError("controller.numerator: expected one list of coefficients")
@@ -140,7 +142,7 @@ class LinearController(Options, frozen=True, tag="linear"):
             )
         if self.Ts is None:
             return numbers if model.Ts is None else _discretise_tustin(numbers, model.Ts)
-        Ts = scalar("controller.Ts", self.Ts, above=0.0)
+        Ts = require_number("controller.Ts", self.Ts, above=0.0)
         if model.Ts is None:
             raise InputError(
                 "controller.Ts: a controller in discrete time needs simulation.time = "
@@ -183,7 +185,7 @@ def _static_gain(D: Floats) -> Params:
 
 def _unpack_system(options: LinearController, system: Any) -> None:
     """Replace a system in the options by its matrices. Raises InputError."""
-    space = in_state_space(system, "controller", "LinearController")
+    space = to_state_space(system, "controller", "LinearController")
     for name in "ABCD":
         numbers = np.atleast_2d(np.asarray(getattr(space, name), float))
         msgspec.structs.force_setattr(options, name, numbers if numbers.size else None)

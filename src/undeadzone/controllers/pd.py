@@ -16,7 +16,7 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.linalg.riccati import paper_riccati, require_weight
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, scalar, vector
+from undeadzone.util.arrays import Array, Floats, require_number, require_vector
 
 
 class PD(Options, frozen=True, kw_only=True, tag="pd"):
@@ -49,7 +49,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
                 "controller.method: 'pd' feeds back the innovation, which nothing foretells over "
                 "plant.delay; use state_feedback"
             )
-        tau = scalar("controller.filter_time", self.filter_time, above=0.0)
+        tau = require_number("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._pd_gains(model)
 
         def init(p: Params) -> State:
@@ -73,8 +73,8 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         if self.k_p is None or self.k_d is None:
             K = self._riccati_gains(model)
             return K[0], K[1]
-        k_p = vector("controller.k_p", self.k_p, model.p, "one per output")
-        k_d = vector("controller.k_d", self.k_d, model.p, "one per output")
+        k_p = require_vector("controller.k_p", self.k_p, model.p, "one per output")
+        k_d = require_vector("controller.k_d", self.k_d, model.p, "one per output")
         return k_p, k_d
 
     def _riccati_gains(self, model: System) -> Floats:
@@ -85,8 +85,12 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
                 "controller: pd needs k_p and k_d, except for a continuous second-order plant, "
                 "where (34) gives them"
             )
-        L = np.zeros((2, 1)) if self.L is None else vector("controller.L", self.L, 2)[:, None]
-        alpha = scalar("controller.alpha", self.alpha, above=0.0)
+        L = (
+            np.zeros((2, 1))
+            if self.L is None
+            else require_vector("controller.L", self.L, 2)[:, None]
+        )
+        alpha = require_number("controller.alpha", self.alpha, above=0.0)
         return paper_riccati(A - L @ C, B, alpha, require_weight("controller.Q", self.Q, 2)).K.T
 
 

@@ -13,7 +13,14 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, matrix, nonnegative, positive, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_matrix,
+    require_nonnegative,
+    require_positive,
+    require_vector,
+)
 
 
 class PID(Options, frozen=True, kw_only=True, tag="pid"):
@@ -77,11 +84,13 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
     def _pid_params(self, model: System) -> Params:
         """Return the parameters of the controller. Raises InputError, ShapeError."""
         each = "one per output"
-        k_p = vector("controller.k_p", self.k_p, model.p, each)
-        k_i = vector("controller.k_i", self.k_i, model.p, each)
-        k_d = vector("controller.k_d", self.k_d, model.p, each)
-        tau = positive("controller.filter_time", self.filter_time, model.p, each)
-        b, c = nonnegative("controller.reference_weights", self.reference_weights, 2, "b and c")
+        k_p = require_vector("controller.k_p", self.k_p, model.p, each)
+        k_i = require_vector("controller.k_i", self.k_i, model.p, each)
+        k_d = require_vector("controller.k_d", self.k_d, model.p, each)
+        tau = require_positive("controller.filter_time", self.filter_time, model.p, each)
+        b, c = require_nonnegative(
+            "controller.reference_weights", self.reference_weights, 2, "b and c"
+        )
         low, high = self._input_limits(model.m)
         tracking = self._tracking_time(k_p, k_i, k_d)
         unwind = model.per_step / tracking
@@ -101,7 +110,9 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         pairs = np.atleast_2d(self.limits)
         if len(pairs) == 1:
             pairs = np.repeat(pairs, m, axis=0)
-        pairs = matrix("controller.limits", pairs, m, 2, "least and largest u of each input")
+        pairs = require_matrix(
+            "controller.limits", pairs, m, 2, "least and largest u of each input"
+        )
         low, high = pairs.T
         if (low >= high).any():
             raise InputError(
@@ -116,7 +127,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         The value is 1 for an output without integration.
         """
         if self.tracking_time is not None:
-            return positive("controller.tracking_time", self.tracking_time, k_p.size)
+            return require_positive("controller.tracking_time", self.tracking_time, k_p.size)
         integral = np.where(k_i == 0, 1.0, np.abs(k_i))
         with_derivative = np.sqrt(np.abs(k_d) / integral)
         times = np.where(k_d != 0, with_derivative, np.abs(k_p) / integral)

@@ -18,9 +18,9 @@ from undeadzone.linalg.riccati import (
     paper_feedback,
     require_weight,
 )
-from undeadzone.plants.system import System, mean_pole, pace, state_units
+from undeadzone.plants.system import System, mean_pole, plant_pace, state_units
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, array, matrix, scalar
+from undeadzone.util.arrays import Array, Floats, require_array, require_matrix, require_number
 
 CHOICES = ("K", "poles", "alpha", "speed")
 SPEED = 5.0  # of the closed loop, in mean poles of the plant, where nothing is chosen
@@ -113,16 +113,16 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
             StructureError: where a speed cannot be reached.
         """
         if self.K is not None:
-            K = np.atleast_2d(array("controller.K", self.K))
-            return matrix("controller.K", K, model.m, model.n, "inputs x states")
+            K = np.atleast_2d(require_array("controller.K", self.K))
+            return require_matrix("controller.K", K, model.m, model.n, "inputs x states")
         if self.poles is not None:
             return state_gain(model.linear, self.poles, model.Ts)
         if self.alpha is None:
             default = SPEED * mean_pole(model)
             speed = default if self.speed is None else self.speed
-            speed = scalar("controller.speed", speed, above=0.0)
+            speed = require_number("controller.speed", speed, above=0.0)
             return fast_feedback(model.linear, speed, model.Ts)
-        alpha = scalar("controller.alpha", self.alpha, above=0.0)
+        alpha = require_number("controller.alpha", self.alpha, above=0.0)
         return paper_feedback(model.linear, alpha, Q, model.Ts)
 
     def _state_feedback_params(self, model: System, K: Floats, Q: Floats) -> Params:
@@ -132,8 +132,8 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
             none = np.zeros((model.m, model.n))
             return Params(K, none, np.float64(0.0), np.float64(1.0), counter)
         P = lyapunov_of_loop(model.linear, K, Q, model.Ts)
-        rho = scalar("controller.robust.gain", self.robust.gain, least=0.0)
-        width = scalar("controller.robust.width", self.robust.width, above=0.0)
+        rho = require_number("controller.robust.gain", self.robust.gain, least=0.0)
+        width = require_number("controller.robust.width", self.robust.width, above=0.0)
         return Params(K, model.linear.B.T @ P, np.float64(rho), np.float64(width), counter)
 
 
@@ -145,7 +145,7 @@ def rest_response(model: System) -> Floats:
     """
     flow = model.continuous
     A, B, C = flow
-    of_x, rate, C = state_units(flow), pace(flow), C[: model.m]
+    of_x, rate, C = state_units(flow), plant_pace(flow), C[: model.m]
     of_w = (rate * of_x)[:, None]
     push = np.abs(B / of_w).max(axis=0)
     of_u = 1 / np.where(push > 0, push, 1.0)

@@ -1,1 +1,3 @@
-"""Ensembles: one scenario, many runs; what varies, how it is computed, kept and judged."""
+"""Ensembles, many runs of one scenario: uncertain parameters, computation, storage and
+statistics.
+"""

@@ -1,4 +1,4 @@
-"""The runs of an ensemble on the lanes engine, which makes a row of values and metrics of each."""
+"""Runs of an ensemble on the lanes engine: a row of values and metrics for each run."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from undeadzone.compile import lanes
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind, draw_values
+from undeadzone.ensemble.binding import Binding, Lanes, RunNoise, bind_ensemble, build_run_noise
 from undeadzone.ensemble.job import Layout
-from undeadzone.ensemble.metrics import Measured, Tally
+from undeadzone.ensemble.metrics import LoopWithMetrics, Tally
 from undeadzone.results.run import last_samples
 from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.ensemble_table import Vary
@@ -28,7 +28,7 @@ BLOCK = 16 * lanes.WIDTH  # runs that are computed, and kept, together
 
 
 class Batch(NamedTuple):
-    """The runs of a scenario, ready to be computed: a `Job`.
+    """Runs of a scenario, ready to be computed: a `Job`.
 
     Attributes:
         layout: number of runs, names of the columns, size of a block
@@ -48,7 +48,7 @@ class Batch(NamedTuple):
     problem: Problem
     loop: Loop
     binding: Binding
-    measured: Measured
+    measured: LoopWithMetrics
     kernel: lanes.Kernel
     exogenous: Floats
     params: Floats
@@ -57,54 +57,54 @@ class Batch(NamedTuple):
 
     def block(self, index: int, threads: int | None = None) -> Floats:
         """Return the rows of one block, on that many threads (default: one per processor)."""
-        runs = np.array(self.layout.within(index))
-        values = self.binding.draw(int(runs[0]), runs.size, self.layout.runs)
-        return self.rows(runs, values, threads)
+        runs = np.array(self.layout.runs_in_block(index))
+        values = self.binding.draw_columns(int(runs[0]), runs.size, self.layout.runs)
+        return self.rows_of_runs(runs, values, threads)
 
-    def rows(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
-        """Return the values and metrics (a row each) of runs.
+    def rows_of_runs(self, runs: Integers, values: Floats, threads: int | None = None) -> Floats:
+        """Return the values and metrics of runs (runs x columns).
 
         Args:
             runs: their numbers
             values: of what varies (runs x columns)
             threads: default one per processor
         """
-        return np.hstack([values, self.measure(runs, self.binding.lanes(values), threads)])
+        return np.hstack([values, self.measure_lanes(runs, self.binding.to_lanes(values), threads)])
 
-    def measure(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
-        """Return the metrics (a row each) of lanes.
+    def measure_lanes(self, runs: Integers, own: Lanes, threads: int | None = None) -> Floats:
+        """Return the metrics of lanes (lanes x metrics).
 
         Args:
             runs: the number of the run whose noise each lane has
             own: the states and params of each lane
             threads: default one per processor
         """
-        _, finals = self.run(self.kernel, runs, own, threads=threads)
+        _, finals = self.execute_kernel(self.kernel, runs, own, threads=threads)
         states, tallied = np.split(finals, [own.states.shape[1]], axis=1)
-        tally: Tally = tree.columns(self.measured.tally, tallied)
+        tally: Tally = tree.unpack_columns(self.measured.tally, tallied)
         samples, tracked = len(self.exogenous), len(self.problem.tracked)
         scales = plant_scales(self.problem)
-        return metrics.rows(tally, states, scales, samples, self.tail, tracked)
+        return metrics.metric_rows(tally, states, scales, samples, self.tail, tracked)
 
-    def run(
+    def execute_kernel(
         self, kernel: lanes.Kernel, runs: Integers, own: Lanes, **options: Any
     ) -> tuple[Floats, Floats]:
-        """What a kernel records of lanes, and their last states with what is counted.
+        """Return the records of a kernel for lanes, and their last states with the tally.
 
         Args:
             kernel: that of the batch, or one that is called in its place
             runs, own: as of `measure`
             options: of `lanes.run`
         """
-        nothing_yet = np.zeros((len(own.states), tree.size(self.measured.tally)))
-        start, noise = np.hstack([own.states, nothing_yet]), self.own.supply(runs)
+        nothing_yet = np.zeros((len(own.states), tree.count_numbers(self.measured.tally)))
+        start, noise = np.hstack([own.states, nothing_yet]), self.own.noise_supply(runs)
         return lanes.run_lanes(
             kernel, start, self.exogenous, self.params, noise, own.params, **options
         )
 
 
-def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
-    """Return the runs of a scenario's [ensemble].
+def prepare_batch(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
+    """Return the batch of a scenario's [ensemble].
 
     Args:
         scenario: with or without the table [ensemble]
@@ -115,17 +115,17 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
     """
     problem = resolve_scenario(scenario)
     loop = close_problem(problem)
-    binding = bind(problem, loop)
+    binding = bind_ensemble(problem, loop)
     binding = binding._replace(indices=tuple(sorted({*binding.indices, *moved})))
     vary = problem.scenario.ensemble or Vary()
-    measured = metrics.with_metrics(loop, problem)
+    measured = metrics.add_metrics(loop, problem)
     shared = exogenous_inputs(problem, run=None)
     t = np.arange(len(shared)) * scenario.simulation.step
     tail = np.zeros(t.size)
     tail[last_samples(t)] = 1.0
     largest = np.abs(problem.reference.output_at(t)).max()
     params = np.append(binding.params, vary.tolerance * largest)
-    own = draw_values(problem, loop, binding)
+    own = build_run_noise(problem, loop, binding)
     kernel = lanes.build_kernel(
         measured.step,
         measured.rare,
@@ -136,10 +136,12 @@ def prepare(scenario: Scenario, moved: Iterable[int] = ()) -> Batch:
         known_params=constant_params(params, binding.indices),
         fused=True,
     )
-    names = (*binding.names, *metrics.columns(problem.plant, problem.sensor.kind))
+    names = (*binding.names_of_columns, *metrics.metric_names(problem.plant, problem.sensor.kind))
     exogenous = np.column_stack([shared, t, tail])
     digest = hashlib.sha256(exogenous.tobytes() + params.tobytes()).hexdigest()
-    layout = Layout(vary.runs, names, BLOCK, {"scenario": toml.dumps(scenario), "numbers": digest})
+    layout = Layout(
+        vary.runs, names, BLOCK, {"scenario": toml.to_toml(scenario), "numbers": digest}
+    )
     return Batch(
         layout, problem, loop, binding, measured, kernel, exogenous, params, own, int(tail.sum())
     )
@@ -159,8 +161,6 @@ def constant_zero_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, floa
 
 
 def constant_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
-    """Return the zeros and ones among the packed params that do not vary, which shorten a kernel
-    too.
-    """
+    """Return the zeros and ones among the constant packed params; they shorten a kernel, too."""
     values = enumerate(params.tolist())
     return {i: value for i, value in values if i not in varied and value in (0.0, 1.0)}

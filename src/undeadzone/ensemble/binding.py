@@ -1,4 +1,4 @@
-"""What each run has for itself, its numbers and its noise: [ensemble] bound to a loop."""
+"""Parameters and noise of each run: [ensemble] bound to a loop."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from undeadzone.compile import normal
 from undeadzone.compile.lanes import Source, Supply
-from undeadzone.ensemble.varied import UncertainNumber, quantities, uncertain_numbers
+from undeadzone.ensemble.varied import UncertainNumber, collect_quantities, resolve_entries
 from undeadzone.errors import InputError
 from undeadzone.interfaces import require_graph
 from undeadzone.linalg.hold import zoh_of_each
@@ -21,11 +21,11 @@ from undeadzone.simulation.loop import RUNGE_KUTTA, Loop
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.statistics import sampling
 from undeadzone.util import tree
-from undeadzone.util.arrays import Floats, Integers, scalar, seed_of
+from undeadzone.util.arrays import Floats, Integers, require_number, require_seed
 
 
 class Lanes(NamedTuple):
-    """What each of several runs has for itself.
+    """States, params and exogenous inputs of each of several runs.
 
     Attributes:
         states: packed initial states (count x S)
@@ -36,8 +36,8 @@ class Lanes(NamedTuple):
     params: Floats
 
 
-class Sampled(NamedTuple):
-    """A linear plant that is sampled anew for each run.
+class ResampledPlant(NamedTuple):
+    """Linear plant that is sampled anew for each run.
 
     Attributes:
         start: where it begins among the packed params
@@ -50,25 +50,25 @@ class Sampled(NamedTuple):
     Ts: float
 
     @property
-    def slots(self) -> range:
-        """Where [Ad, Bd] stands, column by column."""
+    def param_slots(self) -> range:
+        """Return the slots of [Ad, Bd] in the packed params, column by column."""
         return range(self.start, self.start + self.AB.size)
 
-    def values(self, own: dict[int, Floats], count: int) -> dict[int, Floats]:
-        """Return [Ad, Bd] of `count` runs by slot, from the entries of [A, B] that are their
-        own.
+    def discretise_runs(self, own: dict[int, Floats], count: int) -> dict[int, Floats]:
+        """Return [Ad, Bd] of `count` runs by slot, from the entries of [A, B] that vary by
+        run.
         """
         rows, columns = self.AB.shape
         AB = np.empty((rows, columns, count))
-        for i, slot in enumerate(self.slots):
+        for i, slot in enumerate(self.param_slots):
             row, column = i % rows, i // rows
             AB[row, column] = own.get(slot, self.AB[row, column])
         held = zoh_of_each(AB, self.Ts)
-        return {slot: held[i % rows, i // rows] for i, slot in enumerate(self.slots)}
+        return {slot: held[i % rows, i // rows] for i, slot in enumerate(self.param_slots)}
 
 
 class Binding(NamedTuple):
-    """What varies, bound to a loop.
+    """Uncertain parameters of an ensemble, bound to a loop.
 
     A run's numbers follow from the scenario, the seed and the number of the run alone.
 
@@ -90,19 +90,19 @@ class Binding(NamedTuple):
     state: Floats
     params: Floats
     indices: tuple[int, ...]
-    sampled: tuple[Sampled, ...]
+    sampled: tuple[ResampledPlant, ...]
     copies: tuple[tuple[int, int], ...]
 
     @property
-    def names(self) -> list[str]:
-        """Return the columns that are drawn, such as `sensor.right[0]`.
+    def names_of_columns(self) -> list[str]:
+        """Return the names of the drawn columns, such as `sensor.right[0]`.
 
         The name of a column that holds factors on nominal values ends in (relative).
         """
         return [column.name for column in self.columns]
 
-    def draw(self, first: int, count: int, runs: int) -> Floats:
-        """Return the values that runs draw (count x columns).
+    def draw_columns(self, first: int, count: int, runs: int) -> Floats:
+        """Return the drawn values of runs (count x columns).
 
         Args:
             first: number of the first run
@@ -118,7 +118,7 @@ class Binding(NamedTuple):
         values = [column.spread.quantile(u[:, i].copy()) for i, column in enumerate(self.columns)]
         return np.stack(values, axis=1)
 
-    def lanes(self, values: Floats) -> Lanes:
+    def to_lanes(self, values: Floats) -> Lanes:
         """Return the states and params of runs with these values (count x columns)."""
         count, size = len(values), self.params.size
         own: dict[int, Floats] = {}  # values (count) by slot of [params, state]
@@ -126,7 +126,7 @@ class Binding(NamedTuple):
             for slot, factor in column.slots:
                 own[slot] = factor * values[:, i]
         for system in self.sampled:
-            own |= system.values(own, count)
+            own |= system.discretise_runs(own, count)
         states = np.repeat(self.state[None], count, axis=0)
         for entry, source in self.copies:
             states[:, entry] = own[source]
@@ -139,17 +139,18 @@ class Binding(NamedTuple):
         return Lanes(states, params)
 
     def pack_run(self, values: Floats) -> tuple[Floats, Floats]:
-        """Return (initial state, params), packed, of one run with these values (columns).
+        """Return the initial state and the params, packed, of a run with these values
+        (columns).
 
         They are the numbers of its lane, for any engine.
         """
-        lane = self.lanes(np.asarray(values, float)[None])
+        lane = self.to_lanes(np.asarray(values, float)[None])
         params = self.params.copy()
         params[list(self.indices)] = lane.params[0]
         return lane.states[0], params
 
 
-def bind(problem: Problem, loop: Loop) -> Binding:
+def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
     """Return the scenario's [ensemble] bound to the loop of its problem.
 
     Args:
@@ -166,29 +167,29 @@ def bind(problem: Problem, loop: Loop) -> Binding:
             '"sensor.right" = { uniform = [0.3, 2.0] }'
         )
     seed = _require_seed(vary, problem)
-    params, held = tree.pack(loop.params), _sampled_plants(problem, loop)
+    params, held = tree.pack_tree(loop.params), _collect_sampled_plants(problem, loop)
     nominal = params.copy()
     for system in held:
-        nominal[list(system.slots)] = system.AB.ravel(order="F")
-    columns = uncertain_numbers(vary.entries, quantities(problem, loop, nominal), problem)
-    state = tree.pack(loop.state._replace(plant=problem.x0))
+        nominal[list(system.param_slots)] = system.AB.ravel(order="F")
+    columns = resolve_entries(vary.entries, collect_quantities(problem, loop, nominal), problem)
+    state = tree.pack_tree(loop.state._replace(plant=problem.x0))
     varied: set[int] = set()
     for column in columns:
         varied |= {slot for slot, _ in column.slots if slot < params.size}
-    sampled = tuple(system for system in held if varied & set(system.slots))
-    varied = varied.union(*(system.slots for system in sampled))
+    sampled = tuple(system for system in held if varied & set(system.param_slots))
+    varied = varied.union(*(system.param_slots for system in sampled))
     copies = tuple(pair for pair in initial_copies(problem, loop) if pair[1] in varied)
     indices = tuple(sorted(varied))
     return Binding(columns, vary.sampling, seed, state, params, indices, sampled, copies)
 
 
 def require_bound(scenario: Scenario) -> None:
-    """Raise InputError for an [ensemble] that names what this scenario does not have."""
+    """Raise InputError for an [ensemble] with addresses that this scenario does not have."""
     if scenario.ensemble is None:
         return
     problem = resolve_scenario(scenario)
     if problem.observer.python is None:
-        bind(problem, close_problem(problem))
+        bind_ensemble(problem, close_problem(problem))
 
 
 def _require_seed(vary: Vary, problem: Problem) -> int:
@@ -196,36 +197,38 @@ def _require_seed(vary: Vary, problem: Problem) -> int:
     seed = problem.scenario.simulation.seed if vary.seed is None else vary.seed
     if vary.runs < 1:
         raise InputError(f"ensemble.runs: expected 1 or more, found {vary.runs}")
-    scalar("ensemble.tolerance", vary.tolerance, above=0.0)
-    return seed_of("ensemble.seed", seed)
+    require_number("ensemble.tolerance", vary.tolerance, above=0.0)
+    return require_seed("ensemble.seed", seed)
 
 
-def _sampled_plants(problem: Problem, loop: Loop) -> list[Sampled]:
-    """Return the linear plants that the loop holds in sampled form."""
-    names = tree.names(loop.params)
+def _collect_sampled_plants(problem: Problem, loop: Loop) -> list[ResampledPlant]:
+    """Return the linear plants that the loop contains in sampled form."""
+    names = tree.number_addresses(loop.params)
     systems = {"plant.A[0,0]": problem.plant, "observer.model.A[0,0]": problem.model}
     linear = []
     for first, system in systems.items():
         if first in names and system.flow is not None and system.Ts is not None:
             AB = np.hstack([system.flow.A, system.flow.B])
-            linear.append(Sampled(names.index(first), AB, system.Ts))
+            linear.append(ResampledPlant(names.index(first), AB, system.Ts))
     return linear
 
 
 def initial_copies(problem: Problem, loop: Loop) -> list[tuple[int, int]]:
-    """Which numbers of the initial state are copies of params: pairs of entries (state, params)."""
-    column, p = tree.symbols(loop.params, "p")
+    """Return the entries of the initial state that are copies of params, as pairs (state,
+    params).
+    """
+    column, p = tree.create_symbols(loop.params, "p")
     initial = loop.state._replace(
         observer=require_graph(problem.observer).init(p.observer),
         controller=problem.controller.init(p.controller),
     )
-    state = tree.stack(initial)
+    state = tree.stack_leaves(initial)
     where = {column[i].name(): i for i in range(column.shape[0])}
     return [(i, where[state[i].name()]) for i in range(state.shape[0]) if state[i].is_symbolic()]
 
 
 class RandomDisturbance(NamedTuple):
-    """A random disturbance: a straight line between coloured knots at the ends of each step.
+    """Random disturbance: a straight line between coloured knots at the ends of each step.
 
     Attributes:
         rms: of each input (m)
@@ -240,7 +243,7 @@ class RandomDisturbance(NamedTuple):
 
 
 class RunNoise(NamedTuple):
-    """Which exogenous inputs each run draws for itself, and from what.
+    """Exogenous inputs that each run draws for itself, and their random streams.
 
     Attributes:
         entries: places among the exogenous inputs: first one for each of `words`, then the
@@ -260,19 +263,21 @@ class RunNoise(NamedTuple):
     disturbance: RandomDisturbance | None
     seed: int
 
-    def supply(self, runs: Integers) -> Supply | None:
-        """Return the entries along the steps of runs given by number; None where there are none."""
+    def noise_supply(self, runs: Integers) -> Supply | None:
+        """Return the source of the entries along the steps of runs given by number, or
+        None without entries.
+        """
         if not self.entries:
             return None
-        return lambda lanes: _source(self, runs[lanes])
+        return lambda lanes: _build_source(self, runs[lanes])
 
 
-def draw_values(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
-    """What the runs of a bound ensemble draw."""
-    places = {name: i for i, name in enumerate(tree.names(loop.instant))}
+def build_run_noise(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
+    """Return the random streams of the runs of a bound ensemble."""
+    places = {name: i for i, name in enumerate(tree.number_addresses(loop.instant))}
     streams = _noise_streams(problem, loop, binding) | _sensor_streams(problem)
     entries = [places[name] for name in streams]
-    disturbance = _random_disturbance(problem)
+    disturbance = _find_random_disturbance(problem)
     if disturbance is not None:
         for k in range(len(disturbance.weights)):
             for i in range(disturbance.rms.size):
@@ -289,8 +294,8 @@ def draw_values(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
 
 
 def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, int]:
-    """Return the word of each noise of the sensor that any run has, by exogenous input."""
-    slots = {name: i for i, name in enumerate(tree.names(loop.params))}
+    """Return the counter word of each sensor noise that any run has, by exogenous input."""
+    slots = {name: i for i, name in enumerate(tree.number_addresses(loop.params))}
     words = {}
     for stream, name in ((noise.AFTER, "after"), (noise.BEFORE, "before")):
         for channel in range(problem.plant.p):
@@ -301,9 +306,7 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
 
 
 def _sensor_streams(problem: Problem) -> dict[str, int]:
-    """Return the word of each worn edge, then of each reading that may be lost, by exogenous
-    input.
-    """
+    """Return the counter words of drifting widths, then of lossy readings, by exogenous input."""
     sensor, p = problem.sensor, problem.plant.p
     wear, loss = (noise.WEAR, sensor.drift), (noise.LOSS, sensor.dropout)
     words = {}
@@ -313,17 +316,17 @@ def _sensor_streams(problem: Problem) -> dict[str, int]:
     return words
 
 
-def _random_disturbance(problem: Problem) -> RandomDisturbance | None:
-    """Return the random disturbance of a problem, if it has one."""
+def _find_random_disturbance(problem: Problem) -> RandomDisturbance | None:
+    """Return the random disturbance of a problem, or None."""
     random = exogenous.random_disturbance(problem)
     if random is None:
         return None
     rms, correlation_time = random
     colour = noise.first_order_coefficients(correlation_time, problem.scenario.simulation.step)
-    return RandomDisturbance(rms, colour, _weights(problem))
+    return RandomDisturbance(rms, colour, _knot_weights(problem))
 
 
-def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
+def _knot_weights(problem: Problem) -> tuple[tuple[float, float], ...]:
     """Return the weights (`RandomDisturbance`) of the straight line between two knots."""
     if problem.plant.Ts is not None:
         return ((0.5, 0.5),)
@@ -332,27 +335,28 @@ def _weights(problem: Problem) -> tuple[tuple[float, float], ...]:
     return tuple((1.0 - c, c) for c in exogenous.INSTANTS)
 
 
-def _source(own: RunNoise, runs: Integers) -> Source:
-    """Return the entries of some runs (steps x entries x lanes), for steps asked for in order."""
+def _build_source(own: RunNoise, runs: Integers) -> Source:
+    """Return the source of the entries of some runs (steps x entries x lanes), for steps read
+    in order.
+    """
     if own.disturbance is None:
-        return _source_of_words(own, runs)
-    disturbance = _source_of_disturbance(own.disturbance, own.seed, runs)
+        return _build_stream_source(own, runs)
+    disturbance = _build_disturbance_source(own.disturbance, own.seed, runs)
     if not own.words:
         return disturbance
-    parts = (_source_of_words(own, runs), disturbance)
+    parts = (_build_stream_source(own, runs), disturbance)
     return lambda first, count: np.concatenate([part(first, count) for part in parts], axis=1)
 
 
-def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Integers) -> Source:
-    """Return the disturbance at all of its instants, one after the other, for steps asked for in
-    order.
-    """
+def _build_disturbance_source(disturbance: RandomDisturbance, seed: int, runs: Integers) -> Source:
+    """Return the source of the disturbance at all of its instants, for steps read in order."""
     m = disturbance.rms.size
     words = [noise.counter_word(noise.DISTURBANCE, i) for i in range(m)]
     state = np.empty((m, runs.size))  # of the colouring filter
     last = np.empty((m, runs.size))  # the last knot of the steps before
 
     def source(first: int, count: int) -> Floats:
+        """Return the disturbance of the next `count` steps."""
         known = 1 if first else 0  # knots of the step that come from the steps before
         knots = np.empty((count + 1, m, runs.size))
         knots[:known] = last
@@ -367,14 +371,17 @@ def _source_of_disturbance(disturbance: RandomDisturbance, seed: int, runs: Inte
     return source
 
 
-def _source_of_words(own: RunNoise, runs: Integers) -> Source:
-    """Return the entries made of `words`, as `simulation.exogenous` makes them for one run."""
+def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
+    """Return the source of the entries of `words`, as `simulation.exogenous` computes for a
+    run.
+    """
     channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
     wear = slice(channels - losses - edges, channels - losses)
     lost = slice(channels - losses, channels)
     walk = np.zeros((edges, runs.size))  # of each edge, in logarithms, up to the steps asked for
 
     def source(first: int, count: int) -> Floats:
+        """Return the noise, drift and lost readings of the next `count` steps."""
         numbers = np.empty((count, channels, runs.size))
         normal.fill_normal(numbers, first, own.seed, own.words, runs)
         if edges and count:

@@ -1,4 +1,4 @@
-"""Blocks computed by the workers of a Dask cluster, one batch a task.
+"""Blocks computed by the workers of a Dask cluster, a batch per task.
 
 A worker prepares a job once and keeps it. Tasks of a worker that dies are computed again by the
 others. Whoever can reach the scheduler can run code on the workers and read their answers: the
@@ -16,16 +16,16 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from undeadzone.ensemble.job import Job, Pool, compute
+from undeadzone.ensemble.job import Job, Pool, compute_blocks
 from undeadzone.errors import ClusterError, InputError, UndeadzoneError
 from undeadzone.util.arrays import Floats
-from undeadzone.util.versions import versions
+from undeadzone.util.versions import package_versions
 
 REACH = 5.0  # [s] to connect to a scheduler
 
 
 @contextmanager
-def pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
+def open_dask_pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
     """Provide the workers of a cluster.
 
     Args:
@@ -37,10 +37,11 @@ def pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
         InputError: where distributed is missing
         ClusterError: where the cluster fails
     """
-    payload, here = pickle.dumps(prepare), versions()
-    with _client(cluster) as client:
+    payload, here = pickle.dumps(prepare), package_versions()
+    with _open_client(cluster) as client:
 
         def require_work() -> None:
+            """Raise ClusterError if the cluster has no worker."""
             if not client.nthreads():
                 raise ClusterError(
                     f"{cluster}: no worker is there; start some (dask worker {cluster})"
@@ -48,23 +49,25 @@ def pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
 
         yield Pool(
             threads=lambda: sum(client.nthreads().values()),
-            submit=lambda batch: client.submit(_compute, payload, here, batch, pure=False),
-            failures=lambda: _one_line(cluster),
+            submit=lambda batch: client.submit(
+                _compute_on_worker, payload, here, batch, pure=False
+            ),
+            failures=lambda: _convert_failures(cluster),
             require_work=require_work,
         )
 
 
-def _compute(
+def _compute_on_worker(
     payload: bytes, expected: dict[str, str], blocks: Sequence[int]
 ) -> tuple[float, list[Floats]]:
-    """On a worker: the seconds that blocks took, and their rows."""
-    return compute(_prepare_once(payload, tuple(expected.items())), blocks)
+    """Return the seconds that blocks took, and their rows. Runs on a worker."""
+    return compute_blocks(_prepare_once(payload, tuple(expected.items())), blocks)
 
 
 @functools.lru_cache(maxsize=2)
 def _prepare_once(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
-    """On a worker: the job, prepared once. Raises ClusterError where versions differ."""
-    installed = versions()
+    """Return the job, prepared once. Runs on a worker. Raises ClusterError if versions differ."""
+    installed = package_versions()
     differences = []
     for name, version in expected:
         if installed[name] != version:
@@ -78,7 +81,7 @@ def _prepare_once(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
 
 
 @contextmanager
-def _client(cluster: str) -> Iterator[Any]:
+def _open_client(cluster: str) -> Iterator[Any]:
     """Provide a client of the cluster at an address. Raises InputError, ClusterError."""
     try:
         from distributed import Client
@@ -94,7 +97,7 @@ def _client(cluster: str) -> Iterator[Any]:
         silence_logging_cmgr(logging.CRITICAL),
         Client(cluster, timeout=REACH, set_as_default=False) as client,
     ):
-        with _one_line(cluster):  # a worker that cannot read a task would die of it
+        with _convert_failures(cluster):  # a worker that cannot read a task would die of it
             client.run_on_scheduler(exec, "import undeadzone")
             client.run(exec, "import undeadzone")
         yield client
@@ -117,8 +120,8 @@ async def _reach(cluster: str) -> None:
 
 
 @contextmanager
-def _one_line(where: str) -> Iterator[None]:
-    """Provide failures of the cluster itself as ClusterError."""
+def _convert_failures(where: str) -> Iterator[None]:
+    """Convert failures of the cluster itself to ClusterError."""
     from distributed import CancelledError, KilledWorker
 
     try:

@@ -1,4 +1,4 @@
-"""Work for an ensemble: a row of numbers for each run, in blocks of runs.
+"""Work of an ensemble: a row of numbers for each run, in blocks of runs.
 
 Blocks are shared out among processes in batches of about a second; few batches wait at a time.
 """
@@ -21,7 +21,7 @@ PATIENCE = 20.0  # [s] without a result until it matters whether anybody is at w
 
 
 class Layout(NamedTuple):
-    """The shape of the rows of a job, and what determines their numbers.
+    """Shape of the rows of a job, and the data that determine their numbers.
 
     Attributes:
         runs: number of rows
@@ -37,11 +37,11 @@ class Layout(NamedTuple):
     problem: dict[str, str | int | float]
 
     @property
-    def blocks(self) -> int:
+    def number_of_blocks(self) -> int:
         """Return the number of blocks."""
         return -(-self.runs // self.block)
 
-    def within(self, block: int) -> range:
+    def runs_in_block(self, block: int) -> range:
         """Return the runs of a block."""
         return range(block * self.block, min((block + 1) * self.block, self.runs))
 
@@ -51,7 +51,7 @@ class Job(Protocol):
 
     @property
     def layout(self) -> Layout:
-        """What the blocks make up."""
+        """Return the layout of the blocks."""
 
     def block(self, index: int, threads: int | None = None) -> Floats:
         """Return the rows of one block; callable from several threads.
@@ -78,7 +78,7 @@ class Pool(NamedTuple):
     require_work: Callable[[], None]
 
 
-def results(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
+def yield_block_rows(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
     """Yield (block, its rows) as they are computed, in any order.
 
     Args:
@@ -104,7 +104,7 @@ def results(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, Floats]]:
                 future = pool.submit(batch)
                 running[future] = batch
                 future.add_done_callback(finished.put)
-            future = _next(pool, finished)
+            future = _wait_for_batch(pool, finished)
             elapsed, rows = future.result()
         batch = running.pop(future)
         seconds = max(elapsed, 1e-6) / len(batch)
@@ -128,15 +128,15 @@ def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
     return max(1, min(int(LONGEST / seconds), LARGEST // size, enough))
 
 
-def compute(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+def compute_blocks(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
     """Return the seconds that blocks took, and their rows."""
     began = time.perf_counter()
     rows = [job.block(block, threads=1) for block in blocks]
     return time.perf_counter() - began, rows
 
 
-def _next(pool: Pool, finished: SimpleQueue[Any]) -> Any:
-    """Return the next batch that is done.
+def _wait_for_batch(pool: Pool, finished: SimpleQueue[Any]) -> Any:
+    """Return the next finished batch.
 
     Raises ClusterError where none comes and nobody is at work.
     """

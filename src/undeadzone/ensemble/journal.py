@@ -20,10 +20,10 @@ import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.answers import problem_there
+from undeadzone.util.answers import load_saved_problem
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import lock_file, write_all, writing
-from undeadzone.util.versions import versions
+from undeadzone.util.files import convert_write_errors, lock_file, write_all_bytes
+from undeadzone.util.versions import package_versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
 NUMBER = 8  # [bytes] of a float64 and of a checksum
@@ -33,7 +33,7 @@ CURE = "delete it to start anew, or choose another name"
 
 
 class Store(NamedTuple):
-    """An open store, locked against other processes.
+    """Open store of rows, locked against other processes.
 
     Attributes:
         path: of its file
@@ -50,33 +50,33 @@ class Store(NamedTuple):
     done: npt.NDArray[np.bool_]
 
     @property
-    def missing(self) -> list[int]:
-        """Return the blocks that it does not hold."""
+    def missing_blocks(self) -> list[int]:
+        """Return the blocks that the store does not contain yet."""
         return [int(block) for block in np.flatnonzero(~self.done)]
 
     @property
     def runs_done(self) -> int:
-        """Return the number of runs that it holds."""
+        """Return the number of runs in the store."""
         blocks = np.flatnonzero(self.done).tolist()
-        return sum(len(self.layout.within(block)) for block in blocks)
+        return sum(len(self.layout.runs_in_block(block)) for block in blocks)
 
-    def put(self, block: int, rows: Floats) -> None:
-        """Keep the rows of a block (its runs x columns).
+    def write_block(self, block: int, rows: Floats) -> None:
+        """Write the rows of a block (its runs x columns), with their checksum.
 
         Raises ShapeError, and FileError (disk full, file removed).
         """
-        count, width = len(self.layout.within(block)), len(self.layout.columns)
+        count, width = len(self.layout.runs_in_block(block)), len(self.layout.columns)
         if rows.shape != (count, width):
             shape = " x ".join(map(str, rows.shape))
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
         columns = np.ascontiguousarray(rows.T, "<f8")
-        for column, offset in zip(columns, self._offsets(block), strict=True):
-            write_all(self.path, self.file, column.tobytes(), offset)
-        checksum = _checksum(block, columns.tobytes())
-        write_all(self.path, self.file, checksum, self._checksums + block * NUMBER)
+        for column, offset in zip(columns, self._block_offsets(block), strict=True):
+            write_all_bytes(self.path, self.file, column.tobytes(), offset)
+        checksum = _block_checksum(block, columns.tobytes())
+        write_all_bytes(self.path, self.file, checksum, self._checksum_offset + block * NUMBER)
         self.done[block] = True
 
-    def columns(self) -> dict[str, Floats]:
+    def map_columns(self) -> dict[str, Floats]:
         """Return the columns by name (runs each), read from the file as they are used.
 
         Raises InputError while blocks are missing.
@@ -90,32 +90,34 @@ class Store(NamedTuple):
         return dict(zip(layout.columns, numbers, strict=True))
 
     @property
-    def size(self) -> int:
-        """Return its bytes in all."""
-        return self._checksums + self.layout.blocks * NUMBER
+    def size_in_bytes(self) -> int:
+        """Return the size of the complete file [bytes]."""
+        return self._checksum_offset + self.layout.number_of_blocks * NUMBER
 
     def verify_blocks(self) -> Store:
-        """Return the store that knows which blocks it holds: those whose rows have their
-        checksum.
-        """
-        checksums = _read_bytes(self.file, self._checksums, self.layout.blocks * NUMBER)
-        done = np.zeros(self.layout.blocks, bool)
+        """Return the store with the blocks whose rows match their checksum marked as done."""
+        checksums = _read_bytes(
+            self.file, self._checksum_offset, self.layout.number_of_blocks * NUMBER
+        )
+        done = np.zeros(self.layout.number_of_blocks, bool)
         for block in np.flatnonzero(np.frombuffer(checksums, "<u8")).tolist():
-            size = len(self.layout.within(block)) * NUMBER
-            rows = b"".join(_read_bytes(self.file, offset, size) for offset in self._offsets(block))
+            size = len(self.layout.runs_in_block(block)) * NUMBER
+            rows = b"".join(
+                _read_bytes(self.file, offset, size) for offset in self._block_offsets(block)
+            )
             kept = checksums[block * NUMBER : (block + 1) * NUMBER]
-            done[block] = _checksum(block, rows) == kept
+            done[block] = _block_checksum(block, rows) == kept
         return self._replace(done=done)
 
     @property
-    def _checksums(self) -> int:
-        """Where the checksums begin [bytes]."""
+    def _checksum_offset(self) -> int:
+        """Return the offset of the checksums in the file [bytes]."""
         return self.start + len(self.layout.columns) * self.layout.runs * NUMBER
 
-    def _offsets(self, block: int) -> range:
-        """Where the numbers of a block begin in each column [bytes]."""
-        first = self.start + self.layout.within(block).start * NUMBER
-        return range(first, first + self._checksums - self.start, self.layout.runs * NUMBER)
+    def _block_offsets(self, block: int) -> range:
+        """Return the offsets of the numbers of a block in each column [bytes]."""
+        first = self.start + self.layout.runs_in_block(block).start * NUMBER
+        return range(first, first + self._checksum_offset - self.start, self.layout.runs * NUMBER)
 
     def close(self) -> None:
         """Close and unlock; the file stays."""
@@ -123,13 +125,13 @@ class Store(NamedTuple):
 
     def remove(self) -> None:
         """Delete the file, its results being kept elsewhere."""
-        with writing(self.path):
+        with convert_write_errors(self.path):
             self.path.unlink(missing_ok=True)
         self.close()
 
 
 def start(path: Path, layout: Layout, resume: bool = False) -> Store:
-    """Open a store, or make one where there is none.
+    """Open a store, or create it if the file does not exist.
 
     Args:
         path: of its file
@@ -141,37 +143,39 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
             or it is there and `resume` is not set
         InputError: where it holds another problem
     """
-    header = _header(layout)
+    header = _build_header(layout)
     with lock_file(path, "r+") as file:
         there = _read_bytes(file, 0, len(header) + OTHER_HEADER)
         fresh = not there.strip(b"\0")
         if not fresh:
-            problem = problem_there(path, _line_of(there), "ensemble", WORDS, resume)
-            require_same(path, problem, json.loads(_line_of(header)), CURE)
+            problem = load_saved_problem(path, _header_line(there), "ensemble", WORDS, resume)
+            require_same_problem(path, problem, json.loads(_header_line(header)), CURE)
         store = Store(path, layout, file, len(header), np.empty(0, bool))
-        with writing(path):
-            _allocate(path, file, store.size, fresh)
+        with convert_write_errors(path):
+            _allocate_space(path, file, store.size_in_bytes, fresh)
             if fresh:
-                write_all(path, file, header, 0)
+                write_all_bytes(path, file, header, 0)
             return store.verify_blocks()
 
 
-def _header(layout: Layout) -> bytes:
-    """What determines the numbers, as a line of JSON in whole pages."""
+def _build_header(layout: Layout) -> bytes:
+    """Return the data that determine the numbers, as a line of JSON in whole pages."""
     shape = layout._asdict()
     problem = shape.pop("problem")
-    line = json.dumps({"ensemble": 1, **shape, **problem, **versions()}).encode() + b"\n"
+    line = json.dumps({"ensemble": 1, **shape, **problem, **package_versions()}).encode() + b"\n"
     pages = -(-len(line) // PAGE)
     return line.ljust(pages * PAGE, b"\0")
 
 
-def _line_of(beginning: bytes) -> bytes:
+def _header_line(beginning: bytes) -> bytes:
     """Return the line of JSON with which a file begins."""
     return beginning.partition(b"\n")[0]
 
 
-def require_same(path: Path, there: dict[str, Any], here: dict[str, Any], cure: str) -> None:
-    """Raise InputError where a file holds another problem than this one.
+def require_same_problem(
+    path: Path, there: dict[str, Any], here: dict[str, Any], cure: str
+) -> None:
+    """Raise InputError if a file contains another problem than this.
 
     Args:
         path: of the file
@@ -181,24 +185,26 @@ def require_same(path: Path, there: dict[str, Any], here: dict[str, Any], cure: 
     """
     differing = [key for key in here | there if there.get(key) != here.get(key)]
     if differing:
-        found = "; ".join(_difference(key, there.get(key), here.get(key)) for key in differing)
+        found = "; ".join(
+            _describe_difference(key, there.get(key), here.get(key)) for key in differing
+        )
         raise InputError(f"{path}: holds another problem ({found}); {cure}")
 
 
-def _difference(key: str, there: object, here: object) -> str:
+def _describe_difference(key: str, there: object, here: object) -> str:
     """Return the first lines in which two values differ."""
     lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
     was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
     return f"{key}: {was!s:.60} there, {now!s:.60} here"
 
 
-def _checksum(block: int, data: bytes) -> bytes:
-    """Return the checksum of the rows of a block, which also tells blocks apart."""
+def _block_checksum(block: int, data: bytes) -> bytes:
+    """Return the checksum of the rows of a block; it depends on the number of the block, too."""
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
 
 
-def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
-    """Take the disk space now, so that a disk too small is noticed before hours of work."""
+def _allocate_space(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
+    """Allocate the disk space now, so that a full disk is noticed before hours of work."""
     try:
         if fresh:
             file.truncate(0)
@@ -213,6 +219,6 @@ def _allocate(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
 
 
 def _read_bytes(file: io.FileIO, offset: int, size: int) -> bytes:
-    """Return some bytes, or as many as there are."""
+    """Return `size` bytes of a file, or fewer at its end."""
     file.seek(offset)
     return file.read(size)

@@ -1,4 +1,4 @@
-"""Blocks computed by processes of this computer, which are spoken to through pipes.
+"""Blocks computed by processes of this computer, connected by pipes.
 
 No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
 again by another one. A worker is this module's `main`: it computes the batches that come through
@@ -21,7 +21,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
 from typing import Any, BinaryIO, Final, NamedTuple
 
-from undeadzone.ensemble.job import Job, Pool, compute
+from undeadzone.ensemble.job import Job, Pool, compute_blocks
 from undeadzone.errors import ClusterError
 from undeadzone.util.arrays import Floats
 
@@ -36,7 +36,7 @@ BEGIN: Final = (
 
 
 class _Crew(NamedTuple):
-    """The workers.
+    """Local worker processes.
 
     Attributes:
         payload: the pickled function that prepares the job.
@@ -54,7 +54,7 @@ class _Crew(NamedTuple):
 
 
 @contextmanager
-def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
+def open_local_pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
     """Provide local workers; in the end all are stopped, whatever they do.
 
     Args:
@@ -69,7 +69,7 @@ def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
     waiting = ThreadPoolExecutor(workers)  # a thread for each worker that is at work
     try:
         for _ in range(workers):
-            _hire(crew)
+            _add_worker(crew)
         yield Pool(
             threads=lambda: workers,
             submit=lambda batch: waiting.submit(_await_result, crew, workers, batch),
@@ -77,23 +77,26 @@ def pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
             require_work=lambda: None,  # a death ends the batch's future
         )
     finally:
-        _dismiss(crew, workers)
+        _stop_workers(crew, workers)
         waiting.shutdown(cancel_futures=True)
         for worker in crew.every:
-            _end(worker)
+            _kill_worker(worker)
 
 
 def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
-    """What `job.compute` returns on a worker. Raises what it raises there, or ClusterError."""
+    """Return the result of `job.compute_blocks` on a worker.
+
+    Raises the worker's exception, or ClusterError.
+    """
     for _ in range(DEATHS):
         worker = crew.idle.get()
         if worker is None:
             raise ClusterError(STOPPED)
         try:
-            answer = _ask_worker(worker, blocks)
+            answer = _request_batch(worker, blocks)
         except (OSError, EOFError, pickle.UnpicklingError):
-            _bury(crew, worker)
-            _hire(crew)
+            _discard_worker(crew, worker)
+            _add_worker(crew)
             continue
         crew.idle.put(worker)
         if isinstance(answer, BaseException):
@@ -105,27 +108,33 @@ def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[flo
     )
 
 
-def _ask_worker(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
-    """Return a worker's answer. Raises OSError, EOFError or UnpicklingError where it died."""
+def _request_batch(worker: subprocess.Popen[bytes], blocks: Sequence[int]) -> Any:
+    """Return a worker's answer to a batch.
+
+    Raises OSError, EOFError or UnpicklingError if the worker died.
+    """
     assert worker.stdout is not None
-    _tell(worker, list(blocks))
+    _send_parts(worker, list(blocks))
     return pickle.load(worker.stdout)
 
 
-def _hire(crew: _Crew) -> None:
-    """Start a worker. Raises ClusterError where that cannot be, or is over."""
+def _add_worker(crew: _Crew) -> None:
+    """Start a worker.
+
+    Raises ClusterError if no process can be started, or if the pool is closed.
+    """
     with crew.lock:
         if crew.closed.is_set():
             raise ClusterError(STOPPED)
         worker = _start_worker()
         crew.every.append(worker)
     with suppress(OSError):  # one that died already is noticed when it is asked
-        _tell(worker, sys.path, crew.payload)  # where to import from, and its job
+        _send_parts(worker, sys.path, crew.payload)  # where to import from, and its job
     crew.idle.put(worker)
 
 
-def _tell(worker: subprocess.Popen[bytes], *parts: Any) -> None:
-    """Send parts to a worker. Raises OSError where it died."""
+def _send_parts(worker: subprocess.Popen[bytes], *parts: Any) -> None:
+    """Send parts to a worker. Raises OSError if the worker died."""
     assert worker.stdin is not None
     for part in parts:
         pickle.dump(part, worker.stdin)
@@ -133,7 +142,7 @@ def _tell(worker: subprocess.Popen[bytes], *parts: Any) -> None:
 
 
 def _start_worker() -> subprocess.Popen[bytes]:
-    """Return a new process, deaf to Ctrl-C: that is for this process, which then stops its
+    """Return a new process that ignores Ctrl-C: this process handles it, and then stops its
     workers.
     """
     command = [sys.executable, "-P", "-c", BEGIN]
@@ -151,16 +160,18 @@ def _start_worker() -> subprocess.Popen[bytes]:
         raise ClusterError(f"local workers: cannot be started: {error.strerror}") from None
 
 
-def _bury(crew: _Crew, worker: subprocess.Popen[bytes]) -> None:
-    """Forget a worker that died, or that talks nonsense."""
+def _discard_worker(crew: _Crew, worker: subprocess.Popen[bytes]) -> None:
+    """Remove a worker that died, or whose answers cannot be read."""
     with crew.lock:
         if worker in crew.every:
             crew.every.remove(worker)
-    _end(worker)
+    _kill_worker(worker)
 
 
-def _dismiss(crew: _Crew, threads: int) -> None:
-    """Stop all workers, and start no more; threads: how many wait for a worker at most."""
+def _stop_workers(crew: _Crew, threads: int) -> None:
+    """Stop all workers, and start no more; threads: upper bound of the threads that wait for a
+    worker.
+    """
     with crew.lock:
         crew.closed.set()
         for worker in crew.every:
@@ -169,8 +180,10 @@ def _dismiss(crew: _Crew, threads: int) -> None:
         crew.idle.put(None)
 
 
-def _end(worker: subprocess.Popen[bytes]) -> None:
-    """Kill a worker, wait for its end, close its pipes; nobody else may be using them."""
+def _kill_worker(worker: subprocess.Popen[bytes]) -> None:
+    """Stop a worker, wait for its end, close its pipes; no further thread may be using the
+    pipes.
+    """
     worker.kill()
     worker.wait()
     for pipe in (worker.stdin, worker.stdout):
@@ -180,26 +193,30 @@ def _end(worker: subprocess.Popen[bytes]) -> None:
 
 
 def main() -> None:
-    """Answer every batch with what `job.compute` returns, or with what it raises."""
-    answers = _own_stdout()
+    """Answer every batch with the result of `job.compute_blocks`, or with its exception."""
+    answers = _redirect_stdout()
     payload = pickle.load(sys.stdin.buffer)
     asked: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_listen, args=(sys.stdin.buffer, asked), daemon=True).start()
+    threading.Thread(target=_queue_requests, args=(sys.stdin.buffer, asked), daemon=True).start()
     prepared = functools.cache(lambda: pickle.loads(payload)())
     while True:
-        answers.write(_answer(prepared, asked.get()))
+        answers.write(_pickle_answer(prepared, asked.get()))
         answers.flush()
 
 
-def _own_stdout() -> BinaryIO:
-    """What was standard output, for answers alone; what others print goes to standard error."""
+def _redirect_stdout() -> BinaryIO:
+    """Return the standard output, for answers alone; all further output goes to standard
+    error.
+    """
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     return answers
 
 
-def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
-    """Pass on the batches that come; end the process, even at work, when there is no more."""
+def _queue_requests(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
+    """Read the batches that arrive into the queue; end the process, even at work, when the
+    pipe is closed.
+    """
     try:
         while True:
             asked.put(pickle.load(requests))
@@ -207,16 +224,16 @@ def _listen(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
         os._exit(0)
 
 
-def _answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
-    """Return the pickled answer to a batch; prepared: gives the job."""
+def _pickle_answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
+    """Return the pickled answer to a batch; prepared: returns the job."""
     try:
-        return pickle.dumps(compute(prepared(), blocks))
+        return pickle.dumps(compute_blocks(prepared(), blocks))
     except BaseException as error:
         return _pickle_error(error)
 
 
 def _pickle_error(error: BaseException) -> bytes:
-    """Return an exception as bytes; in other words where it cannot be read back."""
+    """Return an exception as bytes; as a ClusterError if the exception cannot be read back."""
     try:
         content = pickle.dumps(error)
         pickle.loads(content)

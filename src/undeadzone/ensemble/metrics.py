@@ -1,4 +1,4 @@
-"""What is kept of runs: sums and extremes that the loop accumulates, bands of some signals."""
+"""Metrics of runs: sums and extremes that the loop accumulates, and bands of some signals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.results.scales import LIMIT, Scales, shares
+from undeadzone.results.scales import LIMIT, Scales, largest_scaled_signals
 from undeadzone.scenario.address import matching
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Exogenous, Loop, Outputs, Params
@@ -22,7 +22,7 @@ EDGES: Final = ("right", "left")
 
 
 class Tally(NamedTuple):
-    """What a run has accumulated so far; the tail is the last 2 s.
+    """Sums and extremes that a run has accumulated so far; the tail is the last 2 s.
 
     Attributes:
         tracking: sum of |z - r|^2 over the tail
@@ -49,8 +49,8 @@ class Tally(NamedTuple):
     behind: Any
 
 
-class Measured(NamedTuple):
-    """A loop that also keeps a `Tally`.
+class LoopWithMetrics(NamedTuple):
+    """Loop that also accumulates a `Tally`.
 
     Attributes:
         step: the loop's step with three longer arguments: the state, then the tally; the exogenous
@@ -64,54 +64,58 @@ class Measured(NamedTuple):
     tally: Tally
 
 
-def with_metrics(loop: Loop, problem: Problem) -> Measured:
+def add_metrics(loop: Loop, problem: Problem) -> LoopWithMetrics:
     """Return the loop of a problem with its metrics."""
     step, rare = (loop.step, ()) if loop.parts is None else loop.parts
-    zero = _nothing(problem.plant, problem.sensor.kind)
-    size = tree.size(zero)
+    zero = _empty_tally(problem.plant, problem.sensor.kind)
+    size = tree.count_numbers(zero)
     s = ca.SX.sym("s", step.size1_in(0) + size)
     w = ca.SX.sym("w", step.size1_in(1) + 2)
     p = ca.SX.sym("p", step.size1_in(2) + 1)
     t, tail, tolerance = w[-2], w[-1], p[-1]
     arguments = (s[:-size], w[:-2], p[:-1])
     following, out, *flag = step(*arguments)
-    outputs: Outputs = tree.unpack(loop.outputs, out)
-    instant: Exogenous = tree.unpack(loop.instant, w[: tree.size(loop.instant)])
-    params: Params = tree.unpack(loop.params, arguments[2])
+    outputs: Outputs = tree.unpack_column(loop.outputs, out)
+    instant: Exogenous = tree.unpack_column(loop.instant, w[: tree.count_numbers(loop.instant)])
+    params: Params = tree.unpack_column(loop.params, arguments[2])
     scale = params.scale.reference
     error = outputs.z[problem.tracked] - scale * instant.target.r
-    before: Tally = tree.unpack(zero, s[-size:])
-    tally = _add(before, outputs, error, t, tail, tolerance * ca.fabs(scale))
+    before: Tally = tree.unpack_column(zero, s[-size:])
+    tally = _add_sample(before, outputs, error, t, tail, tolerance * ca.fabs(scale))
     if problem.plant.arm is not None:
-        astray = _astray(problem.plant, problem.model, params, outputs, instant)
+        astray = _tip_error(problem.plant, problem.model, params, outputs, instant)
         tally = tally._replace(tip=tally.tip + tail * ca.sumsqr(astray))
     if problem.sensor.kind == "play":
-        level = tree.unpack(loop.state, following).sensor[problem.tracked]
+        level = tree.unpack_column(loop.state, following).sensor[problem.tracked]
         missed = level - scale * instant.target.r
         tally = tally._replace(behind=tally.behind + tail * ca.sumsqr(missed))
-    results = [ca.vertcat(following, tree.stack(tally)), out, *flag]
+    results = [ca.vertcat(following, tree.stack_leaves(tally)), out, *flag]
     parts = tuple(ca.Function("rare", [s, w, p], part(*arguments)) for part in rare)
-    return Measured(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
+    return LoopWithMetrics(ca.Function("measured", [s, w, p], results, {"cse": True}), parts, zero)
 
 
-def _nothing(plant: System, sensor: str) -> Tally:
+def _empty_tally(plant: System, sensor: str) -> Tally:
     """Return the tally of a run that has not begun."""
     tip, behind = int(plant.arm is not None), int(sensor == "play")
     return Tally(*map(np.zeros, (*[1] * 6, plant.p, plant.p, tip, behind)))
 
 
-def _astray(plant: System, model: System, params: Params, out: Outputs, instant: Exogenous) -> Any:
-    """Return an arm's tip less where the model's would be on the path [m]."""
+def _tip_error(
+    plant: System, model: System, params: Params, out: Outputs, instant: Exogenous
+) -> Any:
+    """Return the tip of an arm less the model's tip on the path [m]."""
     assert plant.arm is not None
     x_ref = params.scale.reference * instant.target.x_ref
     reached = plant.arm.tip(*plant.joints(params.plant, out.x))
     return reached - plant.arm.tip(*model.joints(model.params, x_ref))
 
 
-def _add(
+def _add_sample(
     tally: Tally, out: Outputs, error: ca.SX, t: ca.SX, tail: ca.SX, tolerance: ca.SX
 ) -> Tally:
-    """Return the tally with one sample more, but for the tip and what is behind a play."""
+    """Return the tally with another sample, except for the tip and the error behind a
+    backlash.
+    """
     worst = ca.norm_inf(error)
     return tally._replace(
         tracking=tally.tracking + tail * ca.sumsqr(error),
@@ -125,7 +129,7 @@ def _add(
     )
 
 
-def columns(plant: System, sensor: str) -> tuple[str, ...]:
+def metric_names(plant: System, sensor: str) -> tuple[str, ...]:
     """Return the names of the metrics of a plant behind a sensor of that kind."""
     right = [f"d_right[{i}]" for i in range(plant.p)]
     left = [f"d_left[{i}]" for i in range(plant.p)]
@@ -135,7 +139,7 @@ def columns(plant: System, sensor: str) -> tuple[str, ...]:
     return (*sums, "silent_fraction", "rms_input", *right, *left, *tip, *behind, "diverged")
 
 
-def rows(
+def metric_rows(
     tally: Tally, states: Floats, scales: Scales, samples: int, tail: int, tracked: int
 ) -> Floats:
     """Return the metrics (runs x columns) of finished runs.
@@ -159,7 +163,9 @@ def rows(
             np.sqrt(tally.effort / samples),
         )
         outputs = [tally.peak, metrics[1], tally.right, tally.left]
-        worst = shares(scales, [states[:, : scales.states.size]], outputs, metrics[-1])
+        worst = largest_scaled_signals(
+            scales, [states[:, : scales.states.size]], outputs, metrics[-1]
+        )
         bounded = np.isfinite(states).all(axis=1) & (worst < LIMIT)
     tip = np.sqrt(tally.tip / tail)
     behind = np.sqrt(tally.behind / (tail * tracked))
@@ -179,7 +185,7 @@ class Bands(NamedTuple):
     quantiles: dict[str, Floats]
 
 
-def bands(
+def error_bands(
     t: Floats, z: Floats, r: Floats, d_hat: Floats, widths: Floats, tracked: Sequence[int]
 ) -> Bands:
     """Return the bands of recorded runs.
@@ -201,13 +207,14 @@ def bands(
     for j in range(d_hat.shape[2]):
         name = f"d_{EDGES[j % 2]}[{j // 2}]"
         errors[name] = d_hat[:, :, j] - widths[:, None, j]
-    return Bands(t, {name: _quantiles(error) for name, error in errors.items()})
+    return Bands(t, {name: _quantiles_over_time(error) for name, error in errors.items()})
 
 
 def true_width(
     name: str, widths: Sequence[float], varied: Mapping[str, Floats], geared: bool
 ) -> Floats:
-    """Return the true width of an edge in each run: a number, or a column (runs) where it varies.
+    """Return the true width of a breakpoint in each run: a number, or a column (runs) if it
+    varies.
 
     Args:
         name: the edge, such as `right[0]`
@@ -245,13 +252,15 @@ def width_error(
     return metrics[metric] - true_width(metric.removeprefix("d_"), widths, varied, geared)
 
 
-def widths_in_turn(sensor: Zone) -> list[float]:
-    """Return [right, left] of each output, one after the other."""
+def interleave_widths(sensor: Zone) -> list[float]:
+    """Return [right, left] of each output, output by output (2 p) [y]."""
     return list(np.stack([sensor.right, sensor.left], axis=1).ravel().tolist())
 
 
 def _value_of_runs(name: str, nominal: float, varied: Mapping[str, Floats]) -> Floats:
-    """Return a number of the scenario in each run: itself, or a column (runs) where it varies."""
+    """Return a number of the scenario in each run: a constant, or a column (runs) if it
+    varies.
+    """
     for words, column in varied.items():
         address = words.removesuffix(" (relative)")
         if any(matching(part, [name]) for part in address.split(" + ")):
@@ -260,7 +269,7 @@ def _value_of_runs(name: str, nominal: float, varied: Mapping[str, Floats]) -> F
     return np.asarray(nominal)
 
 
-def _quantiles(values: Floats) -> Floats:
+def _quantiles_over_time(values: Floats) -> Floats:
     """Return the quantiles at each instant (N x levels) of values (lanes x N).
 
     Each is the value of a run: nothing is interpolated between a number and infinity.

@@ -1,4 +1,4 @@
-"""The result of an ensemble: what varied and what came of it as columns, and their statistics."""
+"""Result of an ensemble: the columns of varied entries and of metrics, and their statistics."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import numpy.typing as npt
 from undeadzone.ensemble import saved
 from undeadzone.ensemble.metrics import Bands, width_error
 from undeadzone.ensemble.saved import Info, unit_of_column
-from undeadzone.ensemble.words import in_words
+from undeadzone.ensemble.words import describe_ensemble
 from undeadzone.errors import InputError
 from undeadzone.results.run import LAST
 from undeadzone.statistics import sensitivity
 from undeadzone.statistics.intervals import LEVEL, Interval, describe, proportion
 from undeadzone.statistics.sensitivity import Sensitivity
 from undeadzone.util import shown
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.shown import Block
 
 JUDGED: Final = 2**16  # runs from which sensitivities are found
@@ -31,8 +31,8 @@ WIDTHS: Final = "d_error"  # the largest |d^ - d| of a run, at the end
 SHOWN: Final = 10  # worst runs, and runs that diverged, in a summary
 
 
-def _influence(one: Sensitivity) -> float:
-    """Return the share of the variance (of that of the ranks if larger) that comes from the
+def _influence_of_entry(one: Sensitivity) -> float:
+    """Return the share of the variance (of the ranks' variance if larger) that comes from the
     entry.
     """
     return max(one.spearman.value**2, (one.total_order or one.first_order).value)
@@ -40,7 +40,8 @@ def _influence(one: Sensitivity) -> float:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Many runs of a scenario as columns by name, one number a run; columns may be maps of files.
+    """Many runs of a scenario as columns by name, one number a run; columns may be maps of
+    files.
 
     Attributes:
         varied: the values of the varied entries
@@ -56,7 +57,9 @@ class Ensemble:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Which runs diverged; no statistic but their share takes them in."""
+        """Return a mask of the diverged runs; all statistics except their share leave them
+        out.
+        """
         return self.metrics["diverged"] != 0
 
     @property
@@ -69,7 +72,7 @@ class Ensemble:
 
     @property
     def quantities(self) -> list[str]:
-        """What has a distribution.
+        """Return the names of the quantities that have a distribution.
 
         These are the metrics, the errors d^ - d of the widths as `d_right_error[0]`, and the
         largest of their sizes, `d_error`.
@@ -78,7 +81,7 @@ class Ensemble:
 
     @property
     def errors(self) -> list[str]:
-        """Return the errors of the widths, by name."""
+        """Return the names of the errors of the widths."""
         widths = [name for name in self.metrics if name.startswith(("d_right[", "d_left["))]
         return [name.replace("[", "_error[") for name in widths]
 
@@ -106,7 +109,8 @@ class Ensemble:
         return width_error(name, self.metrics, self.info.widths, self.varied, self.info.geared)
 
     def sample(self, name: str) -> Floats:
-        """What the statistics of a quantity take in: the independent runs that did not diverge.
+        """Return the values of a quantity for the statistics: independent runs that did
+        not diverge.
 
         Args:
             name: as of `column`
@@ -124,7 +128,7 @@ class Ensemble:
 
     @property
     def settled(self) -> npt.NDArray[np.bool_]:
-        """Which runs settled.
+        """Return a mask of the settled runs.
 
         They did not diverge and kept |z - r| within the tolerance for the last 2 s (at the end of a
         shorter run).
@@ -166,7 +170,7 @@ class Ensemble:
         return [int(run) for run in runs[worst_first][:count]]
 
     def typical(self, metric: str = MAIN) -> int | None:
-        """Return the number of the run whose metric is the median.
+        """Return the number of the run with the median metric.
 
         Args:
             metric: as of `column`
@@ -186,7 +190,7 @@ class Ensemble:
         return int(np.flatnonzero(~self.diverged & (self.column(metric) == middle))[0])
 
     def sensitivities(self, metric: str = MAIN) -> dict[str, Sensitivity]:
-        """What a metric owes to each varied entry.
+        """Return the sensitivities of a metric to each varied entry.
 
         Args:
             metric: as of `column`
@@ -210,7 +214,7 @@ class Ensemble:
                 for one, index in zip(by_entry, sensitivity.saltelli_indices(blocks), strict=False)
             ]
         pairs = zip(self.varied, by_entry, strict=False)
-        return dict(sorted(pairs, key=lambda pair: -_influence(pair[1])))
+        return dict(sorted(pairs, key=lambda pair: -_influence_of_entry(pair[1])))
 
     def row(self, run: int) -> dict[str, Any]:
         """Return one run as a table.
@@ -234,7 +238,7 @@ class Ensemble:
         }
 
     def summary(self) -> dict[str, Any]:
-        """Return everything found, ready for JSON.
+        """Return all statistics, ready for JSON.
 
         Returns:
             Shares, distributions, sensitivities and worst runs; null where the runs give no bound.
@@ -248,30 +252,30 @@ class Ensemble:
         summary = {
             **info,
             "confidence": LEVEL,
-            "diverged": _share(diverged)._asdict() | {"runs": lost},
-            "settled": _share(settled),
+            "diverged": _share_of_runs(diverged)._asdict() | {"runs": lost},
+            "settled": _share_of_runs(settled),
             "metrics": {name: describe(self.sample(name)) for name in names},
             "sensitivities": self.sensitivities(),
             "typical": self.typical(),
             "worst": [self.row(run) for run in self.worst()],
         }
-        return finite(summary)
+        return to_json_value(summary)
 
     def blocks(self, summary: dict[str, Any] | None = None) -> list[Block]:
-        """Return the tables that `undeadzone ensemble` prints; summary: its own, where it is
-        known.
+        """Return the tables that `undeadzone ensemble` prints; summary: its own, if
+        already computed.
         """
         numbers = self.summary() if summary is None else summary
-        return in_words(self.info, numbers, int(self.diverged.sum()))
+        return describe_ensemble(self.info, numbers, int(self.diverged.sum()))
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     plot = shown.plot
     """Draw it."""
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a file, a row for each run.
+        """Write a file with a row for each run.
 
         Args:
             path: `.npz`, or `.parquet` with pyarrow
@@ -283,7 +287,7 @@ class Ensemble:
             FileError: where it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
-        return saved.write(path, self.varied, self.metrics, self.info, self.bands)
+        return saved.save_ensemble_file(path, self.varied, self.metrics, self.info, self.bands)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ensemble:
@@ -302,6 +306,6 @@ class Ensemble:
         return cls(*saved.read_ensemble(path))
 
 
-def _share(runs: npt.NDArray[np.bool_]) -> Interval:
+def _share_of_runs(runs: npt.NDArray[np.bool_]) -> Interval:
     """Return the share of runs that have a property, with its interval."""
     return proportion(int(runs.sum()), runs.size)

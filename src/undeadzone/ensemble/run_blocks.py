@@ -1,4 +1,6 @@
-"""Compute what is missing of an ensemble, here or on a cluster, and keep each block as it comes."""
+"""Compute the missing blocks of an ensemble, here or on a cluster, and store each block as it
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,14 @@ from contextlib import AbstractContextManager, closing
 from pathlib import Path
 
 from undeadzone.ensemble import journal
-from undeadzone.ensemble.job import Job, results
+from undeadzone.ensemble.job import Job, yield_block_rows
 from undeadzone.errors import InputError
 from undeadzone.util import answers
 from undeadzone.util.arrays import Floats
-from undeadzone.util.progress import silent
+from undeadzone.util.progress import ignore_progress
 
 
-def run(
+def compute_job(
     prepare: Callable[[], Job],
     path: Path,
     *,
@@ -44,29 +46,31 @@ def run(
     Raises:
         InputError or a subclass: FileError, ClusterError
     """
-    _require_one(workers, cluster)
+    _require_one_backend(workers, cluster)
     job = prepare()
     store = journal.start(path, job.layout, resume)
-    report = progress or silent
-    with keeping(store):
+    report = progress or ignore_progress
+    with close_on_failure(store):
         if store.runs_done:
             report(store.runs_done)
-        with closing(_results(prepare, job, store.missing, workers, cluster)) as blocks:
+        with closing(
+            _compute_missing(prepare, job, store.missing_blocks, workers, cluster)
+        ) as blocks:
             for block, rows in blocks:
-                store.put(block, rows)
+                store.write_block(block, rows)
                 report(len(rows))
     return store
 
 
-def keeping(store: journal.Store) -> AbstractContextManager[None]:
-    """Close the store if something stops what is done inside.
+def close_on_failure(store: journal.Store) -> AbstractContextManager[None]:
+    """Close the store if an exception stops the work inside.
 
     What stops it then says what is kept; a store without runs is removed.
     """
-    return answers.keeping(functools.partial(_leave, store))
+    return answers.report_saved_on_stop(functools.partial(_leave_store, store))
 
 
-def _require_one(workers: int | None, cluster: str | None) -> None:
+def _require_one_backend(workers: int | None, cluster: str | None) -> None:
     """Raise InputError for both workers and a cluster, or for no number of workers."""
     both = workers is not None and cluster is not None
     if both or (workers is not None and workers < 1):
@@ -76,7 +80,7 @@ def _require_one(workers: int | None, cluster: str | None) -> None:
         )
 
 
-def _results(
+def _compute_missing(
     prepare: Callable[[], Job],
     job: Job,
     blocks: list[int],
@@ -87,20 +91,20 @@ def _results(
     if workers is not None:
         from undeadzone.ensemble import local_workers
 
-        with local_workers.pool(prepare, min(workers, max(1, len(blocks)))) as pool:
-            yield from results(pool, blocks)
+        with local_workers.open_local_pool(prepare, min(workers, max(1, len(blocks)))) as pool:
+            yield from yield_block_rows(pool, blocks)
     elif cluster is not None:
         from undeadzone.ensemble import dask_cluster
 
-        with dask_cluster.pool(prepare, cluster) as pool:
-            yield from results(pool, blocks)
+        with dask_cluster.open_dask_pool(prepare, cluster) as pool:
+            yield from yield_block_rows(pool, blocks)
     else:
         for block in blocks:
             yield block, job.block(block)
 
 
-def _leave(store: journal.Store) -> str:
-    """Close a store, or remove one without runs, and say what it holds."""
+def _leave_store(store: journal.Store) -> str:
+    """Close a store, or remove an empty store, and describe its contents."""
     if not store.runs_done:
         store.remove()
         return ""

@@ -17,9 +17,9 @@ import numpy as np
 import undeadzone
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble import run_blocks, saved
-from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.journal import Store, require_same
-from undeadzone.ensemble.metrics import EDGES, Bands, bands, true_width, widths_in_turn
+from undeadzone.ensemble.batch import Batch, prepare_batch
+from undeadzone.ensemble.journal import Store, require_same_problem
+from undeadzone.ensemble.metrics import EDGES, Bands, error_bands, interleave_widths, true_width
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
@@ -35,7 +35,7 @@ from undeadzone.simulation.loop import Params
 from undeadzone.simulation.simulate import name_outputs
 from undeadzone.util import toml, tree
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.progress import notebook_progress
 
 RECORDED = 256  # runs whose signals make the bands
 POINTS = 1000  # samples of a recorded trajectory, or a few more
@@ -50,7 +50,8 @@ def run_ensemble(
     cluster: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Ensemble:
-    """Run the scenario's [ensemble] and save it at `path`, or keep it in memory without one.
+    """Run the scenario's [ensemble] and save the result at `path`, or keep it in memory
+    without a path.
 
     Blocks of runs are kept in PATH.partial as they are done. The bits are the same wherever they
     are computed.
@@ -72,30 +73,32 @@ def run_ensemble(
             where the cluster fails
     """
     if path is not None:
-        path = saved.require(path)
+        path = saved.require_ensemble_path(path)
     scenario = anchor_files(scenario, Path.cwd())  # for workers, and for replays from elsewhere
-    batch = prepare(scenario)
+    batch = prepare_batch(scenario)
     is_here = workers is None and cluster is None  # where it need not be prepared again
-    make = (lambda: batch) if is_here else functools.partial(prepare, scenario)
-    with in_notebook(progress, "running", batch.layout.runs, "runs") as advance:
+    make = (lambda: batch) if is_here else functools.partial(prepare_batch, scenario)
+    with notebook_progress(progress, "running", batch.layout.runs, "runs") as advance:
         compute = functools.partial(
-            run_blocks.run, make, workers=workers, cluster=cluster, progress=advance
+            run_blocks.compute_job, make, workers=workers, cluster=cluster, progress=advance
         )
         if path is None:
-            return _in_memory(batch, compute)
-        return _on_disk(batch, compute, path, resume)
+            return _compute_in_memory(batch, compute)
+        return _compute_on_disk(batch, compute, path, resume)
 
 
-def _on_disk(batch: Batch, compute: Callable[..., Store], path: Path, resume: bool) -> Ensemble:
-    """Return the ensemble whose blocks `compute` keeps beside the file that it becomes."""
+def _compute_on_disk(
+    batch: Batch, compute: Callable[..., Store], path: Path, resume: bool
+) -> Ensemble:
+    """Return the ensemble whose blocks `compute` stores in a file beside the final file."""
     partial = path.with_name(f"{path.name}.partial")
     if resume and not partial.exists():
-        finished = _read_finished(path, batch)
+        finished = _load_finished(path, batch)
         if finished is not None:
             return finished
     store = compute(partial, resume=resume)
-    with run_blocks.keeping(store):
-        _result(batch, store).save(path)
+    with run_blocks.close_on_failure(store):
+        _build_ensemble(batch, store).save(path)
     store.remove()
     return Ensemble.load(path)
 
@@ -116,11 +119,11 @@ def replay_run(result: Ensemble, run: int) -> Run:
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
     """
-    return replay(prepare(parse(result.info.scenario)), run)
+    return replay_in_batch(prepare_batch(parse(result.info.scenario)), run)
 
 
-def deviation(result: Ensemble, run: int) -> float:
-    """How far a run here and now lies from what it was in the ensemble.
+def replay_deviation(result: Ensemble, run: int) -> float:
+    """Return the largest relative deviation of a run here and now from its stored row [1].
 
     Args:
         result: the ensemble
@@ -133,9 +136,9 @@ def deviation(result: Ensemble, run: int) -> float:
         InputError: or a subclass, for what is wrong with the scenario.
     """
     kept = result.row(run)
-    batch = prepare(parse(result.info.scenario))
-    values = batch.binding.draw(run, 1, batch.layout.runs)
-    here = batch.rows(np.array([run]), values)[0]
+    batch = prepare_batch(parse(result.info.scenario))
+    values = batch.binding.draw_columns(run, 1, batch.layout.runs)
+    here = batch.rows_of_runs(np.array([run]), values)[0]
     there = np.array([*kept["varied"].values(), *kept["metrics"].values()])
     differs = ~((here == there) | np.isnan(here) & np.isnan(there))
     with np.errstate(invalid="ignore"):
@@ -143,38 +146,43 @@ def deviation(result: Ensemble, run: int) -> float:
     return float(np.nan_to_num(size, nan=np.inf, posinf=np.inf).max(initial=0.0))
 
 
-def _in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
-    """Return the result of a store in a folder that is gone afterwards."""
+def _compute_in_memory(batch: Batch, compute: Callable[[Path], Store]) -> Ensemble:
+    """Return the result of a store in a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         store = compute(Path(folder) / "runs.partial")
-        result = _result(batch, store)
+        result = _build_ensemble(batch, store)
         varied = {name: np.array(column) for name, column in result.varied.items()}
         metrics = {name: np.array(column) for name, column in result.metrics.items()}
         store.remove()
     return dataclasses.replace(result, varied=varied, metrics=metrics)
 
 
-def _read_finished(path: Path, batch: Batch) -> Ensemble | None:
-    """What a file holds; None where it cannot be read. Raises InputError for another problem."""
+def _load_finished(path: Path, batch: Batch) -> Ensemble | None:
+    """Return the ensemble in a file, or None if unreadable.
+
+    Raises InputError for another problem.
+    """
     try:
         saved = Ensemble.load(path)
     except FileError:
         return None
-    there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_info(batch))
-    require_same(path, there, here, "leave --resume out to replace it, or choose another name")
+    there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_build_info(batch))
+    require_same_problem(
+        path, there, here, "leave --resume out to replace it, or choose another name"
+    )
     return saved
 
 
-def _result(batch: Batch, store: Store) -> Ensemble:
+def _build_ensemble(batch: Batch, store: Store) -> Ensemble:
     """Return the result of a complete store; its columns are those of the store, on disk."""
-    columns = store.columns()
-    info = _info(batch)
-    varied = {name: columns.pop(name) for name in batch.binding.names}
+    columns = store.map_columns()
+    info = _build_info(batch)
+    varied = {name: columns.pop(name) for name in batch.binding.names_of_columns}
     return Ensemble(varied, columns, info, compute_bands(batch, info.recorded))
 
 
-def _info(batch: Batch) -> Info:
-    """What the result says of the scenario and of how it was computed."""
+def _build_info(batch: Batch) -> Info:
+    """Return the data of the result about the scenario and the computation."""
     problem = batch.problem
     scenario = problem.scenario
     vary = scenario.ensemble or Vary()
@@ -189,9 +197,9 @@ def _info(batch: Batch) -> Info:
         runs=batch.layout.runs,
         tolerance=vary.tolerance,
         tracked=problem.tracked,
-        widths=widths_in_turn(problem.sensor),
+        widths=interleave_widths(problem.sensor),
         geared=problem.sensor.kind == "gears",
-        scenario=toml.dumps(scenario),
+        scenario=toml.to_toml(scenario),
         version=undeadzone.__version__,
         recorded=min(RECORDED, batch.layout.runs),
         numbers=str(batch.layout.problem["numbers"]),
@@ -199,14 +207,14 @@ def _info(batch: Batch) -> Info:
     )
 
 
-def replay(batch: Batch, run: int) -> Run:
-    """Run number `run` with all its signals. Raises InputError."""
+def replay_in_batch(batch: Batch, run: int) -> Run:
+    """Return run number `run` with all its signals. Raises InputError."""
     runs = batch.layout.runs
     if not 0 <= run < runs:
         raise InputError(f"run {run}: this ensemble has runs 0 to {runs - 1}")
     began = time.perf_counter()
-    values = batch.binding.draw(run, 1, runs)
-    everything = list(range(tree.size(batch.loop.outputs)))
+    values = batch.binding.draw_columns(run, 1, runs)
+    everything = list(range(tree.count_numbers(batch.loop.outputs)))
     outputs = _record_outputs(batch, np.array([run]), values, everything, every=1)
     problem = _problem_of_run(batch, values[0], f"run {run}")
     return collect(problem, name_outputs(batch.loop, outputs[0]), None, began)
@@ -217,23 +225,23 @@ def compute_bands(batch: Batch, runs: int) -> Bands:
     p = batch.problem.plant.p
     positions = [f"z[{i}]" for i in range(p)]
     edges = [f"{EDGES[j % 2]}[{j // 2}]" for j in range(2 * p)]
-    places = {name: i for i, name in enumerate(tree.names(batch.loop.outputs))}
+    places = {name: i for i, name in enumerate(tree.number_addresses(batch.loop.outputs))}
     estimates = [f"estimate.{edge}" for edge in edges]
     wanted = [places[name] for name in (*positions, *estimates)]
-    values = batch.binding.draw(0, runs, batch.layout.runs)
+    values = batch.binding.draw_columns(0, runs, batch.layout.runs)
     every = max(1, len(batch.exogenous) // POINTS)
     outputs = _record_outputs(batch, np.arange(runs), values, wanted, every)
     z, d_hat = outputs[:, :, :p], outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
     params = np.array([batch.binding.pack_run(row)[1] for row in values])
-    varied = dict(zip(batch.binding.names, values.T, strict=True))
-    nominal = widths_in_turn(batch.problem.sensor)
+    varied = dict(zip(batch.binding.names_of_columns, values.T, strict=True))
+    nominal = interleave_widths(batch.problem.sensor)
     geared = batch.problem.sensor.kind == "gears"
     true = [np.broadcast_to(true_width(edge, nominal, varied, geared), runs) for edge in edges]
     widths = np.stack(true, axis=1)
-    scale = params[:, tree.slices(batch.loop.params).scale.reference, None]
+    scale = params[:, tree.leaf_slices(batch.loop.params).scale.reference, None]
     r = scale * batch.problem.reference.output_at(t)
-    return bands(t, z, r, d_hat, widths, batch.problem.tracked)
+    return error_bands(t, z, r, d_hat, widths, batch.problem.tracked)
 
 
 def _record_outputs(
@@ -249,8 +257,10 @@ def _record_outputs(
         outputs: the chosen entries of the loop's packed outputs
         every: steps between two records
     """
-    own = batch.binding.lanes(values)
-    trails, finals = batch.run(_with_progress(batch.kernel, every), runs, own, every=every)
+    own = batch.binding.to_lanes(values)
+    trails, finals = batch.execute_kernel(
+        _record_trail(batch.kernel, every), runs, own, every=every
+    )
     instants = batch.exogenous[::every, :-2].copy()
     params = batch.binding.params.copy()
     step = batch.loop.step
@@ -265,8 +275,8 @@ def _record_outputs(
     return shown
 
 
-def _with_progress(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
-    """Return the kernel called for `every` steps at a time.
+def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
+    """Return the kernel called for `every` steps at a time; it records state and drawn inputs.
 
     It records its states and own inputs before each call.
     """
@@ -274,6 +284,9 @@ def _with_progress(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     states, own = shape.sizes[0], len(shape.exogenous)
 
     def block(steps: int, width: int, *arrays: Floats) -> None:
+        """Compute the steps in pieces, and write state and drawn inputs at the start of
+        each piece.
+        """
         work, exogenous, params, inputs, outputs = arrays
         for k in range(0, steps, every):
             outputs[k, :states] = work[:states]
@@ -286,9 +299,9 @@ def _with_progress(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
 
 
 def _problem_of_run(batch: Batch, values: Floats, what: str) -> Problem:
-    """Return the problem as one run had it: its plant, its sensor and the size of its reference."""
+    """Return the problem with the plant, the sensor and the reference scale of one run."""
     _, packed = batch.binding.pack_run(values)
-    params: Params = tree.rebuild(batch.loop.params, _unpack_leaves(batch.loop.params, packed))
+    params: Params = tree.rebuild_tree(batch.loop.params, _unpack_leaves(batch.loop.params, packed))
     problem = batch.problem
     reference = problem.reference
     title = f"{problem.scenario.title}, {what}"
@@ -320,6 +333,6 @@ def _sensor_of_run(sensor: Zone, params: Params) -> Zone:
 def _unpack_leaves(like: Any, numbers: Floats) -> Iterator[Floats]:
     """Yield the parts of packed numbers in the shapes of a tree's leaves."""
     start = 0
-    for _, leaf in tree.leaves(like):
+    for _, leaf in tree.iterate_leaves(like):
         yield numbers[start : start + np.size(leaf)].reshape(np.shape(leaf), order="F")
         start += np.size(leaf)

@@ -1,4 +1,4 @@
-"""An ensemble in a file, `.npz` or `.parquet`: its columns, and what it knows besides.
+"""Files of ensembles, `.npz` or `.parquet`: columns and metadata.
 
 An `.npz` has the same bytes for the same numbers and is read as a map; a `.parquet` is for other
 tools.
@@ -20,7 +20,7 @@ from undeadzone.ensemble.metrics import Bands
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.schema import Units
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import Name, path_of, reason, replacing, require_plain
+from undeadzone.util.files import Name, failure_reason, replace_file, require_plain_file, to_path
 
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
@@ -35,16 +35,16 @@ Columns = dict[str, Floats]  # by name
 _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspec.DecodeError)
 
 
-def require(path: Name) -> Path:
-    """Return the path.
+def require_ensemble_path(path: Name) -> Path:
+    """Return the path. Raises InputError for another suffix than .npz or .parquet.
 
     Raises InputError where no table can be written: its suffix, or no pyarrow.
     """
-    path = path_of(path)
+    path = to_path(path)
     if path.suffix not in (".npz", ".parquet"):
         raise InputError(f"{path}: the name must end in .npz or .parquet")
     if path.suffix == ".parquet":
-        _arrow()
+        _require_arrow()
     return path
 
 
@@ -55,12 +55,15 @@ def _write_npz(path: Path, header: str, columns: Columns, attached: Columns) -> 
         arrays[COLUMNS + name] = values
     for name, values in attached.items():
         arrays[ATTACHED + name] = np.ascontiguousarray(values)
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with replace_file(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, **arrays)
 
 
-def _read_npz(path: Path) -> tuple[str, Columns, Columns]:
-    """What `_write_npz` wrote: arrays are mapped, not read; but every byte is checked first."""
+def _load_npz(path: Path) -> tuple[str, Columns, Columns]:
+    """Return header, columns and arrays of `_write_npz`, mapped instead of read.
+
+    Every byte is checked first.
+    """
     arrays = {}
     with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
         torn = archive.testzip()
@@ -71,7 +74,7 @@ def _read_npz(path: Path) -> tuple[str, Columns, Columns]:
                 path, file, entry.header_offset
             )
     header = arrays[HEADER].tobytes().decode()
-    return header, _below(COLUMNS, arrays), _below(ATTACHED, arrays)
+    return header, _select_arrays(COLUMNS, arrays), _select_arrays(ATTACHED, arrays)
 
 
 def _map_member(path: Path, file: BinaryIO, offset: int) -> Any:
@@ -86,7 +89,7 @@ def _map_member(path: Path, file: BinaryIO, offset: int) -> Any:
     return np.memmap(path, dtype, "r", file.tell(), shape, "F" if fortran else "C")
 
 
-def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
+def _select_arrays(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arrays of one kind, by their own names."""
     names = [name for name in arrays if name.startswith(kind)]
     return {name.removeprefix(kind): arrays[name] for name in names}
@@ -94,17 +97,17 @@ def _below(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns) -> None:
     """Write the columns as Parquet; header and other arrays become its metadata."""
-    arrow = _arrow()
+    arrow = _require_arrow()
     import pyarrow.parquet as parquet
 
     metadata: dict[str, str | bytes] = {HEADER: header}
     for name, values in attached.items():
         metadata[ATTACHED + name] = np.ascontiguousarray(values, "<f8").tobytes()
-    metadata[CHECKSUM] = _checksum(metadata, list(columns))
+    metadata[CHECKSUM] = _metadata_checksum(metadata, list(columns))
     schema = arrow.schema([(name, arrow.float64()) for name in columns], metadata=metadata)
     runs = len(next(iter(columns.values())))
     with (
-        replacing(path) as temporary,
+        replace_file(path) as temporary,
         parquet.ParquetWriter(
             temporary, schema, compression="zstd", write_page_checksum=True
         ) as writer,
@@ -115,25 +118,25 @@ def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns)
             writer.write_table(arrow.Table.from_arrays(parts, schema=schema))
 
 
-def _read_parquet(path: Path) -> tuple[str, Columns, Columns]:
+def _load_parquet(path: Path) -> tuple[str, Columns, Columns]:
     """Return the columns in memory, header and other arrays from the metadata."""
-    _arrow()
+    _require_arrow()
     import pyarrow.parquet as parquet
 
     table = parquet.read_table(path, page_checksum_verification=True)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
-    if kept is not None and kept.decode() != _checksum(metadata, table.column_names):
+    if kept is not None and kept.decode() != _metadata_checksum(metadata, table.column_names):
         raise ValueError("its header or the names of its columns were changed")
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     attached = {}
-    for name, value in _below(ATTACHED, metadata).items():
+    for name, value in _select_arrays(ATTACHED, metadata).items():
         attached[name] = np.frombuffer(value, "<f8")
     return metadata[HEADER].decode(), columns, attached
 
 
-def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
-    """Return the checksum of metadata and of the columns' names; what other programs add does not
+def _metadata_checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
+    """Return the checksum of metadata and column names; metadata of other programs does not
     count.
 
     Args:
@@ -149,8 +152,8 @@ def _checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> st
     return digest.hexdigest()
 
 
-def _arrow() -> Any:
-    """Return the package pyarrow. Raises InputError where it is missing."""
+def _require_arrow() -> Any:
+    """Return the package pyarrow. Raises InputError if it is missing."""
     try:
         import pyarrow
     except ImportError:
@@ -161,7 +164,7 @@ def _arrow() -> Any:
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What an ensemble knows besides its columns.
+    """Metadata of an ensemble besides its columns.
 
     Attributes:
         title: of the scenario
@@ -203,7 +206,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def unit_of_column(name: str, units: Units) -> str:
-    """Return the unit of a column, 1 also where it is not known; units: of output and input."""
+    """Return the unit of a column, or 1 if it is not known; units: of output and input."""
     if name.endswith("(relative)"):
         return "1"
     stem = name.partition("[")[0]
@@ -214,7 +217,7 @@ def unit_of_column(name: str, units: Units) -> str:
 
 
 class _Header(msgspec.Struct, frozen=True):
-    """What a file says of its columns.
+    """Header of a file about its columns.
 
     Attributes:
         info: of the ensemble
@@ -225,9 +228,14 @@ class _Header(msgspec.Struct, frozen=True):
     varied: list[str]
 
 
-def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Bands | None) -> Path:
-    """Write a file, a row for each run, as its suffix says. Raises FileError, InputError."""
-    path = require(path)
+def save_ensemble_file(
+    path: Name, varied: Columns, metrics: Columns, info: Info, bands: Bands | None
+) -> Path:
+    """Write a file with a row for each run, in the format of its suffix.
+
+    Raises FileError, InputError.
+    """
+    path = require_ensemble_path(path)
     header = msgspec.json.encode(_Header(info, list(varied))).decode()
     attached = {} if bands is None else {"t": bands.t, **bands.quantiles}
     put = _write_parquet if path.suffix == ".parquet" else _write_npz
@@ -236,26 +244,26 @@ def write(path: Name, varied: Columns, metrics: Columns, info: Info, bands: Band
 
 
 def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
-    """Return the fields of an ensemble. Raises FileError; InputError where pyarrow is missing."""
-    path = path_of(path)
+    """Return the fields of an ensemble. Raises FileError; InputError if pyarrow is missing."""
+    path = to_path(path)
     try:
-        require_plain(path)
-        get = _read_parquet if path.suffix == ".parquet" else _read_npz
+        require_plain_file(path)
+        get = _load_parquet if path.suffix == ".parquet" else _load_npz
         text, columns, attached = get(path)
         header = msgspec.json.decode(text, type=_Header)
         varied = {name: columns[name] for name in header.varied}
     except InputError:
         raise
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except _DAMAGE as error:
         raise FileError(f"{path}: not an ensemble saved by undeadzone ({error})") from None
     metrics = {name: column for name, column in columns.items() if name not in varied}
-    return varied, metrics, header.info, _read_bands(attached)
+    return varied, metrics, header.info, _extract_bands(attached)
 
 
-def _read_bands(attached: Mapping[str, Floats]) -> Bands | None:
-    """Return the bands among the other arrays of a file, if it has some."""
+def _extract_bands(attached: Mapping[str, Floats]) -> Bands | None:
+    """Return the bands among the further arrays of a file, or None."""
     if "t" not in attached:
         return None
     t, names = attached["t"], [name for name in attached if name != "t"]

@@ -1,4 +1,4 @@
-"""From the addresses of [ensemble] to the packed numbers of the loop that they set in each run.
+"""Addresses of [ensemble] and the packed numbers of the loop that they set in each run.
 
 Where the loop holds a number of the sensor is found by building it again with other numbers.
 """
@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from undeadzone.errors import InputError
 from undeadzone.observers.filtering.actuator import build_with_actuator
-from undeadzone.plants.robots.arm import signless
-from undeadzone.plants.system import pace
+from undeadzone.plants.robots.arm import is_signless
+from undeadzone.plants.system import plant_pace
 from undeadzone.scenario.address import entries_there, index_of, matching, similar, stem
 from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.ensemble_table import (
@@ -56,7 +56,7 @@ TINY: Final = 1e-200  # in place of a number that is 0
 
 
 class Quantity(NamedTuple):
-    """A number that may vary.
+    """Number that may vary.
 
     Attributes:
         nominal: its value in the scenario, in the scenario's unit
@@ -72,7 +72,7 @@ class Quantity(NamedTuple):
 
 
 class UncertainNumber(NamedTuple):
-    """One number that is drawn for each run.
+    """Number that is drawn for each run.
 
     Attributes:
         name: its column, such as `sensor.right[0]` or `plant.A[1,0] (relative)`
@@ -86,44 +86,48 @@ class UncertainNumber(NamedTuple):
     slots: tuple[tuple[int, float], ...]
 
 
-def quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quantity]:
-    """Return every quantity of a problem, by address, in the order of the loop's packed numbers.
+def collect_quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[str, Quantity]:
+    """Return every quantity of a problem, by address, in the order of the loop's packed
+    numbers.
 
     Args:
         problem: the scenario, checked and built
         loop: its loop
         nominal: the packed params, with plants that are held sampled in continuous time
     """
-    of_sensor = _places_of_sensor(problem, loop)
+    of_sensor = _find_sensor_slots(problem, loop)
     renamed = {slots[0]: address for address, slots in of_sensor.items()}
-    fixed = [*FIXED, *_meaningless(problem)]
+    fixed = [*FIXED, *_list_unused_scales(problem)]
     by_address: dict[str, Quantity] = {}
-    for slot, (name, value) in enumerate(zip(tree.names(loop.params), nominal, strict=True)):
+    for slot, (name, value) in enumerate(
+        zip(tree.number_addresses(loop.params), nominal, strict=True)
+    ):
         is_fixed = stem(name) in fixed or name.startswith(AHEAD)
         if is_fixed and slot not in renamed:
             continue
-        address = renamed.get(slot) or _address(problem, name)
+        address = renamed.get(slot) or _scenario_address(problem, name)
         slots, gain = of_sensor.get(address, (slot,)), 1.0
         if stem(name) in PER_SECOND and problem.model.Ts is not None:
             gain = problem.model.Ts
-        by_address[address] = Quantity(value / gain, slots, gain, _least(problem, address))
+        by_address[address] = Quantity(value / gain, slots, gain, _least_value(problem, address))
     for i, x in enumerate(problem.x0):
         by_address[f"plant.x0[{i}]"] = Quantity(x, (nominal.size + i,))
-    return by_address | _amplitudes(problem, by_address)
+    return by_address | _collect_amplitudes(problem, by_address)
 
 
-def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]]:
-    """Where the packed params hold each width, gap, threshold and limit of the sensor, by address.
+def _find_sensor_slots(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]]:
+    """Return the slots in the packed params of each width, gap, threshold and limit of the
+    sensor, by address.
 
     The sensor's own place comes first, then those where its observer holds the same number: widths
     if it knows them, gaps unless [model] tells them. They are where the number stands in a loop
     that is built with other numbers, all of them different.
     """
-    others = _other_numbers(problem)
+    others = _perturb_sensor(problem)
     scenario, model = problem.scenario, problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
-    read = problem.flow, scenario.simulation.step, pace(problem.flow.linear)
+    read = problem.flow, scenario.simulation.step, plant_pace(problem.flow.linear)
     observer = build_with_actuator(
         scenario.observer, model, resolve_sensor(told, *read), problem.belief
     )
@@ -139,7 +143,7 @@ def _places_of_sensor(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...]
     return places
 
 
-def _other_numbers(problem: Problem) -> dict[str, Floats]:
+def _perturb_sensor(problem: Problem) -> dict[str, Floats]:
     """Return numbers of the sensor by key, hardly smaller than its own and all of them
     different.
     """
@@ -159,8 +163,8 @@ def _other_numbers(problem: Problem) -> dict[str, Floats]:
     return others
 
 
-def _meaningless(problem: Problem) -> list[str]:
-    """Return the scales that mean nothing for a problem.
+def _list_unused_scales(problem: Problem) -> list[str]:
+    """Return the scales without effect in a problem.
 
     The targets of a nonlinear model are not proportional to the reference.
     """
@@ -175,7 +179,7 @@ def _meaningless(problem: Problem) -> list[str]:
     return meaningless
 
 
-def _address(problem: Problem, name: str) -> str:
+def _scenario_address(problem: Problem, name: str) -> str:
     """Return the address in the scenario of a packed number of the loop."""
     key, index = stem(name), index_of(name)
     if key in PARAMETRIC:
@@ -183,36 +187,38 @@ def _address(problem: Problem, name: str) -> str:
     return SCALES.get(key, key) + index
 
 
-def _least(problem: Problem, address: str) -> float:
+def _least_value(problem: Problem, address: str) -> float:
     """Return the least value that the number at an address may have."""
     _, _, parameter = address.partition(".parameters.")
-    if parameter and problem.plant.arm is not None and signless(parameter):
+    if parameter and problem.plant.arm is not None and is_signless(parameter):
         return 0.0
     if stem(address) in ABOVE_ZERO:
         return POSITIVE
     return 0.0 if stem(address) in NOT_NEGATIVE else -np.inf
 
 
-def _amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
-    """Return the amplitudes of reference and disturbance that have one size, which is not 0."""
+def _collect_amplitudes(problem: Problem, by_address: dict[str, Quantity]) -> dict[str, Quantity]:
+    """Return the nonzero amplitudes of reference and disturbance that have a single size."""
     amplitudes: dict[str, Quantity] = {}
-    reference = sizes(problem.scenario.reference, len(problem.tracked))
+    reference = channel_amplitudes(problem.scenario.reference, len(problem.tracked))
     one_size = reference.size and reference.all() and np.ptp(reference) == 0
     if "reference.scale" in by_address and one_size:
         slots = by_address["reference.scale"].slots
         amplitudes["reference.amplitude"] = Quantity(reference[0], slots, 1 / reference[0])
     signal = problem.scenario.disturbance
     name = "disturbance.rms" if isinstance(signal, Random) else "disturbance.amplitude"
-    for i, size in enumerate(sizes(signal, problem.plant.m)):
+    for i, size in enumerate(channel_amplitudes(signal, problem.plant.m)):
         if size:
             slots = by_address[f"disturbance.scale[{i}]"].slots
-            amplitudes[f"{name}[{i}]"] = Quantity(size, slots, 1 / size, _least(problem, name))
+            amplitudes[f"{name}[{i}]"] = Quantity(
+                size, slots, 1 / size, _least_value(problem, name)
+            )
     return amplitudes
 
 
-def sizes(signal: Signal | Random | None, channels: int) -> Floats:
-    """Return the amplitude (or rms) of each channel that a signal is proportional to; none without
-    one.
+def channel_amplitudes(signal: Signal | Random | None, channels: int) -> Floats:
+    """Return the amplitude (or rms) of each channel that a signal is proportional to, or no
+    numbers.
     """
     rest: npt.ArrayLike = 0.0  # what the signal has besides the part proportional to its size
     match signal:
@@ -227,10 +233,10 @@ def sizes(signal: Signal | Random | None, channels: int) -> Floats:
     return np.broadcast_to(np.asarray(size, float).ravel(), channels)
 
 
-def uncertain_numbers(
+def resolve_entries(
     entries: dict[str, Distribution], known: dict[str, Quantity], problem: Problem
 ) -> tuple[UncertainNumber, ...]:
-    """What the entries of [ensemble] draw.
+    """Return the numbers that the entries of [ensemble] draw.
 
     Args:
         entries: distributions by address
@@ -258,16 +264,18 @@ def uncertain_numbers(
 def _numbers_of_entry(
     address: str, distribution: Distribution, known: dict[str, Quantity], problem: Problem
 ) -> list[UncertainNumber]:
-    """What one entry draws: one number if its draw is shared, else one for each quantity."""
+    """Return the numbers that an entry draws: a single number if shared, else a number per
+    quantity.
+    """
     parts = re.sub(r"\s+", "", address).split("+")
     names: list[str] = []
     for part in parts:
         names += _quantities_of_part(address, part, known, problem)
     suffix = ""
     if distribution.relative:
-        names, suffix = _with_factors(address, parts, names, known), " (relative)"
+        names, suffix = _select_scalable(address, parts, names, known), " (relative)"
     else:
-        _require_values(address, names, known)
+        _require_settable(address, names, known)
     groups = [(name, [name]) for name in names]
     if distribution.shared:
         groups = [(" + ".join(parts), names)]
@@ -283,7 +291,7 @@ def _numbers_of_entry(
     return numbers
 
 
-def _require_values(address: str, names: list[str], known: dict[str, Quantity]) -> None:
+def _require_settable(address: str, names: list[str], known: dict[str, Quantity]) -> None:
     """Raise InputError for a quantity to which no values can be given."""
     for name in names:
         if known[name].nominal < 0 < known[name].least:
@@ -293,10 +301,10 @@ def _require_values(address: str, names: list[str], known: dict[str, Quantity]) 
             )
 
 
-def _with_factors(
+def _select_scalable(
     address: str, parts: list[str], names: list[str], known: dict[str, Quantity]
 ) -> list[str]:
-    """Return the names whose quantities a factor changes: not those that are 0 or infinite.
+    """Return the names whose quantities a factor changes: neither 0 nor infinite.
 
     Raises InputError if none is left, or for a quantity that the address names by itself.
     """
@@ -313,18 +321,18 @@ def _with_factors(
 def _quantities_of_part(
     address: str, part: str, known: dict[str, Quantity], problem: Problem
 ) -> list[str]:
-    """Return the quantities that one part of an address stands for. Raises InputError."""
+    """Return the quantities of a part of an address. Raises InputError."""
     if names := matching(part, known):
         return names
-    why = _advice(part, problem)
+    why = _advice_for_address(part, problem)
     if extent := entries_there(part, known):
         why = f"no entry {part}; there is {extent}"
     why = why or f"nothing of that name can vary; {similar(part, known, 'what can:')}"
     raise InputError(f"{TABLE.entry_name(address)}: {why}")
 
 
-def _advice(part: str, problem: Problem) -> str | None:
-    """What to do instead, for addresses that this scenario lacks."""
+def _advice_for_address(part: str, problem: Problem) -> str | None:
+    """Return advice for an address that this scenario lacks, or None."""
     match stem(part).split("."):
         case ["reference", *_] if problem.model.nonlinear:
             return (

@@ -16,7 +16,7 @@ from undeadzone.plants.robots.arm import Arm, Chain
 from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem, build_exosystem, piecewise_exosystem
 from undeadzone.signals.paths import Quintic, Swing
-from undeadzone.util.arrays import Floats, list_numbers, matrix, series
+from undeadzone.util.arrays import Floats, list_numbers, require_matrix, require_series
 
 JUMP = 0.3  # [rad] from where the speed leads within one step: another solution
 SHORT = 1e-6  # of the arm's reach: a tip farther than this from its goal does not get there
@@ -89,8 +89,8 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     joints = begin.shape[1]
     if path.output_at(np.zeros(1), 1).any():
         raise InputError(f"{key}: the path that follows must begin at rest; set reference.ramp")
-    points = matrix(f"{key}.points", swing.points, None, joints, "a row per point")
-    times = series(f"{key}.times", swing.times)
+    points = require_matrix(f"{key}.points", swing.points, None, joints, "a row per point")
+    times = require_series(f"{key}.times", swing.times)
     through = Quintic(
         points=np.vstack([begin, points, begin]),
         times=np.concatenate([[0.0], times, [swing.until]]),

@@ -6,7 +6,7 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.util.arrays import Array, Floats, array, list_numbers, shape_text
+from undeadzone.util.arrays import Array, Floats, describe_shape, list_numbers, require_array
 
 ACCURATE = 1e-6  # error of the characteristic polynomial, relative to its largest coefficient
 
@@ -27,7 +27,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
     if any(isinstance(pole, complex) for pole in entries.ravel()):
         numbers = entries.astype(complex)
         poles = np.stack([np.real(numbers), np.imag(numbers)], axis=-1)
-    real = array(key, poles)
+    real = require_array(key, poles)
     if real.ndim == 2 and real.shape[1] == 2:
         parsed = real[:, 0] + 1j * real[:, 1]
     else:
@@ -36,7 +36,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
         expected = f"{n} pole{'s' * (n != 1)}"
         raise ShapeError(
             f"{key}: expected {expected} (one per state; complex ones as [real, imaginary]), "
-            f"found {shape_text(parsed.shape)}"
+            f"found {describe_shape(parsed.shape)}"
         )
     if not np.allclose(np.sort_complex(parsed), np.sort_complex(parsed.conj())):
         raise InputError(

@@ -13,7 +13,7 @@ import numpy as np
 from undeadzone.errors import InputError, StructureError
 from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.linalg.poles import slowest_growth_rate
-from undeadzone.util.arrays import Array, Floats, array, list_numbers, matrix
+from undeadzone.util.arrays import Array, Floats, list_numbers, require_array, require_matrix
 
 NEWTON = 10  # iterations of Newton's method, at most
 
@@ -57,10 +57,10 @@ def require_weight(key: str, Q: Array, n: int, why: str = "states x states") -> 
         InputError: not numbers, not symmetric, or not positive definite.
         ShapeError: another shape.
     """
-    entries = array(key, Q)
+    entries = require_array(key, Q)
     if entries.ndim == 0 or entries.shape == (n,):
         entries = np.diag(np.broadcast_to(entries, n))
-    weights = matrix(key, entries, n, n, why)
+    weights = require_matrix(key, entries, n, n, why)
     if not np.allclose(weights, weights.T):
         raise InputError(f"{key}: must be symmetric")
     least = np.linalg.eigvalsh(weights)[0]

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import LARGEST_RUN, reason, require_plain
+from undeadzone.util.files import LARGEST_RUN, failure_reason, require_plain_file
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -52,7 +52,7 @@ def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, b
         largest: size [bytes] beyond which it is refused.
     """
     try:
-        require_plain(path, largest)
+        require_plain_file(path, largest)
         with open(path, "rb") as file:
             while True:
                 data = file.read(BLOCK)
@@ -62,7 +62,7 @@ def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, b
     except (OSError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
 
 
 class Text:

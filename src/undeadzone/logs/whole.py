@@ -20,7 +20,13 @@ from undeadzone.logs.samples import Samples, is_regular_time, oldest_first
 from undeadzone.logs.stamps import since_1970
 from undeadzone.logs.text import LARGEST
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_RUN, LARGEST_TABLE, arrays_of, reason, require_plain
+from undeadzone.util.files import (
+    LARGEST_RUN,
+    LARGEST_TABLE,
+    failure_reason,
+    load_arrays,
+    require_plain_file,
+)
 
 BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
@@ -151,10 +157,10 @@ def _is_time(index: Any) -> bool:
 def of_npz(path: Path) -> Columns:
     """Return the arrays of an .npz file as columns. Raises FileError."""
     try:
-        arrays = arrays_of(path, LARGEST_RUN)
+        arrays = load_arrays(path, LARGEST_RUN)
         arrays.pop("info", None)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except Exception as error:  # damaged archives raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     return _columns_of(arrays, path)
@@ -166,7 +172,7 @@ def of_mat(path: Path) -> Columns:
     from scipy.io.matlab import MatReadError
 
     try:
-        require_plain(path, LARGEST_TABLE)
+        require_plain_file(path, LARGEST_TABLE)
         _require_small(path.read_bytes())
         declared = [entry for entry in whosmat(path) if entry[2] in NUMERIC]
         if sum(math.prod(shape) for _, shape, _ in declared) > LARGEST_MATRICES:
@@ -176,7 +182,7 @@ def of_mat(path: Path) -> Columns:
     except NotImplementedError:
         raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None
     except (OSError, ValueError, MatReadError) as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except Exception as error:  # damaged files raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     named = {name: array for name, array in arrays.items() if not name.startswith("__")}

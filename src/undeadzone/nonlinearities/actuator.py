@@ -17,7 +17,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.limits import pairs
-from undeadzone.util.arrays import LARGEST, Array, Floats, array, nonnegative
+from undeadzone.util.arrays import LARGEST, Array, Floats, require_array, require_nonnegative
 
 Pairs = list[float | list[float]]
 
@@ -144,8 +144,8 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
         InputError: or a subclass, that names the key.
     """
     why = f"one per input, the plant has {m}"
-    right = nonnegative(f"{key}.right", _width_or_zero(actuator.right), m, why)
-    left = nonnegative(f"{key}.left", _width_or_zero(actuator.left), m, why)
+    right = require_nonnegative(f"{key}.right", _width_or_zero(actuator.right), m, why)
+    left = require_nonnegative(f"{key}.left", _width_or_zero(actuator.left), m, why)
     slopes = pairs(f"{key}.slope", actuator.slope, m, [1.0, 1.0], "[m_r, m_l]", "input")
     if not (slopes > 0).all():
         raise InputError(f"{key}.slope: must be positive, found {slopes.min():g}")
@@ -204,7 +204,7 @@ def _width_or_zero(width: Any) -> Any:
 
 def _range(key: str, value: Any, m: int) -> Floats | None:
     """Ranges of one side (m x 2); None where the widths are numbers. Raises InputError."""
-    given = array(key, value)
+    given = require_array(key, value)
     if given.shape not in ((2,), (m, 2)) or (given.ndim == 1 and m == 2):
         return None
     ranges = np.broadcast_to(given, (m, 2))

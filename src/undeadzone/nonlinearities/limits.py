@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import LARGEST, Floats, shape_text
+from undeadzone.util.arrays import LARGEST, Floats, describe_shape
 
 ROUNDING = 1e-6  # share of a limit by which a reading at it may miss it: of floats and text
 
@@ -102,7 +102,8 @@ def require_pairs(key: str, given: Floats, count: int, what: str, each: str) -> 
     """
     if given.shape not in ((2,), (count, 2)):
         raise ShapeError(
-            f"{key}: expected {what}, or one {each} ({count} x 2), found {shape_text(given.shape)}"
+            f"{key}: expected {what}, or one {each} ({count} x 2), "
+            f"found {describe_shape(given.shape)}"
         )
     return given
 

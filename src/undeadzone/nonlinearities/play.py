@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import Floats, array, shape_text
+from undeadzone.util.arrays import Floats, describe_shape, require_array
 
 KEY = "sensor.play"
 SHARE = 0.16  # of a quarter period of the plant: over which motion is judged by default
@@ -130,7 +130,7 @@ def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
         InputError: a gap below 0, a range that is none.
         ShapeError: another shape.
     """
-    value = array(key, given)
+    value = require_array(key, given)
     if value.shape in ((2,), (p, 2)) and not (value.shape == (2, 2) and p == 1):
         gaps = np.broadcast_to(value, (p, 2)).T
         if (gaps < 0).any():
@@ -140,7 +140,7 @@ def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
         raise ShapeError(
             f"{key}: expected [c_r, c_l], the gaps ahead of the dead zone, or one such pair per "
             f"output ({p} x 2); to an observer [[lo, hi], [lo, hi]], their ranges; found "
-            f"{shape_text(value.shape)}"
+            f"{describe_shape(value.shape)}"
         )
     ranges = np.broadcast_to(value, (p, 2, 2)).swapaxes(0, 1).reshape(2 * p, 2)
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():

@@ -23,7 +23,13 @@ from undeadzone.nonlinearities.limits import (
     require_readings,
 )
 from undeadzone.nonlinearities.play import KEY, Ahead, gaps_of
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_nonnegative,
+    require_number,
+    require_vector,
+)
 
 RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
 # Weights of d_r and d_l, or of c_r and c_l, in what is known of a pair of widths. The centre is the
@@ -338,7 +344,7 @@ class Zone(msgspec.Struct, frozen=True):
 
 def _width(key: str, value: Array, p: int) -> Floats:
     """Return the widths of one side (p). Raises InputError, ShapeError."""
-    widths = vector(key, value, p, f"one per output, the plant has {p}")
+    widths = require_vector(key, value, p, f"one per output, the plant has {p}")
     if (widths < 0).any():
         raise InputError(
             f"{key}: must not be negative, found {widths.min():g}; it is a width, from 0 to the "
@@ -362,23 +368,23 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     why = f"one per output, the plant has {p}"
     right = _width("sensor.right", sensor.right, p)
     left = _width("sensor.left", sensor.left, p)
-    slope = vector("sensor.slope", sensor.slope, p, why)
+    slope = require_vector("sensor.slope", sensor.slope, p, why)
     if (slope <= 0).any():
         raise InputError(f"sensor.slope: must be positive (A3), found {slope.min():g}")
-    noise = nonnegative("sensor.noise", sensor.noise, p, why)
-    before = nonnegative("sensor.noise_before", sensor.noise_before, p, why)
-    drift = nonnegative("sensor.drift", sensor.drift, p, why)
-    dropout = nonnegative("sensor.dropout", sensor.dropout, p, why)
-    quantum = nonnegative("sensor.quantum", sensor.quantum, p, why)
+    noise = require_nonnegative("sensor.noise", sensor.noise, p, why)
+    before = require_nonnegative("sensor.noise_before", sensor.noise_before, p, why)
+    drift = require_nonnegative("sensor.drift", sensor.drift, p, why)
+    dropout = require_nonnegative("sensor.dropout", sensor.dropout, p, why)
+    quantum = require_nonnegative("sensor.quantum", sensor.quantum, p, why)
     if (dropout >= 1).any():
         raise InputError(f"sensor.dropout: must be a probability below 1, found {dropout.max():g}")
-    start = vector("sensor.start", sensor.start, p, why) / slope
+    start = require_vector("sensor.start", sensor.start, p, why) / slope
     window = _window(sensor, step, pace)
     rate = (play.FALSE_ALARMS if sensor.kind == "play" else FALSE_ALARMS) * pace
     if sensor.false_alarm_rate is not None:
-        rate = scalar("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
+        rate = require_number("sensor.false_alarm_rate", sensor.false_alarm_rate, above=0.0)
     if sensor.threshold is not None:
-        threshold = nonnegative("sensor.threshold", sensor.threshold, p, why)
+        threshold = require_nonnegative("sensor.threshold", sensor.threshold, p, why)
     elif sensor.kind == "play":
         threshold = _motion(noise, quantum, window, step, rate)
     else:
@@ -421,15 +427,15 @@ def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
     why = f"one per output, the plant has {p}"
     friction, std = sensor.load_friction, np.zeros(p)
     if np.size(friction) == 2:
-        ends = nonnegative("sensor.load_friction", friction, 2, "[least, largest]")
+        ends = require_nonnegative("sensor.load_friction", friction, 2, "[least, largest]")
         if p != 1 or ends[0] > ends[1]:
             raise InputError(
                 "sensor.load_friction: expected a number or [least, largest] of a single output, "
                 f"found {ends.tolist()} for {p}"
             )
         friction, std = ends.mean(), np.diff(ends) / np.sqrt(12)
-    known = nonnegative("sensor.load_friction", friction, p, why)
-    inertia = nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
+    known = require_nonnegative("sensor.load_friction", friction, p, why)
+    inertia = require_nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
     for name, given in (("load_friction", known), ("load_inertia", inertia)):
         if sensor.kind != "play" and given.any():
             raise InputError(f"sensor.{name}: only a play has a load behind it; leave it out")
@@ -455,7 +461,7 @@ def _window(sensor: Sensor, step: float, pace: float) -> int:
         )
     if sensor.window is None:
         return play.readings_of_motion(step, pace)
-    count = round(scalar("sensor.window", sensor.window, above=0.0) / step)
+    count = round(require_number("sensor.window", sensor.window, above=0.0) / step)
     if count < play.FEWEST:
         raise InputError(
             f"sensor.window: must last at least {play.FEWEST} samples of {step:g} s, found "

@@ -25,8 +25,8 @@ from undeadzone.observers.filtering.unknown_inputs import (
     resolve_correlation_time,
     resolve_input_rms,
 )
-from undeadzone.plants.system import System, in_units
-from undeadzone.util.arrays import scalar
+from undeadzone.plants.system import System, scale_states
+from undeadzone.util.arrays import require_number
 
 WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it is claimed
 
@@ -66,7 +66,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
             if self.washout_time is None
             else read_time_span("washout_time", self.washout_time, Ts)
         )
-        calibrated = scalar("observer.calibrated", self.calibrated, least=0.0)
+        calibrated = require_number("observer.calibrated", self.calibrated, least=0.0)
         if calibrated >= 1:
             name = "observer.calibrated"
             raise InputError(f"{name}: must be a probability below 1, found {calibrated:g}")
@@ -78,7 +78,7 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
         tolerance = read_tolerance(model, self.tolerance, units)
         glitches = outlier_probability(self.glitches)
         careful = glitches > 0 and (self.x_std is None or self.disturbance is None)
-        even = in_units(model, units)
+        even = scale_states(model, units)
         augmentation = build_unknown_inputs(
             even, colour, rms, bias, calibrated, tolerance, careful and self.bias is None
         )

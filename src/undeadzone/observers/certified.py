@@ -13,7 +13,7 @@ from undeadzone.observers.adaptive.branch_observer import build_branch_observer
 from undeadzone.observers.adaptive.gain import default_adaptation, innovation_gain
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, nonnegative, vector
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_vector
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):
@@ -50,9 +50,9 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
         """Return the observer for a model, continuous or sampled."""
         p = model.p
         L, gain = self._choose_gains(model)
-        gamma = nonnegative("observer.gamma", gain, p, "one per output")
+        gamma = require_nonnegative("observer.gamma", gain, p, "one per output")
         widths, limit = read_initial_widths(self.widths0, self.width_max, p)
-        start = vector("observer.start", self.start, model.n, "one per state")
+        start = require_vector("observer.start", self.start, model.n, "one per state")
         law = self.adaptation.build_law(model.Ts)
         return build_branch_observer(
             model, sensor, innovation_gain(L, model), gamma, start, widths, limit, self.silence, law

@@ -52,7 +52,14 @@ from undeadzone.observers.filtering.multiple_models import update_weights
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, array, nonnegative, positive, scalar
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_array,
+    require_nonnegative,
+    require_number,
+    require_positive,
+)
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
@@ -137,7 +144,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             )
         if not 1 <= self.starts <= len(STARTS):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
-        fastest = float(np.max(np.asarray(gears.number(gears.values, "contact"))))
+        fastest = float(np.max(np.asarray(gears.gear_number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
         apart = range(gears.size) if self.joints == "separate" else ()
         ones = tuple(isolate_joint(gears, joint) for joint in apart)
@@ -165,8 +172,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         """
         N = gears.size
         half = _read_joint_ranges("observer.half", self.half, N)
-        middle = np.ravel(np.asarray(gears.number(model.params, "centre"), float))[:, None]
-        off = 3 * nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
+        middle = np.ravel(np.asarray(gears.gear_number(model.params, "centre"), float))[:, None]
+        off = 3 * require_nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
         right, left = (half + sign * middle + off * [-1.0, 1.0] for sign in (1.0, -1.0))
         motors = np.tile([0.0, 1e300], (model.p - N, 1))
         return np.vstack([right, motors, left, motors])
@@ -185,7 +192,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
         def told(name: str) -> Floats:
             """Return a parameter of the gears in the model, per joint (N)."""
-            return np.asarray(gears.number(values, name), float).ravel()
+            return np.asarray(gears.gear_number(values, name), float).ravel()
 
         mean, std, Q = (
             np.zeros(layout.entry_count),
@@ -206,18 +213,18 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         if apart:
             loads = np.maximum(loads, TURNED * inertia)
         if self.disturbance is not None:
-            unknown = positive("observer.disturbance", self.disturbance, N, "one per joint")
+            unknown = require_positive("observer.disturbance", self.disturbance, N, "one per joint")
         if self.load is not None:
-            loads = nonnegative("observer.load", self.load, N, "one per joint")
-        share = scalar("observer.friction", self.friction, least=0.0)
+            loads = require_nonnegative("observer.load", self.load, N, "one per joint")
+        share = require_number("observer.friction", self.friction, least=0.0)
         for name in FRICTION:
             mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
-        std[of("firmness")] = np.log(scalar("observer.contact", self.contact, least=1.0))
+        std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
         stable = np.log(STABLE * drives[0].substeps / (Ts * told("contact")))
         high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
         low[of("firmness")] = -3 * std[of("firmness")]
         mean[of("centre")] = told("centre")
-        std[of("centre")] = nonnegative("observer.centre", self.centre, N, "one per joint")
+        std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
@@ -225,9 +232,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
         Q[of("push")] = 2 * Ts / FADING * unknown**2
         drift = DRIFT[apart] if self.drift is None else self.drift
-        Q[of("half")] = scalar("observer.drift", drift, least=0.0) ** 2 * Ts
+        Q[of("half")] = require_number("observer.drift", drift, least=0.0) ** 2 * Ts
         rms = sensor.rms if self.noise is None else self.noise
-        slack = scalar("observer.compliance", self.compliance, above=0.0) ** 2
+        slack = require_number("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
         for joint, drive in enumerate(drives):
             here = joint_entries(layout, joint) if apart else slice(None)
@@ -240,7 +247,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         return tuple(first), Numbers(
             model=values,
             Q=Q,
-            R=positive("observer.noise", rms, model.p, "one per encoder") ** 2,
+            R=require_positive("observer.noise", rms, model.p, "one per encoder") ** 2,
             low=low,
             high=high,
             slack=np.asarray(slack),
@@ -309,7 +316,7 @@ def decay_factor(Ts: float, time: float) -> Floats:
 
 def _read_joint_ranges(key: str, claimed: Array, N: int) -> Floats:
     """Return the assumed ranges [lo, hi] (N x 2). Raises InputError."""
-    value = require_pairs(key, array(key, claimed), N, "a range [lo, hi]", "per joint")
+    value = require_pairs(key, require_array(key, claimed), N, "a range [lo, hi]", "per joint")
     if (value[..., 0] > value[..., 1]).any() or (value < 0).any():
         raise InputError(f"{key}: a range needs 0 <= lo <= hi, found {value.tolist()}")
     return np.broadcast_to(value, (N, 2))
@@ -325,7 +332,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
         gears: of the model.
         payload: as it is taken for [kg].
     """
-    N, links, names = gears.size, gears.links(model.params).copy(), gears.arm.names
+    N, links, names = gears.size, gears.link_params(model.params).copy(), gears.arm.names
     links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
@@ -333,7 +340,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
     inertia = np.diag(np.asarray(gears.arm.mass(links, rest)))
     least = LEAST_TORQUE * np.max(held, axis=0).ravel()
     least = np.where(least > 0, least, TURNED * inertia)
-    motors, own = (np.asarray(gears.number(model.params, name)).ravel() for name in FRICTION)
+    motors, own = (np.asarray(gears.gear_number(model.params, name)).ravel() for name in FRICTION)
     return np.maximum(0.3 * motors, 0.6 * least), np.maximum(0.75 * own, least), inertia
 
 
@@ -437,7 +444,7 @@ def _to_contact_estimate(
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))
     z = setup.model.output(q.modes.model, x)
     shown = build_estimate(x, z, right, left, reading, q.slope, setup.kind, told.e)
-    push = mean[of("push")] / setup.gears.number(q.modes.model, "inertia")
+    push = mean[of("push")] / setup.gears.gear_number(q.modes.model, "inertia")
     names = ("payload", *FRICTION)
     variances = var(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))

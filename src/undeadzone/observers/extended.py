@@ -39,7 +39,7 @@ from undeadzone.observers.filtering.unknown_inputs import (
     resolve_correlation_time,
     resolve_input_rms,
 )
-from undeadzone.plants.system import System, in_units
+from undeadzone.plants.system import System, scale_states
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats
 
@@ -123,7 +123,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             units,
             sensor,
             prior,
-            self._build_augmentation(in_units(model, units), colour, rms, bias),
+            self._build_augmentation(scale_states(model, units), colour, rms, bias),
             outlier_probability(self.glitches),
             traits._replace(adapts=not self.blind, uncertain=tuple(self.uncertain)),
             lasting=max(1.0, correlation / Ts),

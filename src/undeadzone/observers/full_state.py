@@ -39,7 +39,7 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
             z = model.output(p.model, x)
             right, left = p.right, p.left
             if model.gears is not None:
-                right, left = model.gears.widths(p.model)
+                right, left = model.gears.gap_widths(p.model)
             return s, build_estimate(x, z, right, left, reading, p.slope, sensor.kind, none)
 
         params = Params(model.params, sensor.right, sensor.left, sensor.slope)

@@ -16,7 +16,7 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, scalar
+from undeadzone.util.arrays import Array, Floats, require_number
 
 
 class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
@@ -63,7 +63,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     def _resolve_epsilon(self, model: System) -> float:
         """Return epsilon as given, or its default [s]. Raises InputError."""
         if self.epsilon is not None:
-            return scalar("observer.epsilon", self.epsilon, above=0.0)
+            return require_number("observer.epsilon", self.epsilon, above=0.0)
         least = 0.0 if model.Ts is None else 4 * model.Ts
         return max(0.1 / fastest_pole(model), least)
 

@@ -18,7 +18,7 @@ from undeadzone.observers.filtering.prior import (
     prior_traits,
 )
 from undeadzone.observers.filtering.unknown_inputs import resolve_input_rms
-from undeadzone.plants.system import System, in_units
+from undeadzone.plants.system import System, scale_states
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array
 
@@ -72,7 +72,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
             units,
             sensor,
             prior,
-            white_disturbance(in_units(model, units), rms**2),
+            white_disturbance(scale_states(model, units), rms**2),
             outlier_probability(self.glitches),
             prior_traits(prior, self.x_std),
             recovers=False,

@@ -1,4 +1,4 @@
-"""Plants as pure functions, linear, by formulas, or robot arms.
+"""Plants as pure functions: linear systems, formulas, or robot arms.
 
 The names stand in `__init__.pyi`.
 """

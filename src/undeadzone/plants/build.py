@@ -1,4 +1,4 @@
-"""From a plant in words to a `System`.
+"""From the options of a plant to a `System`.
 
 Plants are x' = f(x, u), z = h(x): linear ones (14), (15), (37)-(39) and known nonlinear ones share
 one shape. Formulas in a scenario file, such as "-g / l * sin(angle) + torque", are read safely into
@@ -21,8 +21,16 @@ import numpy as np
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
-from undeadzone.plants.system import System, with_linearisation
-from undeadzone.util.arrays import LARGEST, Array, Floats, matrix, scalar, series, vector
+from undeadzone.plants.system import System, linearise_plant
+from undeadzone.util.arrays import (
+    LARGEST,
+    Array,
+    Floats,
+    require_matrix,
+    require_number,
+    require_series,
+    require_vector,
+)
 
 # Each form by its leading key, and the keys that belong to it.
 _FORMS = {
@@ -51,7 +59,7 @@ _CONSTANTS = {"pi": math.pi}
 LATEST = 1000  # samples by which an input may act late
 
 
-def matrices(plant: Plant, key: str = "plant") -> Matrices:
+def linear_matrices(plant: Plant, key: str = "plant") -> Matrices:
     """Return the matrices of a linear plant in any form.
 
     Args:
@@ -62,18 +70,18 @@ def matrices(plant: Plant, key: str = "plant") -> Matrices:
         InputError: or a subclass, that names the key.
     """
     if plant.second_order is not None:
-        return _second_order(f"{key}.second_order", plant.second_order)
+        return _second_order_matrices(f"{key}.second_order", plant.second_order)
     if plant.companion is not None:
-        return companion_form(series(f"{key}.companion", plant.companion))
+        return companion_form(require_series(f"{key}.companion", plant.companion))
     if plant.integrators is not None:
         if not 1 <= plant.integrators <= 50:
             raise InputError(f"{key}.integrators: expected 1 to 50, found {plant.integrators}")
         return companion_form(np.zeros(plant.integrators))
     if plant.transfer_function is not None:
-        return _transfer_function(f"{key}.transfer_function", plant.transfer_function)
+        return _transfer_function_matrices(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:
         raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
-    return _given_matrices(plant, key)
+    return _require_given_matrices(plant, key)
 
 
 def system(plant: Plant, key: str = "plant") -> System:
@@ -88,37 +96,37 @@ def system(plant: Plant, key: str = "plant") -> System:
     """
     if not 0 <= plant.delay <= LATEST:
         raise InputError(f"{key}.delay: expected 0 to {LATEST} samples, found {plant.delay}")
-    return _without_delay(plant, key)._replace(delay=plant.delay)
+    return _build_undelayed(plant, key)._replace(delay=plant.delay)
 
 
-def _without_delay(plant: Plant, key: str) -> System:
+def _build_undelayed(plant: Plant, key: str) -> System:
     """Return the `System` of a plant whose input acts at once. Raises InputError."""
-    form = _form(plant, key)
+    form = _require_one_form(plant, key)
     if plant.f is not None:
-        return _nonlinear(plant, key)
+        return _build_nonlinear(plant, key)
     if plant.arm is not None:
-        from undeadzone.plants.robots.build import robot
+        from undeadzone.plants.robots.build import build_robot_plant
 
-        return robot(plant, plant.arm, key)
-    linear = matrices(plant, key)
+        return build_robot_plant(plant, plant.arm, key)
+    linear = linear_matrices(plant, key)
     if not all(np.abs(part).max() < LARGEST**2 for part in linear):
         raise InputError(f"{key}.{form}: its numbers are too far apart to compute with")
-    return System(linear, _linear_move, _linear_output, linear, nonlinear=False)
+    return System(linear, _move_linear, _output_linear, linear, nonlinear=False)
 
 
 def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
-    """Return x(0) (n), zeros by default; of gears also that of the links alone.
+    """Return x(0) (n), zeros by default; for gears also from a state of the links alone.
 
     Raises ShapeError.
     """
     if system.gears is not None:
-        from undeadzone.plants.robots.build import start
+        from undeadzone.plants.robots.build import require_geared_start
 
-        return start(system.gears, plant.x0, f"{key}.x0")
+        return require_geared_start(system.gears, plant.x0, f"{key}.x0")
     return _vector_or_zeros(f"{key}.x0", plant.x0, system.n, "one per state")
 
 
-def _form(plant: Plant, key: str) -> str:
+def _require_one_form(plant: Plant, key: str) -> str:
     """Return the leading key of the plant's form.
 
     Raises InputError where keys of another are given.
@@ -139,41 +147,45 @@ def _form(plant: Plant, key: str) -> str:
     return form
 
 
-def _given_matrices(plant: Plant, key: str) -> Matrices:
-    """Return the matrices A, B, C that a plant gives itself."""
+def _require_given_matrices(plant: Plant, key: str) -> Matrices:
+    """Return the matrices A, B, C that a plant specifies itself."""
     for name in "ABC":
         if getattr(plant, name) is None:
             raise InputError(
                 f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)"
             )
-    A = matrix(f"{key}.A", plant.A)
+    A = require_matrix(f"{key}.A", plant.A)
     n = A.shape[0]
-    A = matrix(f"{key}.A", plant.A, n, n, "A must be square")
-    B = matrix(f"{key}.B", _of_one(plant.B, (n, 1)), n, None, f"as many rows as A, {n}")
-    C = matrix(f"{key}.C", _of_one(plant.C, (1, n)), None, n, f"as many columns as A, {n}")
+    A = require_matrix(f"{key}.A", plant.A, n, n, "A must be square")
+    B = require_matrix(
+        f"{key}.B", _reshape_single(plant.B, (n, 1)), n, None, f"as many rows as A, {n}"
+    )
+    C = require_matrix(
+        f"{key}.C", _reshape_single(plant.C, (1, n)), None, n, f"as many columns as A, {n}"
+    )
     return Matrices(A, B, C)
 
 
-def _of_one(value: Any, shape: tuple[int, int]) -> Any:
-    """Return B of one input, or C of one output, where it is a plain list of n numbers; else as it
-    is.
+def _reshape_single(value: Any, shape: tuple[int, int]) -> Any:
+    """Return B for a single input, or C for a single output, from a plain list of n numbers;
+    else unchanged.
     """
     return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
 
 
-def _second_order(key: str, options: SecondOrder) -> Matrices:
+def _second_order_matrices(key: str, options: SecondOrder) -> Matrices:
     """Return the matrices of (37) in companion form."""
-    zeta = scalar(f"{key}.zeta", options.zeta)
-    gain = scalar(f"{key}.gain", options.gain)
-    omega = scalar(f"{key}.omega_n", options.omega_n, above=0.0)
+    zeta = require_number(f"{key}.zeta", options.zeta)
+    gain = require_number(f"{key}.gain", options.gain)
+    omega = require_number(f"{key}.omega_n", options.omega_n, above=0.0)
     unit = companion_form([omega * omega, 2 * zeta * omega])
     return unit._replace(B=gain * unit.B)
 
 
-def _transfer_function(key: str, options: TransferFunction) -> Matrices:
+def _transfer_function_matrices(key: str, options: TransferFunction) -> Matrices:
     """Return the matrices of a transfer function in companion form."""
-    num = np.trim_zeros(series(f"{key}.numerator", options.numerator), "f")
-    den = np.trim_zeros(series(f"{key}.denominator", options.denominator), "f")
+    num = np.trim_zeros(require_series(f"{key}.numerator", options.numerator), "f")
+    den = np.trim_zeros(require_series(f"{key}.denominator", options.denominator), "f")
     if den.size < 2 or num.size == 0:
         raise InputError(f"{key}: needs a non-zero numerator and a denominator of order 1 or more")
     if num.size >= den.size:
@@ -183,12 +195,12 @@ def _transfer_function(key: str, options: TransferFunction) -> Matrices:
         return companion_form((den / den[0])[:0:-1], (num / den[0])[::-1])
 
 
-def _linear_move(params: Matrices, x: Any, u: Any) -> Any:
+def _move_linear(params: Matrices, x: Any, u: Any) -> Any:
     """Return x' (or x+) = A x + B u."""
     return params.A @ x + params.B @ u
 
 
-def _linear_output(params: Matrices, x: Any) -> Any:
+def _output_linear(params: Matrices, x: Any) -> Any:
     """Return z = C x."""
     return params.C @ x
 
@@ -197,22 +209,24 @@ def _linear_output(params: Matrices, x: Any) -> Any:
 _Functions = tuple[int, int, Callable[[Any, Any, Any], Any], Callable[[Any, Any], Any]]
 
 
-def _nonlinear(plant: Plant, key: str) -> System:
+def _build_nonlinear(plant: Plant, key: str) -> System:
     """Return the system of formulas, or of Python callables, f and h."""
     names = list(plant.parameters)
     if callable(plant.f) != callable(plant.h):
         raise InputError(f"{key}: f and h must both be formulas or both be callables")
-    n, m, move, output = _callables(plant, key) if callable(plant.f) else _formulas(plant, key)
+    n, m, move, output = (
+        _wrap_callables(plant, key) if callable(plant.f) else _build_formulas(plant, key)
+    )
     params = np.array(
-        [scalar(f"{key}.parameters.{name}", plant.parameters[name]) for name in names]
+        [require_number(f"{key}.parameters.{name}", plant.parameters[name]) for name in names]
     )
     x_eq = _vector_or_zeros(f"{key}.x_eq", plant.x_eq, n, "one per state")
     u_eq = _vector_or_zeros(f"{key}.u_eq", plant.u_eq, m, "one per input")
-    return with_linearisation(key, params, move, output, x_eq, u_eq)._replace(names=tuple(names))
+    return linearise_plant(key, params, move, output, x_eq, u_eq)._replace(names=tuple(names))
 
 
-def _callables(plant: Plant, key: str) -> _Functions:
-    """Return the functions of a plant that gives f and h as Python callables."""
+def _wrap_callables(plant: Plant, key: str) -> _Functions:
+    """Return the functions of a plant that contains f and h as Python callables."""
     if plant.states is not None:
         n = len(plant.states)
     elif plant.x0 is not None:
@@ -222,38 +236,43 @@ def _callables(plant: Plant, key: str) -> _Functions:
     m = len(plant.inputs) if plant.inputs is not None else 1
 
     def move(params: Any, x: Any, u: Any) -> Any:
+        """Return x' by the callable f."""
         return ca.SX(plant.f(x, u))
 
     def output(params: Any, x: Any) -> Any:
+        """Return z by the callable h."""
         return ca.SX(plant.h(x))
 
     return n, m, move, output
 
 
-def _formulas(plant: Plant, key: str) -> _Functions:
-    """Return the functions of a plant that gives f and h as formulas in a scenario."""
+def _build_formulas(plant: Plant, key: str) -> _Functions:
+    """Return the functions of a plant that contains f and h as formulas in a scenario."""
     _require_formulas(plant, key)
     states = plant.states or []
     inputs = plant.inputs or ["u"]
     names = list(plant.parameters)
 
     def scope(params: Any, x: Any) -> dict[str, Any]:
+        """Return the values of states and parameters by name."""
         values = [*ca.vertsplit(x), *ca.vertsplit(params)]
         return dict(zip([*states, *names], values, strict=True))
 
     def move(params: Any, x: Any, u: Any) -> Any:
+        """Return x' by the formulas f."""
         bound = scope(params, x) | dict(zip(inputs, ca.vertsplit(u), strict=True))
-        return _column(f"{key}.f", plant.f, bound)
+        return _evaluate_column(f"{key}.f", plant.f, bound)
 
     def output(params: Any, x: Any) -> Any:
-        return _column(f"{key}.h", plant.h, scope(params, x))
+        """Return z by the formulas h."""
+        return _evaluate_column(f"{key}.h", plant.h, scope(params, x))
 
     return len(states), len(inputs), move, output
 
 
-def _column(key: str, formulas: list[str], names: dict[str, Any]) -> Any:
+def _evaluate_column(key: str, formulas: list[str], names: dict[str, Any]) -> Any:
     """Return the values of formulas, as a CasADi column."""
-    values = [evaluate(f"{key}[{i}]", text, names) for i, text in enumerate(formulas)]
+    values = [evaluate_formula(f"{key}[{i}]", text, names) for i, text in enumerate(formulas)]
     return ca.vertcat(*values)
 
 
@@ -278,22 +297,22 @@ def _require_formulas(plant: Plant, key: str) -> None:
 
 
 def _vector_or_zeros(key: str, value: Array | None, size: int, why: str) -> Floats:
-    """Return a vector of that size as the user gives it, zeros where none is given.
+    """Return a vector of that size from the user, or zeros.
 
     Raises ShapeError.
     """
-    return np.zeros(size) if value is None else vector(key, value, size, why)
+    return np.zeros(size) if value is None else require_vector(key, value, size, why)
 
 
 class _Formula(NamedTuple):
-    """A formula to be evaluated: the key where it stands, its text, the values of its names."""
+    """Formula to be evaluated: the key of its place, its text, the values of its names."""
 
     key: str
     text: str
     names: Mapping[str, Any]
 
 
-def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
+def evaluate_formula(key: str, text: str, names: Mapping[str, Any]) -> Any:
     """Return the value of a formula; only arithmetic and elementary functions.
 
     Args:
@@ -309,7 +328,7 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SyntaxWarning)  # of Python's own grammar: "1if 2"
             tree = ast.parse(text.strip(), mode="eval")
-        return _value(formula, tree.body)
+        return _finite_value(formula, tree.body)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
@@ -320,18 +339,20 @@ def evaluate(key: str, text: str, names: Mapping[str, Any]) -> Any:
         raise _formula_error(formula, "a constant part is not a finite real number") from None
 
 
-def _value(formula: _Formula, node: ast.expr) -> Any:
+def _finite_value(formula: _Formula, node: ast.expr) -> Any:
     """Return the value of a part of a formula.
+
+    Raises OverflowError if it is not finite and real.
 
     Raises OverflowError where that number is not finite.
     """
-    value = _compute(formula, node)
+    value = _evaluate_node(formula, node)
     if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
         raise OverflowError
     return value
 
 
-def _compute(formula: _Formula, node: ast.expr) -> Any:
+def _evaluate_node(formula: _Formula, node: ast.expr) -> Any:
     """Return the value of a part of a formula, finite or not."""
     match node:
         case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
@@ -339,15 +360,15 @@ def _compute(formula: _Formula, node: ast.expr) -> Any:
         case ast.Name(id=name):
             return _lookup_name(formula, name)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
-            return _BINARY[type(op)](_value(formula, left), _value(formula, right))
+            return _BINARY[type(op)](_finite_value(formula, left), _finite_value(formula, right))
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _UNARY:
-            return _UNARY[type(op)](_value(formula, operand))
+            return _UNARY[type(op)](_finite_value(formula, operand))
         case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
             if name not in _FUNCTIONS:
-                raise _unknown(formula, name, list(_FUNCTIONS))
+                raise _unknown_name_error(formula, name, list(_FUNCTIONS))
             if len(args) != (2 if name in _OF_TWO else 1):  # CasADi does not always refuse them
                 raise _formula_error(formula, "a function has the wrong number of arguments")
-            return _FUNCTIONS[name](*[_value(formula, arg) for arg in args])
+            return _FUNCTIONS[name](*[_finite_value(formula, arg) for arg in args])
     raise _formula_error(
         formula,
         f"found {ast.unparse(node)!r:.80}",
@@ -356,21 +377,21 @@ def _compute(formula: _Formula, node: ast.expr) -> Any:
 
 
 def _lookup_name(formula: _Formula, name: str) -> Any:
-    """What a name stands for; the plant's own names hide the constants."""
+    """Return the value of a name; the plant's own names hide the constants."""
     if name in formula.names:
         return formula.names[name]
     if name in _CONSTANTS:
         return _CONSTANTS[name]
-    raise _unknown(formula, name, [*formula.names, *_CONSTANTS])
+    raise _unknown_name_error(formula, name, [*formula.names, *_CONSTANTS])
 
 
-def _unknown(formula: _Formula, name: str, known: list[str]) -> InputError:
-    """Return an unknown name, with the nearest known one."""
+def _unknown_name_error(formula: _Formula, name: str, known: list[str]) -> InputError:
+    """Return the error for an unknown name, with the nearest known name."""
     near = difflib.get_close_matches(name, known, 1)
     advice = f"did you mean {near[0]!r}?" if near else f"known names: {', '.join(known)}"
     return _formula_error(formula, f"unknown name {name!r}", f"; {advice}")
 
 
 def _formula_error(formula: _Formula, what: str, advice: str = "") -> InputError:
-    """What is wrong with a formula."""
+    """Return the error for a formula."""
     return InputError(f"{formula.key}: {what} in formula {formula.text!r:.80}{advice}")

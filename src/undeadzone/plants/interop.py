@@ -1,4 +1,4 @@
-"""State-space objects of scipy and python-control to and from `Plant`."""
+"""Conversion of state-space objects of scipy and python-control to and from `Plant`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.plants.build import matrices
+from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant
 
 
@@ -30,7 +30,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
             f"plant: expected a continuous-time system, found sample time {system.dt}; give the "
             "continuous one, simulation.step samples it"
         )
-    system = in_state_space(system, "plant", "Plant")
+    system = to_state_space(system, "plant", "Plant")
     if np.any(np.asarray(system.D)):
         raise InputError(
             "plant: D must be 0, an output deadzone with direct feedthrough is not supported"
@@ -38,7 +38,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
 
 
-def in_state_space(system: Any, key: str, options: str) -> Any:
+def to_state_space(system: Any, key: str, options: str) -> Any:
     """Return a linear system of scipy or python-control as state space.
 
     Args:
@@ -84,7 +84,7 @@ def to_scipy(plant: Plant) -> Any:
     """
     from scipy.signal import StateSpace
 
-    A, B, C = matrices(plant)
+    A, B, C = linear_matrices(plant)
     return StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])))
 
 
@@ -102,5 +102,5 @@ def to_control(plant: Plant) -> Any:
     """
     import control
 
-    A, B, C = matrices(plant)
+    A, B, C = linear_matrices(plant)
     return control.ss(A, B, C, np.zeros((C.shape[0], B.shape[1])))

@@ -1,4 +1,4 @@
-"""A plant in a user's words: one of several forms.
+"""Options of a plant, in one of several forms.
 
 Arms as a scenario names them: `plant.arm`.
 """
@@ -15,7 +15,7 @@ from undeadzone.util.toml import Kind
 
 
 class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What every rigid arm of N joints may have; its numbers stand in `plant.parameters`.
+    """Options of every rigid arm of N joints; its numbers stand in `plant.parameters`.
 
     Attributes:
         measured: the joints' position q less `reference`, or their velocity.
@@ -51,7 +51,7 @@ class TwoLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="two_link"
 
 
 class URDF(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="urdf"):
-    """A serial arm of N joints from a URDF file; needs the extra `robots`.
+    """Serial arm of N joints from a URDF file; needs the extra `robots`.
 
     Attributes:
         path: the file, relative to the scenario's.
@@ -68,7 +68,8 @@ class URDF(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="urdf"):
 
 
 class ElasticJoint(Kind, frozen=True, kw_only=True, tag="elastic_joint"):
-    """A motor that moves a link through a spring, one of them measured (Spong 1987).
+    """Motor that moves a link through a spring, with a sensor on the motor or the link (Spong
+    1987).
 
     Attributes:
         measured: the part whose angle, less `reference`, is the output.
@@ -90,7 +91,8 @@ ArmOptions = OneLink | TwoLink | URDF | ElasticJoint
 
 
 class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """x'' + 2 zeta omega_n x' + omega_n^2 x = gain u, (37) with its square restored.
+    """Linear plant x'' + 2 zeta omega_n x' + omega_n^2 x = gain u, (37) with its square
+    restored.
 
     Attributes:
         zeta: damping ratio [1].
@@ -104,7 +106,7 @@ class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A strictly proper transfer function, numerator / denominator.
+    """Strictly proper transfer function, numerator / denominator.
 
     Attributes:
         numerator: coefficients of the numerator, from the highest power of s down.
@@ -116,7 +118,7 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A plant in exactly one form.
+    """Plant in exactly one form.
 
     The forms are: A, B, C; second_order; companion; integrators; transfer_function; f, h; or arm.
     A plant has n states, m inputs, p outputs.

@@ -1,4 +1,4 @@
-"""A declared set of states and inputs, on which a nonlinear model's certificate holds."""
+"""Declared set of states and inputs, the domain of a nonlinear model's certificate."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, Floats, array, shape_text
+from undeadzone.util.arrays import Array, Floats, describe_shape, require_array
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a nonlinear model is certified.
+    """Domain on which a nonlinear model is certified.
 
     Attributes:
         x: a range [lo, hi] of each state (n x 2).
@@ -35,14 +35,14 @@ class Box(NamedTuple):
     high: Floats
 
     def is_outside(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
-        """Return whether state, estimate (N x n) or input (N x m) lie outside, or are no numbers
-        (N).
+        """Return whether state, estimate (N x n) or input (N x m) lie outside, or are no
+        numbers (N).
         """
         both = np.stack([np.hstack([x, u]), np.hstack([x_hat, u])])
         return np.asarray(~((both >= self.low) & (both <= self.high)).all(axis=(0, 2)))
 
 
-def box(region: Region, model: System) -> Box:
+def build_box(region: Region, model: System) -> Box:
     """Return the box of a region for a model.
 
     Raises:
@@ -53,7 +53,7 @@ def box(region: Region, model: System) -> Box:
             "region: the model is linear, and its certificate holds everywhere; remove the region"
         )
     inputs = _input_ranges(region, model)
-    states = _ranges("region.x", region.x, model.n, "one [lo, hi] per state")
+    states = _require_ranges("region.x", region.x, model.n, "one [lo, hi] per state")
     return Box(*np.vstack([states, inputs]).T)
 
 
@@ -62,7 +62,7 @@ def _input_ranges(region: Region, model: System) -> Floats:
     limits.
     """
     if region.u is not None:
-        return _ranges("region.u", region.u, model.m, "one [lo, hi] per input")
+        return _require_ranges("region.u", region.u, model.m, "one [lo, hi] per input")
     if model.limit is not None and np.isfinite(model.limit).all():
         return np.stack([-model.limit, model.limit], axis=1)
     raise InputError(
@@ -71,13 +71,13 @@ def _input_ranges(region: Region, model: System) -> Floats:
     )
 
 
-def _ranges(key: str, value: Array, size: int, why: str) -> Floats:
-    """Ranges [lo, hi] (size x 2), checked."""
-    ranges = array(key, value)
+def _require_ranges(key: str, value: Array, size: int, why: str) -> Floats:
+    """Return the checked ranges [lo, hi] (size x 2)."""
+    ranges = require_array(key, value)
     if ranges.shape == (2,) and size == 1:
         ranges = ranges[None]
     if ranges.shape != (size, 2):
-        shape = shape_text(ranges.shape)
+        shape = describe_shape(ranges.shape)
         raise ShapeError(f"{key}: expected {size} x 2 numbers ({why}), found {shape}")
     wrong = np.flatnonzero(ranges[:, 0] >= ranges[:, 1])
     if wrong.size:

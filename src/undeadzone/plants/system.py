@@ -1,4 +1,4 @@
-"""Every plant as one shape, `System`: pure functions on CasADi expressions and their numbers."""
+"""Common form of all plants, `System`: pure functions on CasADi expressions and their numbers."""
 
 from __future__ import annotations
 
@@ -80,64 +80,68 @@ class System(NamedTuple):
 
     @property
     def continuous(self) -> Matrices:
-        """Return the matrices in continuous time, of a sampled plant too."""
+        """Return the matrices in continuous time, also for a sampled plant."""
         return self.linear if self.flow is None else self.flow
 
     @property
     def per_step(self) -> float:
-        """What makes of a rate what a method returns: the sample time [s]; 1 in continuous time."""
+        """Return the factor from a rate x' to the method's output: the sample time [s], or
+        1 in continuous time.
+        """
         return 1.0 if self.Ts is None else self.Ts
 
     @property
     def keep(self) -> float:
-        """Return 1 where a method returns the next value of its state, 0 where it returns its
+        """Return 1 if a method returns the next value of its state, 0 if it returns its
         rate.
         """
         return 0.0 if self.Ts is None else 1.0
 
     def filtering(self, time: Any) -> Any:
-        """Return the rate of a filter of this time constant [s]: 1 / time, or its share per
-        sample.
+        """Return the rate of a filter of this time constant [s]: 1 / time, or its share
+        per sample.
         """
         return 1.0 / time if self.Ts is None else -np.expm1(-self.Ts / time)
 
     @property
     def n(self) -> int:
-        """Return number of states."""
+        """Return the number of states."""
         return self.linear.A.shape[0]
 
     @property
     def m(self) -> int:
-        """Return number of inputs."""
+        """Return the number of inputs."""
         return self.linear.B.shape[1]
 
     @property
     def p(self) -> int:
-        """Return number of outputs."""
+        """Return the number of outputs."""
         return self.linear.C.shape[0]
 
     def read(self, params: Any, x: Any) -> Any:
-        """What the sensor takes (p): z, or what is `seen` in its place."""
+        """Return the input of the sensor (p): z, or `seen` in its place."""
         return self.output(params, x) if self.seen is None else self.seen(params, x)
 
     def joints(self, params: Any, x: Any) -> tuple[Any, Any]:
-        """Return (parameters of `arm`, positions of its joints (N)) in parameters and a state."""
+        """Return (parameters of `arm`, positions of its joints (N)) in parameters and a
+        state.
+        """
         assert self.arm is not None
         N = self.arm.size
         if self.gears is None:
             return params, x[:N]
-        return self.gears.links(params), x[N : 2 * N]
+        return self.gears.link_params(params), x[N : 2 * N]
 
     def move_with_correction(self, params: Any, x: Any, u: Any, push: Any) -> Any:
-        """Return `move` and what a correction adds to it (n); of a sampled plant one increment of
-        x.
+        """Return `move` plus the effect of a correction (n); for a sampled plant one
+        increment of x.
         """
         if self.change is None:
             return self.move(params, x, u) + push
         return x + (self.change(params, x, u) + push)
 
 
-def with_linearisation(
+def linearise_plant(
     key: str, params: Floats, move: Any, output: Any, x_eq: Floats, u_eq: Floats
 ) -> System:
     """Return a continuous nonlinear plant with its linearisation.
@@ -173,16 +177,18 @@ def with_linearisation(
 
 
 def sample_plant(plant: System, Ts: float, substeps: int = 10) -> System:
-    """Return the plant seen every Ts [s] with u held, as x plus its change in a sample.
+    """Return the plant sampled every Ts [s] with u held, as x plus its change in a sample.
 
     An exact zero-order hold if the plant is linear, else RK4 with `substeps` steps.
     """
     linear = zoh(plant.linear, Ts)
 
     def change_of_hold(params: Matrices, x: Any, u: Any) -> Any:
+        """Return the change of x in a sample of a linear plant (n)."""
         return (params.A - np.eye(plant.n)) @ x + params.B @ u
 
     def change_of_steps(params: Any, x: Any, u: Any) -> Any:
+        """Return the change of x in a sample by Runge-Kutta steps (n)."""
         total = 0.0
         for _ in range(substeps):
             now = x + total
@@ -192,6 +198,7 @@ def sample_plant(plant: System, Ts: float, substeps: int = 10) -> System:
     change = change_of_steps if plant.nonlinear else change_of_hold
 
     def move(params: Any, x: Any, u: Any) -> Any:
+        """Return x+ (n)."""
         return x + change(params, x, u)
 
     return plant._replace(
@@ -205,8 +212,8 @@ def sample_plant(plant: System, Ts: float, substeps: int = 10) -> System:
     )
 
 
-class Counted(NamedTuple):
-    """Numbers of a linear plant whose states are counted in units of their own.
+class ScaledMatrices(NamedTuple):
+    """Numbers of a linear plant whose states have units of their own.
 
     Attributes:
         A, B, C: its matrices in the plant's units.
@@ -219,8 +226,8 @@ class Counted(NamedTuple):
     units: Any
 
 
-def in_units(system: System, units: Floats) -> System:
-    """Return a sampled system with states that are counted in these units (n): x = units x_counted.
+def scale_states(system: System, units: Floats) -> System:
+    """Return a sampled system with states in these units (n): x = units x_counted.
 
     Of a linear plant the units are numbers like others, so that one graph serves plants whose units
     differ.
@@ -232,12 +239,14 @@ def in_units(system: System, units: Floats) -> System:
 
     params = system.params
     if not system.nonlinear:
-        params = Counted(params.A, params.B, params.C, units)
+        params = ScaledMatrices(params.A, params.B, params.C, units)
 
     def of(params: Any) -> Any:
+        """Return the units in the params (n)."""
         return units if system.nonlinear else params.units
 
     def counted(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
+        """Return a function of a scaled state."""
         return lambda params, x, u: function(params, of(params) * x, u) / of(params)
 
     return system._replace(
@@ -246,19 +255,20 @@ def in_units(system: System, units: Floats) -> System:
         output=lambda params, x: output(params, of(params) * x),
         change=counted(change),
         rate=None if rate is None else counted(rate),
-        linear=_matrices_in_units(system.linear, units),
-        flow=_matrices_in_units(system.continuous, units),
+        linear=_scale_matrices(system.linear, units),
+        flow=_scale_matrices(system.continuous, units),
     )
 
 
-def _matrices_in_units(linear: Matrices, units: Floats) -> Matrices:
-    """Return the matrices for states that are counted in these units (n)."""
+def _scale_matrices(linear: Matrices, units: Floats) -> Matrices:
+    """Return the matrices for states in these units (n)."""
     A, B, C = linear
     return Matrices(change_state_units(A, units), B / units[:, None], C * units)
 
 
-def held_inputs(model: System) -> Floats:
-    """What a sampled model adds to x+ per unit of w in x' = f(x, u) + w (n x n) [s].
+def hold_integral(model: System) -> Floats:
+    """Return the integral of e^(A t) over one step (n x n) [s]: the effect of a constant w in
+    x' = f(x, u) + w.
 
     w is held over a step: the integral of e^(A t).
     """
@@ -276,15 +286,15 @@ UNSTABLE = 2.0  # poles of the loop around an unstable pole, at least, in that p
 STILL = 1e-6  # of |A|, balanced: a pole this close to 0 is an integrator's
 
 
-def rates_of_motion(A: Floats) -> Floats:
-    """Return |pole| of x' = A x [1/s] for each pole that moves; those of integrators are left out.
+def moving_pole_sizes(A: Floats) -> Floats:
+    """Return |pole| of x' = A x [1/s] for each pole that is not an integrator's.
 
     Empty for a chain of integrators.
     """
-    return np.abs(_moving(A))
+    return np.abs(_find_moving_poles(A))
 
 
-def _moving(A: Floats) -> np.ndarray:
+def _find_moving_poles(A: Floats) -> np.ndarray:
     """Return the poles of x' = A x that are not those of integrators."""
     poles = np.linalg.eigvals(A)
     loops = feedback_loops(A)
@@ -297,7 +307,7 @@ def moving_poles(model: System) -> Floats:
 
     One rate of 1 for a chain of integrators.
     """
-    moving = rates_of_motion(model.continuous.A)
+    moving = moving_pole_sizes(model.continuous.A)
     return moving if moving.size else np.ones(1)
 
 
@@ -322,7 +332,7 @@ def time_scale(flow: Matrices, Ts: float | None = None) -> float:
         flow: the matrices in continuous time.
         Ts: sample time [s]; None in continuous time, where a chain of integrators gets 1 s.
     """
-    poles = _moving(flow.A)
+    poles = _find_moving_poles(flow.A)
     if not poles.size:
         return 1.0 if Ts is None else QUARTER * Ts
     unstable = poles.real > STILL * np.abs(poles)
@@ -330,25 +340,25 @@ def time_scale(flow: Matrices, Ts: float | None = None) -> float:
     return float(np.pi / 2 * np.exp(-np.log(moving).mean()))
 
 
-def arrival(flow: Matrices, Ts: float | None = None) -> float:
+def arrival_time(flow: Matrices, Ts: float | None = None) -> float:
     """Return a quarter period, and 1 / |pole| for each further pole that an input passes to an
     output [s].
 
     The poles count per output. Until then an input has moved z by about as much of what it will,
     whatever the order. flow, Ts: as for `time_scale`; integrators are no delay.
     """
-    further = max(_moving(flow.A).size / flow.C.shape[0] - 1.0, 0.0)
+    further = max(_find_moving_poles(flow.A).size / flow.C.shape[0] - 1.0, 0.0)
     return time_scale(flow, Ts) * (1 + 2 / np.pi * further)
 
 
-def pace(flow: Matrices, Ts: float | None = None) -> float:
-    """How fast the plant moves [1/s]: |pole| of equal poles, else at least their mean.
+def plant_pace(flow: Matrices, Ts: float | None = None) -> float:
+    """Return the speed of the plant [1/s]: |pole| of equal poles, else at least their mean.
 
     It is the largest of the k-th roots of the mean products of k poles, which rounding hardly
     changes where poles are nearly equal. That of `time_scale` for a chain of integrators, 1 in
     continuous time. flow, Ts: as there.
     """
-    poles = _moving(flow.A)
+    poles = _find_moving_poles(flow.A)
     if not poles.size:
         return 1.0 if Ts is None else float(np.pi / 2) / time_scale(flow, Ts)
     sums = np.abs(np.poly(poles))
@@ -357,7 +367,8 @@ def pace(flow: Matrices, Ts: float | None = None) -> float:
 
 
 def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
-    """What of each state shows as a z of 1, in powers of the plant's `pace` (n) [x / z].
+    """Return the amount of each state that appears as a z of 1, in powers of the plant's
+    `plant_pace` (n) [x / z].
 
     State i of unit s shows in the k-th derivative of z as C A^k, which counts in units of pace^k.
     In these units plants differ by neither their unit of time nor those of their states.
@@ -366,7 +377,7 @@ def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
         flow: the matrices in continuous time.
         Ts: sample time [s]; None in continuous time.
     """
-    rate = pace(flow, Ts)
+    rate = plant_pace(flow, Ts)
     shown, seen = flow.C, np.abs(flow.C).max(axis=0)
     for _ in range(1, flow.A.shape[0]):
         shown = shown @ flow.A / rate

@@ -1,1 +1,1 @@
-"""Figures and pages: they take results and know nothing of how those came about."""
+"""Figures and pages of results, independent of the computation of the results."""

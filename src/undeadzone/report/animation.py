@@ -1,4 +1,4 @@
-"""An arm in motion: a drawing that plays inside a page, or a GIF or MP4 file.
+"""Animation of an arm: a drawing that plays inside a page, or a GIF or MP4 file.
 
 The page fetches nothing for it.
 """
@@ -15,12 +15,12 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.report import ink
-from undeadzone.report.html import Html, html
-from undeadzone.report.style import plain
+from undeadzone.report.html import Html, format_html
+from undeadzone.report.style import escape_formulas
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import replacing
-from undeadzone.util.progress import silent
+from undeadzone.util.files import replace_file
+from undeadzone.util.progress import ignore_progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +47,7 @@ _CONTROLS = (
 
 
 class Arm(NamedTuple):
-    """An arm that is shown.
+    """Arm in an animation.
 
     Attributes:
         name: of its run.
@@ -63,47 +63,48 @@ class Arm(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Return its name, and how far its tip is off at the end."""
+        """Return the arm's name, and the distance of its tip from the path at the end."""
         far = self.error >= 0.1
         size = f"{self.error:.2g} m" if far else f"{1e3 * self.error:.2g} mm"
         return f"{self.name}: tip {size} off at the end"
 
 
 def animation_canvas(run: Run, rival: Run | None = None) -> Html:
-    """Return a canvas that plays the arm on the tip's path, and a rival's in another colour.
+    """Return a canvas that plays the arm on the tip's path, and a rival's in a second colour.
 
     Arms in space turn under the mouse.
     """
-    arms = _arms(run, rival)
+    arms = _build_arms(run, rival)
     extent = float(np.ptp(arms[-1].poses[:, :, :2], axis=(0, 1)).max())  # [m] of the run's own arm
-    grid = _spacing(extent)
+    grid = _grid_spacing(extent)
     data = _script_data(run, arms, grid)
     script = files("undeadzone.report").joinpath("animation.js").read_text(encoding="utf-8")
     call = f"play(document.currentScript.parentElement, {data});"
-    legend = _legend(arms, grid, _spatial(run))
+    legend = _animation_legend(arms, grid, _is_spatial(run))
     inner = f"{_CANVAS}{_CONTROLS}{legend}<script>{script}\n{call}</script>"
     return Html(f'<div class="arm">{inner}</div>')
 
 
 def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
-    """What animation.js is given: JSON that cannot close the script; grid [m]: between lines."""
-    spatial = _spatial(run)
+    """Return the data for animation.js:
+
+    JSON that cannot close the script; grid [m]: between lines.
+    """
+    spatial = _is_spatial(run)
     data = {
         "rate": FRAMES,
-        "arms": [
-            {"colour": arm.colour, "frames": _tenths_of_millimetre(arm.poses)} for arm in arms
-        ],
-        "path": _tenths_of_millimetre(_path(run)),
+        "arms": [{"colour": arm.colour, "frames": _round_for_screen(arm.poses)} for arm in arms],
+        "path": _round_for_screen(_tip_path(run)),
         "pathColour": ink.REFERENCE,
         "spatial": spatial,
-        "turn": _turn(run),
+        "turn": _view_turn(run),
         "tilt": TILT if spatial else np.pi / 2,
         "grid": grid,
     }
     return json.dumps(data).replace("<", "\\u003c")
 
 
-def _legend(arms: list[Arm], grid: float, spatial: bool) -> str:
+def _animation_legend(arms: list[Arm], grid: float, spatial: bool) -> str:
     """Return the names of arms and path in their colours, and the distance of the grid's lines
     [m].
     """
@@ -111,13 +112,13 @@ def _legend(arms: list[Arm], grid: float, spatial: bool) -> str:
     names.append(("path of the tip", ink.REFERENCE))
     keys = []
     for name, colour in names:
-        keys.append(f'<span style="color:{colour}">&#9632;</span> {html(name)}')
+        keys.append(f'<span style="color:{colour}">&#9632;</span> {format_html(name)}')
     hint = "; drag to turn" if spatial else ""
     return f'<p class="note">{"&ensp;".join(keys)}&ensp;grid {grid:g} m{hint}</p>'
 
 
 def require_movie(path: Path) -> None:
-    """Raise FileError where an animation of that name cannot be written."""
+    """Raise FileError if an animation with this name cannot be written."""
     suffix = path.suffix.lower()
     if suffix not in MOVIES:
         raise FileError(
@@ -133,10 +134,10 @@ def require_movie(path: Path) -> None:
             )
 
 
-def movie(
-    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] = silent
+def write_movie(
+    run: Run, rival: Run | None, path: Path, progress: Callable[[int], None] = ignore_progress
 ) -> Path:
-    """Write the motion as `.gif`, or as `.mp4` where ffmpeg is installed.
+    """Write the motion as `.gif`, or as `.mp4` if ffmpeg is installed. Return the path.
 
     Args:
         run: of an arm
@@ -151,33 +152,33 @@ def movie(
     require_movie(path)
     if run.poses is None:
         raise InputError("animation: this plant is no arm; leave the option out")
-    stage = _stage(run, _arms(run, rival))
-    _draw(stage, 0)
+    stage = _build_stage(run, _build_arms(run, rival))
+    _draw_frame(stage, 0)
     stage.figure.draw_without_rendering()
     stage.figure.set_layout_engine("none")  # laid out once, for all frames
 
     shown = range(0, max(len(arm.poses) for arm in stage.arms), SKIPPED)
     write = _write_gif if path.suffix.lower() == ".gif" else _write_mp4
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         write(stage, shown, temporary, progress)
     return path
 
 
 def _write_mp4(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
-    """An MP4 of some frames. Arguments as of `_write_gif`."""
+    """Write an MP4 of some frames. Arguments as for `_write_gif`."""
     from matplotlib.animation import FFMpegWriter
 
     speed: Any = FRAMES / SKIPPED
     writer = FFMpegWriter(fps=speed)
     with writer.saving(stage.figure, path, DPI):
         for frame in shown:
-            _draw(stage, frame)
+            _draw_frame(stage, frame)
             writer.grab_frame()
             progress(1)
 
 
 def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
-    """A GIF of some frames, in few colours, of which each picture keeps what does not change.
+    """Write a GIF of some frames, in few colours; each picture keeps the unchanged parts.
 
     Its comment is the run's title.
 
@@ -189,11 +190,12 @@ def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int],
     """
     from PIL.Image import Dither
 
-    palette = _picture(stage, shown[-1]).quantize(COLOURS)
+    palette = _render_picture(stage, shown[-1]).quantize(COLOURS)
 
     def pictures() -> Iterator[Image]:
+        """Yield the picture of each frame, in few colours."""
         for frame in shown:
-            picture = _picture(stage, frame)
+            picture = _render_picture(stage, frame)
             progress(1)
             yield picture.quantize(palette=palette, dither=Dither.NONE)
 
@@ -209,19 +211,19 @@ def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int],
     )
 
 
-def _picture(stage: Stage, frame: int) -> Image:
-    """What the figure shows at a frame."""
+def _render_picture(stage: Stage, frame: int) -> Image:
+    """Return the picture of the figure at a frame."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL.Image import fromarray
 
-    _draw(stage, frame)
+    _draw_frame(stage, frame)
     canvas: Any = FigureCanvasAgg(stage.figure)
     canvas.draw()
     return fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 class Stage(NamedTuple):
-    """A figure on which arms move: a line and a trail of the tip for each of them, its title."""
+    """Figure on which arms move: a line and a trail of the tip for each arm, its title."""
 
     figure: Figure
     axes: Any
@@ -232,15 +234,15 @@ class Stage(NamedTuple):
     title: str
 
 
-def _stage(run: Run, arms: list[Arm]) -> Stage:
-    """Return the figure with the path and its limits, and lines that hold no points yet."""
+def _build_stage(run: Run, arms: list[Arm]) -> Stage:
+    """Return the figure with the path and its limits, and lines without points yet."""
     from matplotlib.figure import Figure
 
-    spatial = _spatial(run)
+    spatial = _is_spatial(run)
     figure = Figure(figsize=(6.4, 6.0), dpi=DPI, layout="constrained")
     axes: Any = figure.add_subplot(projection="3d" if spatial else None)
     dimensions = 3 if spatial else 2
-    path = _path(run)[:, :dimensions]
+    path = _tip_path(run)[:, :dimensions]
     axes.plot(*path.T, color=ink.REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
     empty: list[list[float]] = [[]] * dimensions
     lines, trails = [], []
@@ -249,19 +251,19 @@ def _stage(run: Run, arms: list[Arm]) -> Stage:
     for arm in arms:
         trails += axes.plot(*empty, color=arm.colour, linewidth=1.2, alpha=0.7)
     for line, arm in zip(lines, arms, strict=True):
-        line.set_label(plain(arm.label))
+        line.set_label(escape_formulas(arm.label))
     points = [arm.poses.reshape(-1, 3)[:, :dimensions] for arm in arms]
-    _limit(axes, np.vstack([path, *points]))
+    _apply_equal_limits(axes, np.vstack([path, *points]))
     if spatial:
-        axes.view_init(elev=np.degrees(TILT), azim=np.degrees(-_turn(run)) - 90)
+        axes.view_init(elev=np.degrees(TILT), azim=np.degrees(-_view_turn(run)) - 90)
         axes.set_box_aspect((1, 1, 1), zoom=1.15)
     axes.grid(visible=True, alpha=0.4)
     figure.legend(loc="outside lower center", fontsize=9, ncols=2, frameon=False)
-    return Stage(figure, axes, arms, lines, trails, spatial, plain(run.info.title))
+    return Stage(figure, axes, arms, lines, trails, spatial, escape_formulas(run.info.title))
 
 
-def _limit(axes: Any, points: Floats) -> None:
-    """Equally scaled axes that hold all points, with their labels."""
+def _apply_equal_limits(axes: Any, points: Floats) -> None:
+    """Set equally scaled axes that contain all points, with their labels."""
     low, high = points.min(axis=0), points.max(axis=0)
     middle, reach = (low + high) / 2, 0.53 * float(np.ptp(points, axis=0).max())
     for name, centre in zip("xyz", middle, strict=False):
@@ -271,36 +273,38 @@ def _limit(axes: Any, points: Floats) -> None:
     axes.set_aspect("equal")
 
 
-def _draw(stage: Stage, frame: int) -> None:
-    """Move every arm to where it is in a frame, with the last way of its tip."""
+def _draw_frame(stage: Stage, frame: int) -> None:
+    """Move every arm to its pose in a frame, with the last way of its tip."""
     for line, trail, arm in zip(stage.lines, stage.trails, stage.arms, strict=True):
         now = min(frame, len(arm.poses) - 1)
         before = max(0, now - round(TRAIL * FRAMES))
-        _move(line, arm.poses[now], stage.spatial)
-        _move(trail, arm.poses[before : now + 1, -1], stage.spatial)
+        _move_line(line, arm.poses[now], stage.spatial)
+        _move_line(trail, arm.poses[before : now + 1, -1], stage.spatial)
     stage.axes.set_title(f"{stage.title}, t = {frame / FRAMES:.2f} s", fontsize=9)
 
 
-def _move(line: Any, points: Floats, spatial: bool) -> None:
-    """Give a line new points (N x 3)."""
+def _move_line(line: Any, points: Floats, spatial: bool) -> None:
+    """Set the points of a line (N x 3)."""
     line.set_data(*points[:, :2].T)
     if spatial:
         line.set_3d_properties(points[:, 2])
 
 
-def frames(run: Run) -> int:
-    """How many frames a file shows of a run."""
+def count_frames(run: Run) -> int:
+    """Return the number of frames that a file shows of a run."""
     return 0 if run.poses is None else -(-len(run.poses) // SKIPPED)
 
 
-def _arms(run: Run, rival: Run | None) -> list[Arm]:
-    """Return the arms shown, each up to where it diverged; the run's own last, above the other."""
-    own = _arm(run, ink.ESTIMATE)
-    return [own] if rival is None else [_arm(rival, ink.PRINTED), own]
+def _build_arms(run: Run, rival: Run | None) -> list[Arm]:
+    """Return the arms on display, each until it diverged; the run's own last, above the
+    rival's.
+    """
+    own = _build_arm(run, ink.ESTIMATE)
+    return [own] if rival is None else [_build_arm(rival, ink.PRINTED), own]
 
 
-def _arm(run: Run, colour: str) -> Arm:
-    """Return the arm of a run, up to where it diverged."""
+def _build_arm(run: Run, colour: str) -> Arm:
+    """Return the arm of a run, until it diverged."""
     assert run.poses is not None
     end = len(run.poses)
     if run.divergence_time is not None:
@@ -308,42 +312,42 @@ def _arm(run: Run, colour: str) -> Arm:
     return Arm(run.name, colour, run.poses[:end], run.rms_tip or 0.0)
 
 
-def _path(run: Run) -> Floats:
-    """Where the tip should be (frames x 3) [m]."""
+def _tip_path(run: Run) -> Floats:
+    """Return the path of the tip's reference (frames x 3) [m]."""
     assert run.tip_r is not None
     thin = run.tip_r[:: max(1, round(1 / FRAMES / run.info.step))]
     return np.pad(thin, ((0, 0), (0, 3 - thin.shape[1])))
 
 
-def _spatial(run: Run) -> bool:
+def _is_spatial(run: Run) -> bool:
     """Return whether the arm moves in space, not in a plane."""
     return run.tip is not None and run.tip.shape[1] == 3
 
 
-def _turn(run: Run) -> float:
-    """By how much [rad] an arm in space is turned about z.
+def _view_turn(run: Run) -> float:
+    """Return the turn about z of an arm in space [rad].
 
     Its path lies beside its base, and of the ways to have it so the one that shows most of the
     path's face is chosen.
     """
     assert run.poses is not None
-    if not _spatial(run):
+    if not _is_spatial(run):
         return 0.0
-    path = _path(run)
+    path = _tip_path(run)
     middle = path.mean(axis=0)
     x, y, _ = middle - run.poses[0, 0]
     normal = np.linalg.svd(path - middle, full_matrices=False)[2][-1]  # of the plane of the path
     turns = [sideways - float(np.arctan2(y, x)) for sideways in SIDEWAYS]
-    return max(turns, key=lambda turn: face_seen(normal, turn))
+    return max(turns, key=lambda turn: visible_face_share(normal, turn))
 
 
-def face_seen(normal: Floats, turn: float) -> float:
-    """How much of a plane's face is seen after a turn [rad] about z: 1 all, 0 nothing."""
+def visible_face_share(normal: Floats, turn: float) -> float:
+    """Return the visible share of a plane's face after a turn [rad] about z: 1 all, 0 nothing."""
     eye = -np.cos(TILT) * np.sin(turn), -np.cos(TILT) * np.cos(turn), np.sin(TILT)
     return abs(float(normal @ eye))
 
 
-def _spacing(size: float) -> float:
+def _grid_spacing(size: float) -> float:
     """Return the distance [m] of some five to ten lines over a size [m]: 1, 2 or 5 times 10^k."""
     size = max(size, 1e-3)
     power = 10.0 ** np.floor(np.log10(size / 5))
@@ -351,6 +355,6 @@ def _spacing(size: float) -> float:
     return float(power * max(fitting))
 
 
-def _tenths_of_millimetre(values: Floats) -> list[object]:
-    """Return tenths of a millimetre: what a screen can show."""
+def _round_for_screen(values: Floats) -> list[object]:
+    """Return values rounded to tenths of a millimetre [m], the resolution of a screen."""
     return list(np.round(values, 4).tolist())

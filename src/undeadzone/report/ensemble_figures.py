@@ -1,4 +1,4 @@
-"""Figures of an ensemble: how its metrics are distributed, and what most runs do over time."""
+"""Figures of an ensemble: distributions of its metrics, and quantiles over time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from undeadzone.ensemble.result import JUDGED, MAIN, WIDTHS, Ensemble
 from undeadzone.ensemble.words import METRICS
 from undeadzone.errors import InputError
 from undeadzone.report import ink
-from undeadzone.report.style import DASHED, axis_label, finish, floor_of, plain, sheet
+from undeadzone.report.style import (
+    DASHED,
+    axis_label,
+    create_panels,
+    escape_formulas,
+    finish_panel,
+    log_axis_floor,
+)
 from undeadzone.results.run import LAST
 from undeadzone.statistics.intervals import LEVEL, share_bounds
 from undeadzone.util.arrays import Floats
@@ -30,8 +37,8 @@ MARKS: Final = {
 SPREAD: Final = 20  # beyond this ratio of the 99.5 % to the 0.5 % quantile an axis is logarithmic
 
 
-def words(quantity: str, duration: float | None = None) -> str:
-    """What a metric or the error of a width is, in words.
+def describe_metric(quantity: str, duration: float | None = None) -> str:
+    """Return a metric or the error of a width in words.
 
     Args:
         quantity: its name.
@@ -47,8 +54,8 @@ def words(quantity: str, duration: float | None = None) -> str:
     return f"{edge[:3]}^ − {edge[:3]}, output {output[:-1]}"
 
 
-def distributions(result: Ensemble) -> Figure:
-    """How errors, settling time and widths are distributed.
+def plot_distributions(result: Ensemble) -> Figure:
+    """Return histograms of errors, settling times and widths.
 
     Histograms with median, 95 % and 99 % stand above the share of runs beyond each value.
     """
@@ -56,13 +63,13 @@ def distributions(result: Ensemble) -> Figure:
 
     names = _metrics_to_show(result)
     rows = [[f"above {name}" for name in names], [f"below {name}" for name in names]]
-    title = f"{result.info.title}: {_runs(result)}"
-    figure, panels = sheet(rows, title, width=13.0, height=3.0)
+    title = f"{result.info.title}: {_describe_runs(result)}"
+    figure, panels = create_panels(rows, title, width=13.0, height=3.0)
     for name in names:
         above, below = panels[f"above {name}"], panels[f"below {name}"]
         ordered = np.sort(result.sample(name))
-        _histogram(above, ordered)
-        _beyond(below, ordered)
+        _draw_histogram(above, ordered)
+        _draw_exceedance(below, ordered)
         below.set_xscale(above.get_xscale())
         for axes in (above, below):
             axes.xaxis.set_minor_formatter(NullFormatter())
@@ -70,31 +77,36 @@ def distributions(result: Ensemble) -> Figure:
         of_bins, of_runs = "", ""
         if name == names[0]:
             of_bins, of_runs = "share of runs in each bin [%]", "share of runs beyond it"
-        quantity = words(name, result.info.duration)
-        finish(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
-        finish(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
+        quantity = describe_metric(name, result.info.duration)
+        finish_panel(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
+        finish_panel(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
     return figure
 
 
 def first_of_ensemble(result: Ensemble) -> Figure:
-    """Return its first figure. Raises InputError where every run diverged and none was recorded."""
+    """Return the first figure of an ensemble.
+
+    Raises InputError if every run diverged and none was recorded.
+    """
     if not result.diverged[result.independent].all():
-        return distributions(result)
-    figure = over_time(result)
+        return plot_distributions(result)
+    figure = plot_bands(result)
     if figure is None:
         raise InputError("plot: every run of this ensemble diverged, and none was recorded")
     return figure
 
 
 def distribution(axes: Axes, result: Ensemble) -> None:
-    """How the errors of the runs are distributed."""
-    _histogram(axes, np.sort(result.sample(MAIN)))
-    quantity = axis_label(words(MAIN, result.info.duration), result.unit(MAIN))
-    finish(axes, _runs(result), "share of runs in each bin [%]", quantity, legend=2)
+    """Draw the distribution of the runs' errors."""
+    _draw_histogram(axes, np.sort(result.sample(MAIN)))
+    quantity = axis_label(describe_metric(MAIN, result.info.duration), result.unit(MAIN))
+    finish_panel(axes, _describe_runs(result), "share of runs in each bin [%]", quantity, legend=2)
 
 
 def _metrics_to_show(result: Ensemble) -> list[str]:
-    """Return the metrics whose distributions are shown; settling times only if some run settled."""
+    """Return the metrics to be shown as distributions; settling times only if some run
+    settled.
+    """
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
         if name in result.metrics:
@@ -106,8 +118,8 @@ def _metrics_to_show(result: Ensemble) -> list[str]:
     return names
 
 
-def _runs(result: Ensemble) -> str:
-    """How many runs there are, how many of them are independent, and how many diverged."""
+def _describe_runs(result: Ensemble) -> str:
+    """Return the numbers of all runs, of independent runs and of diverged runs, as text."""
     independent = result.diverged[result.independent]
     parts = [f"{result.info.runs:,} runs"]
     if independent.size < result.info.runs:
@@ -117,8 +129,8 @@ def _runs(result: Ensemble) -> str:
     return ", ".join(parts)
 
 
-def _histogram(axes: Axes, ordered: Floats) -> None:
-    """A histogram of ordered values and its quantiles; infinite ones never settled."""
+def _draw_histogram(axes: Axes, ordered: Floats) -> None:
+    """Draw a histogram of ordered values and its quantiles; infinite values never settled."""
     bounded = ordered[np.isfinite(ordered)]
     edges, logarithmic = bin_edges(bounded)
     if logarithmic:
@@ -150,8 +162,8 @@ def bin_edges(bounded: Floats) -> tuple[Floats, bool]:
     return high + 0.1 * (abs(high) or 1.0) * np.linspace(-1, 1, bins), False
 
 
-def _beyond(axes: Axes, ordered: Floats) -> None:
-    """The share of runs above each value, within the interval of Clopper and Pearson."""
+def _draw_exceedance(axes: Axes, ordered: Floats) -> None:
+    """Draw the share of runs above each value, within the interval of Clopper and Pearson."""
     n = ordered.size
     above = np.unique(np.geomspace(1, max(n - 1, 1), 300).astype(int))[::-1]  # numbers of runs
     x = ordered[np.maximum(n - 1 - above, 0)]
@@ -162,8 +174,9 @@ def _beyond(axes: Axes, ordered: Floats) -> None:
     axes.set_ylim(0.5 / n, 1.5)
 
 
-def over_time(result: Ensemble) -> Figure | None:
-    """Return median, 5-95 % and 1-99 % of the recorded runs over time; None without recorded runs.
+def plot_bands(result: Ensemble) -> Figure | None:
+    """Return median, 5-95 % and 1-99 % of the recorded runs over time; None without recorded
+    runs.
 
     Shown are |z - r| and the errors of the widths.
     """
@@ -175,7 +188,7 @@ def over_time(result: Ensemble) -> Figure | None:
     rows = [[name] * 2 for name in errors]
     rows += [[f"d_right[{i}]", f"d_left[{i}]"] for i in range(outputs)]
     title = f"{result.info.title}: the first {result.info.recorded:,} runs over time"
-    figure, panels = sheet(rows, title, height=2.9)
+    figure, panels = create_panels(rows, title, height=2.9)
     unit = result.info.units.output
     for name, axes in panels.items():
         quantity, _, output = name.rstrip("]").partition("[")
@@ -183,25 +196,25 @@ def over_time(result: Ensemble) -> Figure | None:
         q = _bound_infinite(quantiles[name])
         if quantity == "tracking":
             axes.set_yscale("log")
-            _band(axes, t, np.maximum(q, floor_of(q[:, 1])))
-            finish(axes, f"Tracking error{of}", axis_label("|z − r|", unit))
+            _draw_band(axes, t, np.maximum(q, log_axis_floor(q[:, 1])))
+            finish_panel(axes, f"Tracking error{of}", axis_label("|z − r|", unit))
         else:
-            _band(axes, t, q)
+            _draw_band(axes, t, q)
             axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
             d, edge = quantity[:3], quantity[2:]  # d_r of d_right
             error = rf"$\hat {d} - {d}$"
-            finish(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
+            finish_panel(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
     return figure
 
 
 def _bound_infinite(q: Floats) -> Floats:
-    """Return infinite quantiles, of runs that diverged, out of sight above all others."""
+    """Return infinite quantiles, of runs that diverged, clipped above all finite quantiles."""
     largest = float(np.abs(q[np.isfinite(q)]).max(initial=1e-12))
     return np.clip(q, -1.05 * largest, 1.05 * largest)
 
 
-def _band(axes: Axes, t: Floats, q: Floats) -> None:
-    """The median in the bands between quantiles (N x 5): 1, 5, 50, 95 and 99 %."""
+def _draw_band(axes: Axes, t: Floats, q: Floats) -> None:
+    """Draw the median in the bands between quantiles (N x 5): 1, 5, 50, 95 and 99 %."""
     shade: Any = {"color": ink.ESTIMATE, "linewidth": 0}
     axes.fill_between(t, q[:, 0], q[:, 4], alpha=0.18, label="1–99 %", **shade)
     axes.fill_between(t, q[:, 1], q[:, 3], alpha=0.35, label="5–95 %", **shade)
@@ -218,8 +231,8 @@ ROWS: Final = 12  # entries in the tornado
 WORST: Final = 20  # runs that are marked
 
 
-class Marked(NamedTuple):
-    """Numbers of runs: those with a finite metric, those that diverged, the worst, the median one.
+class MarkedRuns(NamedTuple):
+    """Numbers of runs: with a finite metric, diverged, worst, and the median run.
 
     Of runs beyond the first `JUDGED` only the worst are shown.
     """
@@ -230,7 +243,7 @@ class Marked(NamedTuple):
     typical: int | None
 
 
-def tornado(sensitivities: Sensitivities) -> Figure | None:
+def plot_tornado(sensitivities: Sensitivities) -> Figure | None:
     """Return partial rank correlation and Sobol indices, the most influential entry on top.
 
     Args:
@@ -239,60 +252,60 @@ def tornado(sensitivities: Sensitivities) -> Figure | None:
     if not sensitivities:
         return None
     names = list(sensitivities)[:ROWS]
-    title, height = f"What decides the {words(MAIN)}", 1.6 + 0.34 * len(names)
-    figure, panels = sheet([["rank", "share"]], title, height=height)
+    title, height = f"What decides the {describe_metric(MAIN)}", 1.6 + 0.34 * len(names)
+    figure, panels = create_panels([["rank", "share"]], title, height=height)
     rank, share = panels["rank"], panels["share"]
-    _ranks(rank, [sensitivities[name]["partial"] for name in names])
-    _shares(share, [sensitivities[name] for name in names])
+    _draw_ranks(rank, [sensitivities[name]["partial"] for name in names])
+    _draw_shares(share, [sensitivities[name] for name in names])
     _name_rows(share, [""] * len(names))
-    _name_rows(rank, [fill(plain(name), 30) for name in names])
+    _name_rows(rank, [fill(escape_formulas(name), 30) for name in names])
     ranked = "More of it is worse (right) or better (left)"
-    finish(rank, ranked, "", "partial rank correlation", legend=0)
-    finish(share, "Share of the variance that comes from it", "", "Sobol index", legend=3)
+    finish_panel(rank, ranked, "", "partial rank correlation", legend=0)
+    finish_panel(share, "Share of the variance that comes from it", "", "Sobol index", legend=3)
     rank.set_ylim(share.get_ylim())
     return figure
 
 
 def _name_rows(axes: Axes, names: list[str]) -> None:
-    """A row for each name, the first on top."""
+    """Set a row for each name, the first on top."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
 
 
-def _ranks(axes: Axes, partial: list[dict[str, float]]) -> None:
-    """Bars of partial rank correlations."""
-    _bars(axes, 0.0, 0.62, partial, color=[_rank_colour(index) for index in partial])
+def _draw_ranks(axes: Axes, partial: list[dict[str, float]]) -> None:
+    """Draw bars of partial rank correlations."""
+    _draw_bars(axes, 0.0, 0.62, partial, color=[_rank_colour(index) for index in partial])
     axes.axvline(0.0, color=ink.TRUTH, linewidth=0.8)
     axes.set_xlim(-1.05, 1.05)
 
 
 def _rank_colour(index: Index) -> str:
-    """Return grey where it may be chance, else by sign."""
+    """Return grey if an index may be chance, else a colour by sign."""
     if index["p"] > 1 - LEVEL:
         return ink.ZONE
     return ink.PRINTED if index["value"] > 0 else ink.ESTIMATE
 
 
-def _shares(axes: Axes, sensitivities: list[dict[str, Any]]) -> None:
-    """Bars of Sobol indices: alone, and with interactions where those are known."""
+def _draw_shares(axes: Axes, sensitivities: list[dict[str, Any]]) -> None:
+    """Draw bars of Sobol indices: alone, and with interactions if known."""
     first = [each["first_order"] for each in sensitivities]
     total = [each["total_order"] for each in sensitivities]
     if total[0] is None:
-        _bars(axes, 0.0, 0.62, first, color=ink.REFERENCE, label="alone")
+        _draw_bars(axes, 0.0, 0.62, first, color=ink.REFERENCE, label="alone")
         floor = sensitivities[0]["floor"]
         axes.axvline(floor, color=ink.ZONE, linestyle=(0, (3, 2)), label="chance")
     else:
-        _bars(axes, -0.16, 0.31, first, color=ink.REFERENCE, label="alone")
-        _bars(axes, 0.16, 0.31, total, color=ink.OTHER, label="with interactions")
+        _draw_bars(axes, -0.16, 0.31, first, color=ink.REFERENCE, label="alone")
+        _draw_bars(axes, 0.16, 0.31, total, color=ink.OTHER, label="with interactions")
     largest = max(index["high"] for index in first + total if index is not None)
     axes.set_xlim(0.0, min(1.02, 0.02 + 1.08 * largest))
 
 
-def _bars(
+def _draw_bars(
     axes: Axes, shift: float, thick: float, indices: list[dict[str, float]], **style: Any
 ) -> None:
-    """A bar with its interval for each index."""
+    """Draw a bar with its interval for each index."""
     places, values = np.arange(len(indices)) + shift, [index["value"] for index in indices]
     below = [index["value"] - index["low"] for index in indices]
     above = [index["high"] - index["value"] for index in indices]
@@ -300,7 +313,7 @@ def _bars(
     axes.barh(places, values, thick, xerr=[below, above], error_kw=whisker, alpha=0.75, **style)
 
 
-def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
+def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
     """Return the main metric over each of the two most influential entries, and over both.
 
     The worst runs, the median one and those that diverged are marked.
@@ -315,29 +328,29 @@ def influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | None:
     two = len(names) == 2
     rows = [[*names, "both"] if two else names]
     width = 13.0 if two else 6.5
-    figure, panels = sheet(rows, "The most influential entries", width=width, height=4.4)
+    figure, panels = create_panels(rows, "The most influential entries", width=width, height=4.4)
     values = np.where(result.diverged, np.nan, result.column(MAIN))
     runs = _runs_to_mark(result, values)
-    scale = _scale(values[runs.shown])
-    quantity = axis_label(words(MAIN, result.info.duration), result.unit(MAIN))
-    labels = [axis_label(plain(name), result.unit(name)) for name in names]
+    scale = _choose_scale(values[runs.shown])
+    quantity = axis_label(describe_metric(MAIN, result.info.duration), result.unit(MAIN))
+    labels = [axis_label(escape_formulas(name), result.unit(name)) for name in names]
     for name, x_label in zip(names, labels, strict=True):
-        _over_one(panels[name], result.column(name), values, runs, scale)
-        finish(panels[name], f"Over {name}", quantity, x_label, legend=3)
+        _draw_over_entry(panels[name], result.column(name), values, runs, scale)
+        finish_panel(panels[name], f"Over {name}", quantity, x_label, legend=3)
     if two:
         both = panels["both"]
         x, y = map(result.column, names)
-        colours = _over_both(both, x, y, values, runs, scale)
+        colours = _draw_over_entries(both, x, y, values, runs, scale)
         figure.colorbar(colours, ax=both, pad=0.02).set_label(f"median of the {quantity}")
-        finish(both, "Over both", labels[1], labels[0], legend=3)
+        finish_panel(both, "Over both", labels[1], labels[0], legend=3)
     return figure
 
 
-def _runs_to_mark(result: Ensemble, values: Floats) -> Marked:
-    """Return the runs that are shown and marked; values: of the main metric, nan where one
-    diverged.
+def _runs_to_mark(result: Ensemble, values: Floats) -> MarkedRuns:
+    """Return the runs to be shown and marked; values: of the main metric, nan for a diverged
+    run.
     """
-    return Marked(
+    return MarkedRuns(
         shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),
         worst=np.argpartition(np.nan_to_num(values, nan=-np.inf), -WORST)[-WORST:],
@@ -345,49 +358,53 @@ def _runs_to_mark(result: Ensemble, values: Floats) -> Marked:
     )
 
 
-def _scale(values: Floats) -> Scale:
-    """Return logarithmic where nearly all values spread over more than a decade."""
+def _choose_scale(values: Floats) -> Scale:
+    """Return a logarithmic scale if nearly all values spread over more than a decade, else
+    linear.
+    """
     low, high = np.quantile(values, [0.01, 0.99])
     return "log" if values.min() > 0 and high > SPREAD / 2 * low else "linear"
 
 
-def _over_one(axes: Axes, x: Floats, y: Floats, runs: Marked, scale: Scale) -> None:
-    """The metric y over one entry x: a dot for each run, their trend, and the runs marked."""
+def _draw_over_entry(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns, scale: Scale) -> None:
+    """Draw the metric y over an entry x: a dot for each run, their trend, and the marked runs."""
     shown, diverged = runs.shown, runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
     dots: Any = {"markersize": 3, "markeredgewidth": 0, "rasterized": True}
     axes.plot(x[shown], y[shown], ".", color=ink.ESTIMATE, alpha=alpha, **dots)
-    _trend(axes, x[shown], y[shown])
-    _mark(axes, x, y, runs)
+    _draw_trend(axes, x[shown], y[shown])
+    _mark_runs(axes, x, y, runs)
     if diverged.size:
         at_bottom, low = axes.get_xaxis_transform(), np.full(diverged.size, 0.02)
         axes.plot(x[diverged], low, "|", color=ink.PRINTED, transform=at_bottom, label="diverged")
     axes.margins(x=0.03)
 
 
-def _over_both(axes: Axes, x: Floats, y: Floats, values: Floats, runs: Marked, scale: Scale) -> Any:
-    """Return the median of the metric over two entries, in hexagons; returned for a colour bar."""
+def _draw_over_entries(
+    axes: Axes, x: Floats, y: Floats, values: Floats, runs: MarkedRuns, scale: Scale
+) -> Any:
+    """Draw the median of the metric over two entries, in hexagons; returned for a colour bar."""
     points = x[runs.shown], y[runs.shown], values[runs.shown]
     size = int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30))
     looks: Any = {"norm": scale, "cmap": "viridis_r", "edgecolors": "none"}
     hexagons = axes.hexbin(*points, gridsize=size, reduce_C_function=np.median, **looks)
     if runs.diverged.size:
         axes.plot(x[runs.diverged], y[runs.diverged], ".", color=ink.PRINTED, label="diverged")
-    _mark(axes, x, y, runs)
+    _mark_runs(axes, x, y, runs)
     axes.margins(0.03)
     return hexagons
 
 
-def _mark(axes: Axes, x: Floats, y: Floats, runs: Marked) -> None:
-    """Mark the worst runs and the median one."""
+def _mark_runs(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns) -> None:
+    """Mark the worst runs and the median run."""
     axes.plot(x[runs.worst], y[runs.worst], "x", color=ink.PRINTED, label="worst", zorder=5)
     typical = x[runs.typical], y[runs.typical]
     axes.plot(*typical, "*", color=ink.OTHER, markersize=11, label="median run", zorder=5)
 
 
-def _trend(axes: Axes, x: Floats, y: Floats) -> None:
-    """Median and 95 % of y among neighbours in x."""
+def _draw_trend(axes: Axes, x: Floats, y: Floats) -> None:
+    """Draw median and 95 % of y among neighbours in x."""
     groups = min(24, max(1, x.size // 40))
     split = np.array_split(np.argsort(x, kind="stable"), groups)
     neighbours = [group for group in split if group.size]

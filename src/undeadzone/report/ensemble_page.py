@@ -1,4 +1,4 @@
-"""The page of an ensemble: how often it settles, how large errors get, what decides.
+"""Page of an ensemble: shares of settled runs, sizes of errors, influential entries, worst runs.
 
 The worst runs are listed with the numbers by which each can be run again.
 """
@@ -14,10 +14,16 @@ import numpy as np
 
 from undeadzone.ensemble.result import MAIN, Ensemble
 from undeadzone.report import html
-from undeadzone.report.ensemble_figures import distributions, influence, over_time, tornado, words
+from undeadzone.report.ensemble_figures import (
+    describe_metric,
+    plot_bands,
+    plot_distributions,
+    plot_influence,
+    plot_tornado,
+)
 from undeadzone.results.run import LAST
-from undeadzone.results.sheet import number
-from undeadzone.util.text import label, with_unit
+from undeadzone.results.sheet import format_number
+from undeadzone.util.text import append_unit, label_with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,13 +44,13 @@ CAPTIONS: Final = {
 COLUMNS: Final = {"mean": "mean", "median": "median", "p95": "95 %", "p99": "99 %"}
 
 
-def figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
-    """Return the figures that apply, by name."""
+def draw_ensemble_figures(result: Ensemble, summary: Mapping[str, Any]) -> dict[str, Figure]:
+    """Return the applicable figures, by name."""
     drawn = {
-        "distributions": distributions(result) if summary["metrics"] else None,
-        "over_time": over_time(result),
-        "tornado": tornado(summary["sensitivities"]),
-        "influence": influence(result, summary["sensitivities"]),
+        "distributions": plot_distributions(result) if summary["metrics"] else None,
+        "over_time": plot_bands(result),
+        "tornado": plot_tornado(summary["sensitivities"]),
+        "influence": plot_influence(result, summary["sensitivities"]),
     }
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
@@ -65,7 +71,7 @@ def write_ensemble(
     """
 
     text = partial(ensemble_page, result, summary, origin=origin)
-    return html.write_page(figures(result, summary), folder, text)
+    return html.write_page(draw_ensemble_figures(result, summary), folder, text)
 
 
 def ensemble_page(
@@ -74,60 +80,71 @@ def ensemble_page(
     images: Mapping[str, bytes],
     origin: html.Origin | None = None,
 ) -> str:
-    """Return the page; images: SVGs by the names of `figures`; else see `write_ensemble`."""
-    shown = html.pictures(images, CAPTIONS)
-    first, *others = _distributions(result, summary)
-    parts = [html.section("Over time", first, *html.pick(shown, "over_time"))]
-    parts.append(html.section("Distributions", *others, *html.pick(shown, "distributions")))
+    """Return the page; images:
+
+    SVGs by the names of `draw_ensemble_figures`; else see `write_ensemble`.
+    """
+    shown = html.encode_pictures(images, CAPTIONS)
+    first, *others = _metric_tables(result, summary)
+    parts = [html.build_section("Over time", first, *html.pick_pictures(shown, "over_time"))]
+    parts.append(
+        html.build_section("Distributions", *others, *html.pick_pictures(shown, "distributions"))
+    )
     if result.varied:
-        decisive = [*_sensitivities(summary), *html.pick(shown, "tornado", "influence")]
-        parts.append(html.section("What decides", *decisive))
-    parts.append(html.section("The worst runs", *_worst(result, summary)))
-    parts.append(html.section("What was asked", *_scenario_section(result)))
+        decisive = [
+            *_sensitivity_table(summary),
+            *html.pick_pictures(shown, "tornado", "influence"),
+        ]
+        parts.append(html.build_section("What decides", *decisive))
+    parts.append(html.build_section("The worst runs", *_worst_runs(result, summary)))
+    parts.append(html.build_section("What was asked", *_scenario_section(result)))
     own = html.Origin(scenario=result.info.scenario, seed=result.info.seed)
     title = f"Ensemble: {result.info.title}"
-    return html.page(title, _verdict(result, summary), *parts, origin=origin or own)
+    return html.build_page(title, _ensemble_verdict(result, summary), *parts, origin=origin or own)
 
 
-def _verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
-    """How many runs settle and diverge, and what 99 % of the errors keep to."""
+def _ensemble_verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
+    """Return the shares of settled and diverged runs, and the 99 % quantile of the errors."""
     settled, diverged = summary["settled"], summary["diverged"]
     parts = [
         (f"{result.info.runs:,} runs", ""),
-        (f"{_percent(settled)} settle", _style_of_share(settled["value"])),
+        (f"{_percent_with_interval(settled)} settle", _style_of_share(settled["value"])),
     ]
     if diverged["value"]:
-        parts.append((f"{_percent(diverged)} diverge", "no"))
+        parts.append((f"{_percent_with_interval(diverged)} diverge", "no"))
     else:
         most = f"{100 * diverged['high']:.2g}"
         parts.append((f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
-        worst, name = summary["metrics"][MAIN]["p99"]["value"], words(MAIN, result.info.duration)
-        limit = with_unit(f"{name} at most {worst:.4g}", result.unit(MAIN))
+        worst, name = (
+            summary["metrics"][MAIN]["p99"]["value"],
+            describe_metric(MAIN, result.info.duration),
+        )
+        limit = append_unit(f"{name} at most {worst:.4g}", result.unit(MAIN))
         parts.append((f"{limit} in 99 % of the runs that did not diverge", ""))
     return html.verdict_line(*parts)
 
 
 def _style_of_share(share: float) -> str:
-    """Return the class of a share of runs that settle."""
+    """Return the style class of a share of runs that settle."""
     if share == 1:
         return "yes"
     return "mid" if share > 0.9 else "no"
 
 
-def _percent(share: Mapping[str, float]) -> str:
-    """Return a share with its interval."""
+def _percent_with_interval(share: Mapping[str, float]) -> str:
+    """Return a share with its interval as text."""
     return f"{100 * share['value']:.4g} % [{100 * share['low']:.4g}, {100 * share['high']:.4g}]"
 
 
-def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
+def _metric_tables(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
     """Return the table of metrics and errors of the widths, with a note."""
     if not summary["metrics"]:
-        return [html.paragraph("Every run diverged.", "no")]
+        return [html.build_paragraph("Every run diverged.", "no")]
     rows = []
     for name, values in summary["metrics"].items():
         if not name.startswith(("d_right[", "d_left[")):
-            rows.append(_distribution(name, values, result.unit(name), result.info.duration))
+            rows.append(_metric_row(name, values, result.unit(name), result.info.duration))
     beyond = 100 * summary["metrics"][MAIN]["max"]["beyond"]
     note = (
         "In parentheses: 95 % intervals; a dash is a value that these runs do not bound. "
@@ -135,45 +152,54 @@ def _distributions(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Ht
         "with 95 % confidence. Runs that diverged are counted above and averaged nowhere."
     )
     first = [(row[0], *row[2:4]) for row in rows[: html.MOST]]  # median and 95 %
-    every = html.table(("", *COLUMNS.values(), "largest"), rows)
-    return [html.table(("", "median", "95 %"), first), every, html.paragraph(note, "note")]
+    every = html.build_table(("", *COLUMNS.values(), "largest"), rows)
+    return [
+        html.build_table(("", "median", "95 %"), first),
+        every,
+        html.build_paragraph(note, "note"),
+    ]
 
 
-def _distribution(
+def _metric_row(
     name: str, values: Mapping[str, Any], unit: str, duration: float
 ) -> tuple[Any, ...]:
-    """Return the row of a metric of runs of some duration [s]."""
-    cells = [_bounded_cell(name, values[column], _interval(values[column])) for column in COLUMNS]
+    """Return the row of a metric for runs of some duration [s]."""
+    cells = [
+        _bounded_cell(name, values[column], _interval_cell(values[column])) for column in COLUMNS
+    ]
     largest = _bounded_cell(name, values["max"], values["max"]["value"])
-    return (label(words(name, duration), unit), *cells, largest)
+    return (label_with_unit(describe_metric(name, duration), unit), *cells, largest)
 
 
 def _bounded_cell(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
-    """Return the cell of a value; of a settling time without a bound, words."""
+    """Return the cell of a value; for a settling time without a bound, a word."""
     if name == "settling_time" and value["value"] is None:
         return "never"
     return cell
 
 
-def _interval(value: Mapping[str, float | None]) -> html.Html:
-    """Return a value with its interval, which stands on a line of its own, unbroken."""
-    middle, low, high = (number(value[key], none="–") for key in ("value", "low", "high"))
+def _interval_cell(value: Mapping[str, float | None]) -> html.Html:
+    """Return a value with its interval, unbroken on a line of its own."""
+    middle, low, high = (format_number(value[key], none="–") for key in ("value", "low", "high"))
     if middle == low == high:
         return html.Html(middle)
     return html.Html(f'{middle}<br><span class="note">({low}&nbsp;to&nbsp;{high})</span>')
 
 
-def _sensitivities(summary: Mapping[str, Any]) -> list[html.Html]:
-    """Return the table of what each entry contributes, with a note."""
+def _sensitivity_table(summary: Mapping[str, Any]) -> list[html.Html]:
+    """Return the table of the contributions of all entries, with a note."""
     sensitivities = summary["sensitivities"]
     if not sensitivities:
-        return [html.paragraph("These runs do not tell: they are too few, or all alike.")]
+        return [html.build_paragraph("These runs do not tell: they are too few, or all alike.")]
     columns = {
         "spearman": "rank correlation",
         "partial": "the same, others held",
         "first_order": "share of the variance, alone",
     }
-    note = f"On the {words(MAIN)}, of the runs that did not diverge; 95 % intervals in parentheses."
+    note = (
+        f"On the {describe_metric(MAIN)}, of the runs that did not diverge; "
+        "95 % intervals in parentheses."
+    )
     if any(each["total_order"] is not None for each in sensitivities.values()):
         columns["total_order"] = "with interactions"
     else:
@@ -181,34 +207,41 @@ def _sensitivities(summary: Mapping[str, Any]) -> list[html.Html]:
         note += f" A share below {floor:.2g} may be chance."
     rows = []
     for name, each in sensitivities.items():
-        rows.append((name, *(_interval(each[key]) for key in columns)))
-    return [html.table(("varied", *columns.values()), rows), html.paragraph(note, "note")]
+        rows.append((name, *(_interval_cell(each[key]) for key in columns)))
+    return [
+        html.build_table(("varied", *columns.values()), rows),
+        html.build_paragraph(note, "note"),
+    ]
 
 
-def _worst(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
-    """Return the worst runs, the one at the median, and the command that shows one of them."""
-    units = [label(name, result.unit(name)) for name in result.varied]
-    head = ("run", label(words(MAIN, result.info.duration), result.unit(MAIN)), *units)
-    parts = [html.table(head, map(_run_row, summary["worst"]))]
+def _worst_runs(result: Ensemble, summary: Mapping[str, Any]) -> list[html.Html]:
+    """Return the worst runs, the median run, and the command that shows a run."""
+    units = [label_with_unit(name, result.unit(name)) for name in result.varied]
+    head = (
+        "run",
+        label_with_unit(describe_metric(MAIN, result.info.duration), result.unit(MAIN)),
+        *units,
+    )
+    parts = [html.build_table(head, map(_run_row, summary["worst"]))]
     typical = summary["typical"]
     if typical is not None:
-        parts.append(html.paragraph("For comparison the run at the median:"))
-        parts.append(html.table(head, [_run_row(result.row(typical))]))
+        parts.append(html.build_paragraph("For comparison the run at the median:"))
+        parts.append(html.build_table(head, [_run_row(result.row(typical))]))
     command = f"undeadzone run runs.npz --replay {summary['worst'][0]['run']}"
     note = f"Each can be seen in full, bit for bit what it was, by its number: {command}"
-    return [*parts, html.paragraph(note, "note")]
+    return [*parts, html.build_paragraph(note, "note")]
 
 
 def _run_row(run: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the row of a run: its number, its error or that it diverged, its entries."""
     outcome = run["metrics"][MAIN]
     if run["diverged"]:
-        outcome = html.tag("span", "diverged", "no")
+        outcome = html.build_tag("span", "diverged", "no")
     return (run["run"], outcome, *run["varied"].values())
 
 
 def _scenario_section(result: Ensemble) -> list[html.Html]:
-    """What was run, over which values, and the scenario."""
+    """Return the observer, the runs, and the ranges of the varied entries."""
     info = result.info
     lasts = f"for the last {LAST:g} s" if info.duration > LAST else "at the end"
     lines = [
@@ -218,11 +251,11 @@ def _scenario_section(result: Ensemble) -> list[html.Html]:
         ("drawn by", f"{info.sampling}, seed {info.seed}"),
         ("settled", f"|z − r| stays within {100 * info.tolerance:g} % of the largest |r| {lasts}"),
     ]
-    parts = [html.table(("what", "value"), lines)]
+    parts = [html.build_table(("what", "value"), lines)]
     if result.varied:
         ranges = []
         for name, column in result.varied.items():
             ends = float(np.min(column)), float(np.max(column))
-            ranges.append((label(name, result.unit(name)), *ends))
-        parts.append(html.table(("varied", "least", "largest"), ranges))
+            ranges.append((label_with_unit(name, result.unit(name)), *ends))
+        parts.append(html.build_table(("varied", "least", "largest"), ranges))
     return parts

@@ -1,4 +1,4 @@
-"""Figures of gains: how fast an error dies as they are scaled, and what they trade for it."""
+"""Figures of gains: decay rate of the error as gains are scaled, and the trade-offs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from undeadzone.analysis.error_dynamics import Dynamics, branch_pattern, largest
 from undeadzone.linalg.matrices import delta_form
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import ink
-from undeadzone.report.style import axis_label, finish, sheet
+from undeadzone.report.style import axis_label, create_panels, finish_panel
 from undeadzone.synthesis.assessment import Assessment, Gains
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
@@ -38,7 +38,8 @@ LABELS: Final = {
 
 
 def root_locus(of: Assessment, gains: Gains) -> Figure:
-    """Return poles of the error while every output is read, as gamma or L is scaled, and the rate.
+    """Return the poles of the error while every output is read, as gamma or L is scaled, and
+    the rate.
 
     The rate is that along the reference. Sampled, poles z are drawn as (z - 1) / Ts, which tends
     to s as Ts -> 0; the unit circle is drawn so too.
@@ -46,26 +47,28 @@ def root_locus(of: Assessment, gains: Gains) -> Figure:
     dynamics = gains.dynamics
     scaled = ["gamma", "L"] if dynamics.gamma.any() else ["L"]
     title = "Poles of the error while every output is read, and the rate"
-    figure, panels = sheet([[*scaled, "rate"]], title, height=4.0)
+    figure, panels = create_panels([[*scaled, "rate"]], title, height=4.0)
     dots: Any = None
     for name in scaled:
-        dots = _locus_panel(panels[name], dynamics, name)
-    _rates(panels["rate"], of, gains, scaled)
+        dots = _draw_locus_panel(panels[name], dynamics, name)
+    _draw_rates(panels["rate"], of, gains, scaled)
     figure.colorbar(
         dots, ax=[*panels.values()], label="times the gain", shrink=0.7, aspect=30, pad=0.01
     )
     return figure
 
 
-def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
-    """Return the poles as one gain is scaled, slow ones enlarged; returns the dots for a colour
+def _draw_locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
+    """Draw the poles as a gain is scaled, slow poles enlarged; return the dots for a colour
     bar.
     """
     Ts = dynamics.Ts
-    poles = np.stack([_poles(dynamics, _scale_gain(dynamics, name, factor)) for factor in FACTORS])
+    poles = np.stack(
+        [_error_poles(dynamics, _scale_gain(dynamics, name, factor)) for factor in FACTORS]
+    )
     silent = np.linalg.eigvals(dynamics.A[0])
-    dots = _locus(axes, poles, silent, name)
-    _forbid_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
+    dots = _draw_locus(axes, poles, silent, name)
+    _shade_unstable(axes, np.concatenate([poles.ravel(), silent]), Ts)
     slow = 1.5 * max(np.abs(silent).max(), np.abs(poles[CHOSEN].real).min())
     if slow > 0 and np.ptp(poles.real) > 8 * slow:
         _enlarge_slow(axes, poles, silent, name, Ts, slow)
@@ -73,12 +76,12 @@ def _locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
         x_label, y_label = "Re s [1/s]", "Im s [rad/s]"
     else:
         x_label, y_label = "Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]"
-    finish(axes, f"{NAMES[name]} scaled", y_label, x_label, legend=3)
+    finish_panel(axes, f"{NAMES[name]} scaled", y_label, x_label, legend=3)
     return dots
 
 
-def _locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
-    """Return poles (factors x poles) coloured by the factor of a gain, and those of a silent
+def _draw_locus(axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str) -> Any:
+    """Draw poles (factors x poles) coloured by the factor of a gain, and the poles of a silent
     sensor.
     """
     factors = np.repeat(FACTORS, poles.shape[1])
@@ -100,25 +103,25 @@ def _mark_poles(
 def _enlarge_slow(
     axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str, Ts: float | None, size: float
 ) -> None:
-    """Enlarge the slow poles below the real axis; size [1/s]: of the largest of them."""
+    """Enlarge the slow poles below the real axis; size [1/s]: of the largest slow pole."""
     bottom, top = axes.get_ylim()
     axes.set_ylim(1.6 * bottom, top)
     inset = axes.inset_axes((0.14, 0.06, 0.64, 0.3))
-    _locus(inset, poles, silent, name)
+    _draw_locus(inset, poles, silent, name)
     near = np.concatenate([poles[poles.real > -2 * size], silent])
-    _forbid_unstable(inset, np.append(near, -2 * size), Ts)
+    _shade_unstable(inset, np.append(near, -2 * size), Ts)
     inset.set_xlim(-2 * size, 0.3 * size)
     inset.tick_params(labelsize=6.5, pad=1)
     axes.indicate_inset_zoom(inset, edgecolor=ink.ZONE)
 
 
 def _scale_gain(dynamics: Dynamics, name: str, factor: float) -> Dynamics:
-    """Return the dynamics with one gain, gamma or L, scaled."""
+    """Return the dynamics with a gain, gamma or L, scaled."""
     return dynamics._replace(**{name: factor * getattr(dynamics, name)})
 
 
-def _poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
-    """Return poles of x~ and of the widths that `dynamics` adapts, under scaled gains.
+def _error_poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
+    """Return the poles of x~ and of the widths that `dynamics` adapts, under scaled gains.
 
     Every output is read on its right side.
     """
@@ -130,8 +133,10 @@ def _poles(dynamics: Dynamics, scaled: Dynamics) -> np.ndarray:
     return np.asarray(np.linalg.eigvals(F[np.ix_(kept, kept)]))
 
 
-def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
-    """Limits that hold all poles and some of the unstable region, which is shaded."""
+def _shade_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
+    """Set limits that contain all poles and some of the unstable region, and shade that
+    region.
+    """
     size = max(np.ptp(poles.real), np.ptp(poles.imag), 1e-3 * np.abs(poles).max(), 1e-300)
     left = poles.real.min() - 0.08 * size
     right = max(poles.real.max(), 0.0) + 0.12 * size
@@ -144,12 +149,12 @@ def _forbid_unstable(axes: Axes, poles: np.ndarray, Ts: float | None) -> None:
     axes.set_ylim(-top, top)
 
 
-def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
-    """The rate over the factor of each gain: a line where V proves it, dots elsewhere."""
+def _draw_rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
+    """Draw the rate over the factor of each gain: a line if V proves it, else dots."""
     for name, colour in zip(scaled, (ink.ESTIMATE, ink.READING), strict=False):
         first = EVERY if name == "gamma" else 0  # with gamma = 0 the error holds no widths
         factors = FACTORS[first::EVERY]
-        rate = np.array([_rate(of, gains, name, factor) for factor in factors])
+        rate = np.array([_rate_at_scale(of, gains, name, factor) for factor in factors])
         proved = np.array(
             [_is_proved_with_scaled_gain(gains.certificate, name, factor) for factor in factors]
         )
@@ -159,11 +164,11 @@ def _rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> None:
     axes.plot([1.0], [gains.rates.rate], "o", color=ink.PRINTED, markersize=6)
     axes.axhline(0.0, color=ink.TRUTH, linewidth=0.8)
     y_label = "rate along the reference [1/s]"
-    finish(axes, "Rate (dotted: not certified)", y_label, "times the gain", legend=2)
+    finish_panel(axes, "Rate (dotted: not certified)", y_label, "times the gain", legend=2)
 
 
-def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
-    """Return the rate [1/s] along the reference with one gain scaled."""
+def _rate_at_scale(of: Assessment, gains: Gains, name: str, factor: float) -> float:
+    """Return the rate [1/s] along the reference with a gain scaled."""
     scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
     return error_decay_rates(
         of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump"
@@ -171,33 +176,34 @@ def _rate(of: Assessment, gains: Gains, name: str, factor: float) -> float:
 
 
 def _is_proved_with_scaled_gain(proof: Certificate, name: str, factor: float) -> bool:
-    """Return whether the weights of a certificate prove it with one gain scaled, too."""
+    """Return whether the weights of a certificate also prove it with a gain scaled."""
     if not proof.margin > -np.inf:
         return False
     return margin_of_weights(_scale_gain(proof.dynamics, name, factor), proof.W)[0] > 0
 
 
-def front(design: Design) -> Figure:
-    """Return rate against noise gain and against disturbance gain, each coloured by the other.
+def plot_front(design: Design) -> Figure:
+    """Return rate against noise gain and against disturbance gain, each coloured by the
+    opposite gain.
 
     The gains chosen, the fastest and the scenario's own are marked.
     """
     count = f"{len(design.front)} certified gains"
     title = f"The trade: {count}, none better than another in everything"
-    figure, panels = sheet([[price for price, _ in PRICES]], title, height=4.2)
+    figure, panels = create_panels([[price for price, _ in PRICES]], title, height=4.2)
     for price, other in PRICES:
         axes = panels[price]
-        x, rate = _scores(design, price), _scores(design, "rate")
-        colour = np.log10(_scores(design, other))
+        x, rate = _front_scores(design, price), _front_scores(design, "rate")
+        colour = np.log10(_front_scores(design, other))
         dots = axes.scatter(x, rate, c=colour, s=26, cmap="viridis_r", linewidths=0)
-        _mark(axes, design.front[0], price, "^", ink.TRUTH, "fastest")
+        _mark_front_point(axes, design.front[0], price, "^", ink.TRUTH, "fastest")
         if design.present is not None:
-            _mark(axes, design.present, price, "X", ink.PRINTED, "yours")
-        _mark(axes, design.best, price, "*", ink.PRINTED, "chosen", 16)
-        _log_ticks(axes)
+            _mark_front_point(axes, design.present, price, "X", ink.PRINTED, "yours")
+        _mark_front_point(axes, design.best, price, "*", ink.PRINTED, "chosen", 16)
+        _use_log_ticks(axes)
         axes.margins(0.06)
         y_label = "rate along the reference [1/s]"
-        finish(axes, f"Rate against {price}", y_label, LABELS[price], legend=3)
+        finish_panel(axes, f"Rate against {price}", y_label, LABELS[price], legend=3)
         bar = figure.colorbar(dots, ax=axes, shrink=0.8, pad=0.02)
         ticks = np.linspace(*dots.get_clim(), 5)
         bar.set_ticks(ticks.tolist(), labels=[f"{10**tick:.3g}" for tick in ticks])
@@ -205,13 +211,13 @@ def front(design: Design) -> Figure:
     return figure
 
 
-def _scores(design: Design, name: str) -> Floats:
-    """What the gains of the front are worth in one respect."""
+def _front_scores(design: Design, name: str) -> Floats:
+    """Return the scores of the gains of the front in one respect."""
     return np.array([getattr(point, name) for point in design.front])
 
 
-def _log_ticks(axes: Axes) -> None:
-    """A logarithmic axis of less than two decades, with plain numbers."""
+def _use_log_ticks(axes: Axes) -> None:
+    """Set a logarithmic axis of less than two decades, with plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axes.set_xscale("log")
@@ -220,18 +226,18 @@ def _log_ticks(axes: Axes) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _mark(
+def _mark_front_point(
     axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
 ) -> None:
-    """Mark one point of the front; price: what stands on the axis to the right."""
+    """Mark a point of the front; price: the quantity on the axis to the right."""
     place = [getattr(point, price)], [point.rate]
     on_top: Any = {"markeredgecolor": "white", "zorder": 5}
     axes.plot(*place, marker, color=colour, markersize=size, label=name, **on_top)
 
 
-def ellipses(of: Assessment) -> Figure:
-    """Return the 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in the
-    end.
+def plot_ellipses(of: Assessment) -> Figure:
+    """Return the 95 % region of (d_r, d_l) of each output that an optimal estimator reaches in
+    the end.
 
     An ellipse about the truth, or an unbounded strip where only one direction can be known, with
     the reason in words.
@@ -239,24 +245,24 @@ def ellipses(of: Assessment) -> Figure:
     outputs = len(of.known)
     names = [f"output {i}" for i in range(outputs)]
     title = f"What {of.problem.scenario.simulation.duration:g} s of readings tell of the widths"
-    figure, panels = sheet([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
+    figure, panels = create_panels([names], title, width=max(5.5, 4.6 * outputs), height=5.0)
     for i, name in enumerate(names):
-        deviations(panels[name], of, i)
+        draw_width_region(panels[name], of, i)
     return figure
 
 
-def deviations(axes: Axes, of: Assessment, i: int) -> None:
-    """The 95 % region of the widths of output i, with its title and labels."""
+def draw_width_region(axes: Axes, of: Assessment, i: int) -> None:
+    """Draw the 95 % region of the widths of output i, with its title and labels."""
     known, sensor, unit = of.known[i], of.problem.sensor, of.problem.scenario.units.output
     truth = np.array([sensor.right[i], sensor.left[i]])
     if known.right and known.left:
-        _ellipse(axes, known)
+        _draw_ellipse(axes, known)
         words, off = "Both can be known", " − truth"
         if not (sensor.noise[i] or sensor.noise_before[i]):
             words += " (no noise: readings are taken as all but exact)"
         axes.plot(0.0, 0.0, "+", color=ink.TRUTH, markersize=10, label="truth")
     else:
-        _strip(axes, known, truth, _floor(of, i, truth))
+        _shade_strip(axes, known, truth, _width_lower_bounds(of, i, truth))
         words, off = "; ".join(known.reasons), ""
         axes.plot(*truth, "+", color=ink.TRUTH, markersize=10, label="truth")
     if known.second is not None:
@@ -268,11 +274,11 @@ def deviations(axes: Axes, of: Assessment, i: int) -> None:
     if len(of.known) > 1:
         title = f"Output {i}: {words}"
     y_label, x_label = (axis_label(rf"$\hat d_{edge}${off}", unit) for edge in "lr")
-    finish(axes, fill(title, 46), y_label, x_label, legend=2)
+    finish_panel(axes, fill(title, 46), y_label, x_label, legend=2)
 
 
-def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
-    """What (d_r, d_l) of output i must exceed, or else the edges would have been reached; or 0.
+def _width_lower_bounds(of: Assessment, i: int, truth: Floats) -> Floats:
+    """Return the lower bound of (d_r, d_l) of output i implied by an unreached edge; or 0.
 
     Silence tells it only of a stable model, whose output is known in the end.
     """
@@ -282,9 +288,9 @@ def _floor(of: Assessment, i: int, truth: Floats) -> Floats:
     return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)
 
 
-def _ellipse(axes: Axes, known: Knowledge) -> None:
-    """The ellipse of 95 % about the truth, limits included."""
-    x, y = ellipse(known.std)
+def _draw_ellipse(axes: Axes, known: Knowledge) -> None:
+    """Draw the ellipse of 95 % about the truth, limits included."""
+    x, y = ellipse_border(known.std)
     axes.fill(x, y, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(x, y, color=ink.ESTIMATE, label="95 %")
     axes.ticklabel_format(style="plain")  # a factor would stand beneath the title
@@ -294,7 +300,7 @@ def _ellipse(axes: Axes, known: Knowledge) -> None:
     axes.set_ylim(-size, size)
 
 
-def ellipse(std: dict[str, float]) -> Floats:
+def ellipse_border(std: dict[str, float]) -> Floats:
     """Return the border (2 x points) of the 95 % ellipse of (d_r, d_l) about the truth.
 
     The covariance follows from the deviations of both, of the width and of the centre.
@@ -307,8 +313,8 @@ def ellipse(std: dict[str, float]) -> Floats:
     return np.asarray(ELLIPSE * vectors @ (semi_axes * circle))
 
 
-def _strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
-    """Shade the region of widths that readings leave open where one direction at most is known.
+def _shade_strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
+    """Shade the region of widths that readings leave open if at most one direction is known.
 
     Where a direction g is known, g'd lies between two parallel lines. An edge that was not reached
     lies beyond all of z, at least.

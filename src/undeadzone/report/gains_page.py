@@ -1,4 +1,4 @@
-"""The page of gains, given or designed.
+"""Page of gains, given or designed: problem, guarantee, rate, identifiability and trade-off.
 
 It says what was asked, what is guaranteed, how fast, what can be known, and what the trade is.
 """
@@ -19,11 +19,11 @@ from undeadzone.analysis.identifiability.indistinguishable import (
 )
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
-from undeadzone.report.gain_figures import ellipses, front, root_locus
-from undeadzone.report.proof_figures import courses, positive_realness
+from undeadzone.report.gain_figures import plot_ellipses, plot_front, root_locus
+from undeadzone.report.proof_figures import plot_courses, plot_positive_realness
 from undeadzone.synthesis.assessment import Assessment, Attacks, Gains
 from undeadzone.util.arrays import list_numbers
-from undeadzone.util.text import HALF_95, count_noun, label
+from undeadzone.util.text import HALF_95, count_noun, label_with_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -50,10 +50,10 @@ SCORES: Final = {
 }
 
 
-def figures(
+def draw_gain_figures(
     of: Assessment, tried: Attacks | None, design: Design | None = None
 ) -> dict[str, Figure]:
-    """Return the figures that apply, by name.
+    """Return the applicable figures, by name.
 
     Args:
         of: the assessment of the gains
@@ -63,15 +63,15 @@ def figures(
     gains = of.gains
     drawn: dict[str, Figure] = {}
     if design is not None and len(design.front) > 1:
-        drawn["front"] = front(design)
+        drawn["front"] = plot_front(design)
     if gains is not None:
         if np.isfinite(gains.certificate.margin):
-            drawn["nyquist"] = positive_realness(gains.certificate)
+            drawn["nyquist"] = plot_positive_realness(gains.certificate)
         drawn["root_locus"] = root_locus(of, gains)
         if tried is not None:
-            drawn["lyapunov"] = courses(gains, tried)
+            drawn["lyapunov"] = plot_courses(gains, tried)
     if of.problem.sensor.kind == "deadzone":
-        drawn["ellipse"] = ellipses(of)
+        drawn["ellipse"] = plot_ellipses(of)
     return drawn
 
 
@@ -94,7 +94,7 @@ def write_gains(
     """
 
     text = partial(gains_page, of, tried, design=design, origin=origin)
-    return html.write_page(figures(of, tried, design), folder, text)
+    return html.write_page(draw_gain_figures(of, tried, design), folder, text)
 
 
 def gains_page(
@@ -110,29 +110,34 @@ def gains_page(
         of, tried, design, origin: see `write_gains`
         images: SVGs by the names of `figures`
     """
-    shown = html.pictures(images, CAPTIONS)
+    shown = html.encode_pictures(images, CAPTIONS)
     leads = [shown.pop(name) for name in list(shown)[:1]]  # of a design its front, else the proof
-    sections = [html.section("The answer", _answer(of), *leads)]
+    sections = [html.build_section("The answer", _answer_table(of), *leads)]
     if of.gains is None:
-        sections.append(html.section("No rate", html.paragraph(_why_no_rate(of))))
+        sections.append(
+            html.build_section("No rate", html.build_paragraph(_explain_missing_rate(of)))
+        )
     else:
-        guarantee = [*guarantee_section(of.gains, tried), *html.pick(shown, "nyquist", "lyapunov")]
-        speed = [*speed_section(of.gains), *html.pick(shown, "root_locus")]
-        sections.append(html.section("The gains", *gains_section(of.gains, design)))
-        sections.append(html.section("What is guaranteed", *guarantee))
-        sections.append(html.section("How fast", *speed))
-    knowledge = [*knowledge_section(of), *html.pick(shown, "ellipse")]
-    sections.append(html.section("What can be known", *knowledge))
+        guarantee = [
+            *guarantee_section(of.gains, tried),
+            *html.pick_pictures(shown, "nyquist", "lyapunov"),
+        ]
+        speed = [*speed_section(of.gains), *html.pick_pictures(shown, "root_locus")]
+        sections.append(html.build_section("The gains", *gains_section(of.gains, design)))
+        sections.append(html.build_section("What is guaranteed", *guarantee))
+        sections.append(html.build_section("How fast", *speed))
+    knowledge = [*knowledge_section(of), *html.pick_pictures(shown, "ellipse")]
+    sections.append(html.build_section("What can be known", *knowledge))
     if design is not None:
-        sections.append(html.section("The trade", *trade_section(design)))
-    sections.append(html.section("What was asked", _problem_section(of, design)))
+        sections.append(html.build_section("The trade", *trade_section(design)))
+    sections.append(html.build_section("What was asked", _problem_section(of, design)))
     kind = "Check" if design is None else "Design"
     title = f"{kind}: {of.problem.scenario.title}"
-    return html.page(title, verdict(of), *sections, origin=origin)
+    return html.build_page(title, gains_verdict(of), *sections, origin=origin)
 
 
-def _why_no_rate(of: Assessment) -> str:
-    """Why the observer has no constant gains on a linear model."""
+def _explain_missing_rate(of: Assessment) -> str:
+    """Return the reason that the observer has no constant gains on a linear model."""
     if of.problem.model.nonlinear:
         return (
             "The model is nonlinear: gains can be certified on a declared [region], as check.json "
@@ -141,23 +146,27 @@ def _why_no_rate(of: Assessment) -> str:
     return "The observer has no constant gains L, gamma."
 
 
-def _answer(of: Assessment) -> html.Html:
-    """Return gains, how fast they are, what can be known, and how strongly readings are heard."""
+def _answer_table(of: Assessment) -> html.Html:
+    """Return gains, their rate, identifiability, and the strength of the feedback."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
         L, speed = list_numbers(np.ravel(of.gains.L)), of.gains.rates
         rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
         rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
-        edges = html.join(
+        edges = html.join_html(
             [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
         )
-        rows.append((label(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges))
-    return html.table(("what", "value"), [*rows, ("readings move z^", html.trust(of.listens))])
+        rows.append(
+            (label_with_unit(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges)
+        )
+    return html.build_table(
+        ("what", "value"), [*rows, ("readings move z^", html.feedback_html(of.listens))]
+    )
 
 
 def _problem_section(of: Assessment, design: Design | None) -> html.Html:
-    """Return the plant, the sensor, the reference and what was wanted."""
+    """Return the plant, the sensor, the reference and the aim."""
     scenario, model = of.problem.scenario, of.problem.model
     unit = scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
@@ -168,13 +177,13 @@ def _problem_section(of: Assessment, design: Design | None) -> html.Html:
         ("plant", f"{sizes}; poles {list_numbers(poles.tolist())} 1/s"),
         ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
         *_sensor_rows(of, unit),
-        ("reference", label(_reference(of), unit)),
-        ("side schedule", _schedule(of)),
+        ("reference", label_with_unit(_describe_reference(of), unit)),
+        ("side schedule", _describe_schedule(of)),
         ("duration", f"{simulation.duration:g} s, a sample every {simulation.step:g} s"),
     ]
     if design is not None:
         rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
-    return html.table(("what", "value"), rows)
+    return html.build_table(("what", "value"), rows)
 
 
 def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
@@ -185,51 +194,51 @@ def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
     before = list_numbers(sensor.noise_before)
     noise = f"{list_numbers(sensor.noise)} after the zone, {before} before it"
     return [
-        (label("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
+        (label_with_unit("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
         ("noise, rms", noise),
     ]
 
 
-def _reference(of: Assessment) -> str:
-    """Return the kind of the reference, and over which ranges the outputs move."""
+def _describe_reference(of: Assessment) -> str:
+    """Return the kind of the reference, and the ranges of the outputs, as text."""
     ends = zip(of.schedule.low, of.schedule.high, strict=True)
     reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in ends)
     kind = type(of.problem.scenario.reference).__name__.lower()
     return f"{kind}; the outputs move over {reach}"
 
 
-def _schedule(of: Assessment) -> str:
-    """How many spans the schedule of sides has, in what time."""
+def _describe_schedule(of: Assessment) -> str:
+    """Return the number of spans in the schedule of branches, and its duration, as text."""
     schedule = of.schedule
     again = ", then the same again" if schedule.periodic else ""
     return f"{count_noun(len(schedule.spans), 'span')} in {schedule.total_duration:.4g} s{again}"
 
 
-def verdict(of: Assessment) -> html.Html:
-    """Return one line: certified or not, and whether every width can be known."""
-    parts = [html.widths_known(all(one.right and one.left for one in of.known))]
+def gains_verdict(of: Assessment) -> html.Html:
+    """Return a line: certified or not, and whether every width is identifiable."""
+    parts = [html.widths_verdict(all(one.right and one.left for one in of.known))]
     if of.gains is not None:
         proof = of.gains.certificate
         certified = f"certified, margin {proof.margin:.4g}"
-        parts.insert(0, html.yes_no(proof.certified, certified, "not certified"))
+        parts.insert(0, html.choose_verdict(proof.certified, certified, "not certified"))
     return html.verdict_line(*parts)
 
 
 def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
-    """Return the gains, the nearest certified ones if these are not, and how to use a design."""
+    """Return the gains, the nearest certified gains if these are not, and the use of a design."""
     parts = [_gain_table(gains)]
     near = gains.nearest
     if near is not None:
         margin, rate = near.certificate.margin, near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
-        parts.append(html.paragraph(words))
+        parts.append(html.build_paragraph(words))
         parts.append(_gain_table(near))
     if design is not None:
         use = (
             'In a scenario: [observer] method = "certified", design = "design.toml". '
             "The proof is checked again when it is read."
         )
-        parts.append(html.paragraph(use, "note"))
+        parts.append(html.build_paragraph(use, "note"))
     return parts
 
 
@@ -237,14 +246,14 @@ def _gain_table(gains: Gains) -> html.Html:
     """Return L and gamma, a column for each output."""
     head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
     rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
-    return html.table(head, [*rows, ("γ", *map(float, gains.gamma))])
+    return html.build_table(head, [*rows, ("γ", *map(float, gains.gamma))])
 
 
 def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
-    """What the certificate guarantees and how it was checked, or what is not guaranteed."""
+    """Return the guarantee of the certificate and its check, or the gap in the guarantee."""
     proof = gains.certificate
     if not proof.certified:
-        return _no_guarantee(proof, tried)
+        return _explain_no_guarantee(proof, tried)
     attempts = ""
     if tried is not None:
         count = f"{tried.attack.trajectories:,}"
@@ -261,23 +270,25 @@ def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
     rows = [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]
     checked = "Checked by eigenvalues alone, without the solver that found P:"
     return [
-        html.paragraph(guarantee + attempts),
-        html.table(head, rows),
-        html.paragraph(f"W = {list_numbers(proof.W)}. {checked}"),
-        html.table(("what", "value"), _certificate_rows(proof)),
+        html.build_paragraph(guarantee + attempts),
+        html.build_table(head, rows),
+        html.build_paragraph(f"W = {list_numbers(proof.W)}. {checked}"),
+        html.build_table(("what", "value"), _certificate_rows(proof)),
     ]
 
 
-def _no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
-    """Why nothing is guaranteed, and the cycle along which the error grows if one was found."""
+def _explain_no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
+    """Return the reason that nothing is guaranteed, and a cycle along which the error grows,
+    if found.
+    """
     words = f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}."
-    parts = [html.paragraph(f"{words} That alone does not make the observer unstable.")]
+    parts = [html.build_paragraph(f"{words} That alone does not make the observer unstable.")]
     if tried is None or tried.cycle is None:
         return parts
     if "cycle" in {course.kind for course in tried.courses}:
         found = "A periodic sequence of sides was found along which the error grows by"
         growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
-        parts.append(html.paragraph(f"{found} {growth}: these gains can diverge."))
+        parts.append(html.build_paragraph(f"{found} {growth}: these gains can diverge."))
     return parts
 
 
@@ -299,7 +310,7 @@ def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
 
 
 def speed_section(gains: Gains) -> list[html.Html]:
-    """How fast the error dies along the reference."""
+    """Return the decay of the error along the reference."""
     speed = gains.rates
     rows: list[tuple[str, Any]] = [
         ("rate along the reference, in the long run [1/s]", speed.rate),
@@ -311,45 +322,51 @@ def speed_section(gains: Gains) -> list[html.Html]:
         "Where several errors die equally slowly, as where a rate is largest, it takes long before "
         "this rate is seen; the time to 1 % tells."
     )
-    parts = [html.table(("what", "value"), rows), html.paragraph(note, "note")]
+    parts = [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]
     if speed.rate <= 0:
-        parts.append(html.paragraph("The error does not die along this reference.", "no"))
+        parts.append(html.build_paragraph("The error does not die along this reference.", "no"))
     if speed.never:
         errors = ", ".join(speed.never)
         stays = "These errors stay along this reference, whatever the gains"
-        parts.append(html.paragraph(f"{stays}: {errors}."))
+        parts.append(html.build_paragraph(f"{stays}: {errors}."))
     return parts
 
 
 def knowledge_section(of: Assessment) -> list[html.Html]:
-    """Which widths an optimal estimator can know, how well, why not, and what would help."""
+    """Return which widths an optimal estimator can identify, the accuracy, reasons and
+    remedies.
+    """
     unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
     rows = []
     for i, known in enumerate(of.known):
         rows.append((i, *(_describe_direction(known, name) for name in DIRECTIONS)))
     question = (
         "Whether an optimal estimator can know it, and its "
-        f"{label('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
+        f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
-    parts = [html.paragraph(question), html.table(head, rows)]
+    parts = [html.build_paragraph(question), html.build_table(head, rows)]
     for other in in_words_of_truths([known.second for known in of.known]):
-        parts.append(html.paragraph(f"Readings would be the same, but for noise, with {other}."))
+        parts.append(
+            html.build_paragraph(f"Readings would be the same, but for noise, with {other}.")
+        )
     for i, known in enumerate(of.known):
         where = f"Output {i}: " if len(of.known) > 1 else ""
-        parts += [html.paragraph(f"{where}{reason}.") for reason in known.reasons]
-        parts += [html.paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+        parts += [html.build_paragraph(f"{where}{reason}.") for reason in known.reasons]
+        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
     return parts
 
 
 def _describe_direction(known: Knowledge, name: str) -> html.Html:
-    """Return whether a direction can be known, with half of its interval if that is."""
+    """Return whether a direction is identifiable, with half of its interval if so."""
     yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
-    return html.tag("span", *html.yes_no(getattr(known, name), yes))
+    return html.build_tag("span", *html.choose_verdict(getattr(known, name), yes))
 
 
 def trade_section(design: Design) -> list[html.Html]:
-    """Return the gains chosen beside the scenario's own and the fastest; all gains of the front."""
+    """Return the chosen gains beside the scenario's own and the fastest; all gains of the
+    front.
+    """
     points = {"chosen": design.best}
     if design.present is not None:
         points["yours"] = design.present
@@ -358,18 +375,20 @@ def trade_section(design: Design) -> list[html.Html]:
     rows = []
     for name, words in SCORES.items():
         rows.append((words, *(getattr(point, name) for point in points.values())))
-    parts = [html.table(("", *points), rows)]
-    parts += [html.paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks]
+    parts = [html.build_table(("", *points), rows)]
+    parts += [
+        html.build_paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks
+    ]
     if len(design.front) > 1:
         parts.append(_front_table(design))
     return parts
 
 
 def _front_table(design: Design) -> html.Html:
-    """Return every gain of the front and what it is worth."""
+    """Return every gain of the front and its scores."""
     rows = []
     for point in design.front:
         scores = [getattr(point, name) for name in SCORES]
         rows.append((list_numbers(np.ravel(point.L)), list_numbers(point.gamma), *scores))
     title = f"The {len(design.front)} gains of the front"
-    return html.fold_section(title, html.table(("L", "γ", *SCORES), rows))
+    return html.fold_section(title, html.build_table(("L", "γ", *SCORES), rows))

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of sections, tables and figures.
+"""Self-contained HTML page of sections, tables and figures.
 
 Plain strings are escaped, and a page fetches nothing.
 """
@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from undeadzone import __version__
-from undeadzone.report.style import write
-from undeadzone.results.feedback import describe_feedback, is_open_loop
+from undeadzone.report.style import write_figure
+from undeadzone.results.feedback import describe_feedback, has_weak_feedback
 from undeadzone.results.sheet import Row
 from undeadzone.util.files import write_text
-from undeadzone.util.text import printable
+from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,12 +33,12 @@ _EDGES: Final = re.compile(r"\b([bcd])_([rl])(\^?)(?!\w)")
 
 
 class Html(NamedTuple):
-    """A piece of finished HTML; any other value is text, and escaped where it is used."""
+    """Piece of finished HTML; a value of a different type is text, and escaped at its use."""
 
     text: str
 
 
-def html(value: Any) -> str:
+def format_html(value: Any) -> str:
     """Return the HTML of a value.
 
     An `Html` stays as it is, numbers have four digits, None is a dash, the rest is escaped text
@@ -52,66 +52,66 @@ def html(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return escape(f"{value:.4g}")
-    return symbols(escape_html(str(value)))
+    return typeset_symbols(escape_html(str(value)))
 
 
 def escape_html(text: str) -> str:
-    """Return a text of several lines as HTML, nothing in it changed."""
-    return escape("\n".join(map(printable, text.split("\n"))))
+    """Return a text of several lines as escaped HTML."""
+    return escape("\n".join(map(escape_controls, text.split("\n"))))
 
 
-def symbols(text: str) -> str:
+def typeset_symbols(text: str) -> str:
     """Return letters as in the figures: z^, x~, d_r, c_l^ with hats, tildes and indices."""
     text = _ESTIMATES.sub(rf"\1{_HAT}", text)
     text = _ERRORS.sub(rf"\1{_TILDE}", text)
-    return _EDGES.sub(_edge, text)
+    return _EDGES.sub(_typeset_edge, text)
 
 
-def _edge(found: re.Match[str]) -> str:
+def _typeset_edge(found: re.Match[str]) -> str:
     """Return the letter of an edge, or of its estimate."""
     hat = _HAT if found[3] else ""
     return f"{found[1]}{hat}<sub>{found[2]}</sub>"
 
 
-def join(parts: Iterable[Any]) -> Html:
-    """Return pieces one after another."""
-    return Html("\n".join(map(html, parts)))
+def join_html(parts: Iterable[Any]) -> Html:
+    """Return pieces joined by line ends."""
+    return Html("\n".join(map(format_html, parts)))
 
 
-def tag(name: str, content: Any, style: str = "") -> Html:
-    """Return one element, with a class of the page's style sheet."""
+def build_tag(name: str, content: Any, style: str = "") -> Html:
+    """Return an element, with a class of the page's style sheet."""
     attribute = f' class="{escape(style)}"' if style else ""
-    return Html(f"<{name}{attribute}>{html(content)}</{name}>")
+    return Html(f"<{name}{attribute}>{format_html(content)}</{name}>")
 
 
-def paragraph(text: Any, style: str = "") -> Html:
+def build_paragraph(text: Any, style: str = "") -> Html:
     """Return a paragraph."""
-    return tag("p", text, style)
+    return build_tag("p", text, style)
 
 
-def section(title: str, *parts: Any) -> Html:
-    """Return a heading, to which the contents lead, and what stands under it.
+def build_section(title: str, *parts: Any) -> Html:
+    """Return a heading, linked from the table of contents, and its contents.
 
     Where the page is wide enough a picture stands beside a narrow table. Without contents there
     is no section.
     """
     if not parts:
         return Html("")
-    heading = Html(f'<h2 id="{_anchor(title)}">{html(title)}</h2>')
-    return join([heading, tag("div", join(parts), "parts")])
+    heading = Html(f'<h2 id="{_section_anchor(title)}">{format_html(title)}</h2>')
+    return join_html([heading, build_tag("div", join_html(parts), "parts")])
 
 
-def _anchor(title: str) -> str:
+def _section_anchor(title: str) -> str:
     """Return the address of a section within its page."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
 
 
 def fold_section(title: str, *parts: Any) -> Html:
     """Return a part that opens on a click."""
-    return tag("details", join([tag("summary", title), *parts]))
+    return build_tag("details", join_html([build_tag("summary", title), *parts]))
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
+def build_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     """Return a table; columns of numbers are set right, a single long line is set upright.
 
     Args:
@@ -121,22 +121,22 @@ def table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
     cells = [row for row in rows if row[1:] != (None,) * (len(row) - 1) or len(row) == 1]
     if len(cells) == 1 and len(head) > NARROW:
         head, cells = ("what", "value"), list(zip(head, cells[0], strict=True))
-    numeric = [all(map(_is_number, column)) for column in zip(*cells, strict=True)]
-    names = tag("tr", join(tag("th", name) for name in head))
-    body = join(_row(row, numeric) for row in cells)
+    numeric = [all(map(_is_number_cell, column)) for column in zip(*cells, strict=True)]
+    names = build_tag("tr", join_html(build_tag("th", name) for name in head))
+    body = join_html(_table_row(row, numeric) for row in cells)
     inner = f"<thead>{names.text}</thead><tbody>{body.text}</tbody>"
     narrow = " narrow" * (len(head) <= NARROW)
     return Html(f'<div class="wide{narrow}"><table>{inner}</table></div>')
 
 
-def estimates(
+def estimates_table(
     what: str,
     names: Iterable[str],
     sheets: Sequence[Sequence[Row]],
     heads: Sequence[str] = (),
     cells: Sequence[Sequence[Any]] = (),
 ) -> Html:
-    """Return a table of estimates, a sheet in each line, beside the truth where it is known.
+    """Return a table of estimates, a sheet in each line, beside the truth if it is known.
 
     Args:
         what: has these estimates, such as an output.
@@ -147,48 +147,50 @@ def estimates(
     """
     shown = [what]
     for row in sheets[0]:
-        shown += [row.head] if row.true is None else [row.head, "true"]
+        shown += [row.title_with_unit] if row.true is None else [row.title_with_unit, "true"]
     lines = []
     for k, (name, rows) in enumerate(zip(names, sheets, strict=True)):
         line: list[Any] = [name]
         for row in rows:
-            line += [row.cell] if row.true is None else [row.cell, row.true]
+            line += [row.page_cell] if row.true is None else [row.page_cell, row.true]
         lines.append([*line, *(cells[k] if cells else ())])
-    return table((*shown, *heads), lines)
+    return build_table((*shown, *heads), lines)
 
 
 def verdict_line(*parts: tuple[str, str]) -> Html:
-    """Return one line of words, each with a class of the page's style sheet."""
-    spans = [tag("span", words, style).text for words, style in parts]
+    """Return a line of words, each with a class of the page's style sheet."""
+    spans = [build_tag("span", words, style).text for words, style in parts]
     return Html("<p>" + "; ".join(spans) + ".</p>")
 
 
-def yes_no(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
-    """Return words and their class: what is said of something that is good, or is not."""
+def choose_verdict(good: bool, yes: str = "yes", no: str = "no") -> tuple[str, str]:
+    """Return the words for a good or a bad result, and their class."""
     return (yes, "yes") if good else (no, "no")
 
 
-def widths_known(all_of_them: bool) -> tuple[str, str]:
-    """Return whether every width can be known, for a verdict."""
-    return yes_no(all_of_them, "every width can be known", "not every width can be known")
+def widths_verdict(all_of_them: bool) -> tuple[str, str]:
+    """Return whether every width is identifiable, for a verdict."""
+    return choose_verdict(all_of_them, "every width can be known", "not every width can be known")
 
 
-def trust(listens: Sequence[float | None]) -> Html | None:
-    """How strongly readings move each z^, marked where the model is taken on trust."""
+def feedback_html(listens: Sequence[float | None]) -> Html | None:
+    """Return the strength of the feedback to each z^, marked if weak."""
     if not listens:
         return None
-    return tag("span", describe_feedback(listens), "mid" if is_open_loop(listens) else "")
+    return build_tag(
+        "span", describe_feedback(listens), "mid" if has_weak_feedback(listens) else ""
+    )
 
 
-def _row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
-    """Return a row of a table; numeric: which columns hold numbers alone."""
+def _table_row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
+    """Return a row of a table; numeric: flags of the columns with numbers alone."""
     styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
-    parts = [tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
-    return tag("tr", join(parts))
+    parts = [build_tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
+    return build_tag("tr", join_html(parts))
 
 
 def _cell_style(cell: Any, numeric: bool) -> str:
-    """Return the class of a cell: that of a column of numbers, of words that stay in one line, or
+    """Return the class of a cell: of a column of numbers, of words that stay in one line, or
     none.
     """
     if numeric:
@@ -197,17 +199,17 @@ def _cell_style(cell: Any, numeric: bool) -> str:
     return "whole" if interval else ""
 
 
-def _is_number(cell: Any) -> bool:
+def _is_number_cell(cell: Any) -> bool:
     """Return whether a cell may stand in a column of numbers."""
     return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
 
 
-def source(text: str) -> Html:
-    """Return a text as it is, such as a scenario."""
+def source_html(text: str) -> Html:
+    """Return a verbatim text, such as a scenario, as escaped HTML."""
     return Html(f"<pre>{escape_html(text)}</pre>")
 
 
-def picture(image: bytes, caption: str) -> Html:
+def encode_picture(image: bytes, caption: str) -> Html:
     """Return an SVG image, embedded, with its caption.
 
     Where the page is narrower than three quarters of it, it is scrolled: its words stay legible.
@@ -217,15 +219,15 @@ def picture(image: bytes, caption: str) -> Html:
     least = round(float(width[1]))  # as many px as the image has pt: at three quarters
     data = base64.b64encode(image).decode("ascii")
     img = (
-        f'<img alt="{escape(printable(caption))}" src="data:image/svg+xml;base64,{data}" '
+        f'<img alt="{escape(escape_controls(caption))}" src="data:image/svg+xml;base64,{data}" '
         f'style="min-width:{least}px;max-width:{round(least / 0.75)}px">'
     )
-    shown = f'<div class="wide">{img}</div>{tag("figcaption", caption).text}'
+    shown = f'<div class="wide">{img}</div>{build_tag("figcaption", caption).text}'
     return Html(f'<figure style="flex-basis:{least}px">{shown}</figure>')
 
 
 class Origin(NamedTuple):
-    """What it takes to get a result again.
+    """Origin of a result: the data to compute it again.
 
     Attributes:
         command: that was given; empty where there was none.
@@ -238,8 +240,8 @@ class Origin(NamedTuple):
     seed: int | None = None
 
 
-def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
-    """Return a whole document that needs nothing but itself.
+def build_page(title: str, *parts: Any, origin: Origin | None = None) -> str:
+    """Return a whole document that needs no further files.
 
     It begins with its contents, and ends with how to get the same again and with its symbols.
 
@@ -251,41 +253,48 @@ def page(title: str, *parts: Any, origin: Origin | None = None) -> str:
     head = (
         '<meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape_html(title)}</title><style>\n{_style()}</style>"
+        f"<title>{escape_html(title)}</title><style>\n{_style_sheet()}</style>"
     )
-    again = [] if origin is None else [_again(origin)]
-    below = join([*parts, *again, _LEGEND])
-    body = join([tag("h1", title), _contents(below), below, paragraph(_WRITTEN, "note")])
+    again = [] if origin is None else [_reproduction_section(origin)]
+    below = join_html([*parts, *again, _LEGEND])
+    body = join_html(
+        [
+            build_tag("h1", title),
+            _table_of_contents(below),
+            below,
+            build_paragraph(_WRITTEN, "note"),
+        ]
+    )
     return (
         f'<!doctype html>\n<html lang="en"><head>{head}</head>\n'
         f"<body>\n{body.text}\n</body></html>\n"
     )
 
 
-def _style() -> str:
+def _style_sheet() -> str:
     """Return the style sheet of a page."""
     return (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
-def _contents(below: Html) -> Html:
+def _table_of_contents(below: Html) -> Html:
     """Return links to the sections."""
     found = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', below.text)
     links = [f'<a href="#{anchor}">{words}</a>' for anchor, words in found]
     return Html(f"<nav>{' '.join(links)}</nav>")
 
 
-def _again(origin: Origin) -> Html:
-    """How to get the same again."""
+def _reproduction_section(origin: Origin) -> Html:
+    """Return the section on computing the same result again."""
     rows: list[tuple[str, Any]] = []
     if origin.command:
         rows.append(("command", Html(f"<code>{escape_html(origin.command)}</code>")))
     rows.append(("undeadzone", __version__))
     if origin.seed is not None:
         rows.append(("seed", str(origin.seed)))
-    parts = [table(("what", "value"), rows)]
+    parts = [build_table(("what", "value"), rows)]
     if origin.scenario:
-        parts.append(fold_section("The scenario", source(origin.scenario)))
-    return section("The same again", *parts)
+        parts.append(fold_section("The scenario", source_html(origin.scenario)))
+    return build_section("The same again", *parts)
 
 
 _WRITTEN: Final = f"Written by undeadzone {__version__}."
@@ -301,33 +310,35 @@ _SYMBOLS: Final = (
     ("V", "storage (Lyapunov) function of the error; with a certificate it never rises"),
     ("0.98 [0.55, 1.41]", "a value and its 95 % interval, which the observer claims"),
 )
-_LEGEND: Final = section(
+_LEGEND: Final = build_section(
     "Symbols",
-    table(("symbol", "meaning"), _SYMBOLS),
-    paragraph("In figures: grey the dead zone, pale the truth.", "note"),
+    build_table(("symbol", "meaning"), _SYMBOLS),
+    build_paragraph("In figures: grey the dead zone, pale the truth.", "note"),
 )
 
 
 def write_page(
     drawn: Mapping[str, Figure], folder: Path, text: Callable[[dict[str, bytes]], str]
 ) -> list[Path]:
-    """Write figures as SVG and a page that shows them, report.html; their paths. Raises FileError.
+    """Write figures as SVG and a page that shows them, report.html; return their paths.
+
+    Raises FileError.
 
     Args:
         drawn: figures by name.
         folder: where the files go; created if needed.
         text: text(images) is the page, images the SVGs by name.
     """
-    files = {name: write(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
+    files = {name: write_figure(figure, folder / f"{name}.svg") for name, figure in drawn.items()}
     images = {name: path.read_bytes() for name, path in files.items()}
     return [*files.values(), write_text(text(images), folder / "report.html")]
 
 
-def pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
+def encode_pictures(images: Mapping[str, bytes], captions: Mapping[str, str]) -> dict[str, Html]:
     """Return figures (SVG) by name, each with its caption."""
-    return {name: picture(image, captions[name]) for name, image in images.items()}
+    return {name: encode_picture(image, captions[name]) for name, image in images.items()}
 
 
-def pick(shown: Mapping[str, Html], *names: str) -> list[Html]:
-    """Return the pictures of these names that there are."""
+def pick_pictures(shown: Mapping[str, Html], *names: str) -> list[Html]:
+    """Return the existing pictures of these names."""
     return [shown[name] for name in names if name in shown]

@@ -1,4 +1,4 @@
-"""One colour for each thing that figures draw.
+"""Colours of figures, one per quantity.
 
 They are those of Okabe and Ito, which colour-blind readers can tell apart.
 """

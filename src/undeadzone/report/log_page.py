@@ -1,4 +1,4 @@
-"""The figure, the page and the files of a log that an observer followed."""
+"""Figure, page and files of an estimation from a log."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ from undeadzone.report import html, ink
 from undeadzone.report.run_page import further_tables
 from undeadzone.report.style import (
     DASHED,
-    finish,
-    label,
+    create_panels,
+    draw_width_lines,
+    finish_panel,
     shade_gap,
     shade_zone,
-    sheet,
-    width_lines,
 )
-from undeadzone.results.estimation import Estimation, actuators, gaps, widths
-from undeadzone.util.arrays import runs
+from undeadzone.results.estimation import (
+    Estimation,
+    log_actuator_rows,
+    log_gap_rows,
+    log_width_rows,
+)
+from undeadzone.util.arrays import bounds_of_runs
+from undeadzone.util.text import label_with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,7 +60,7 @@ def write_estimation(
     tables: bool = True,
     origin: html.Origin | None = None,
 ) -> list[Path]:
-    """Write the files of a log that was followed.
+    """Write the files of an estimation from a log.
 
     Args:
         result: what the observer makes of it.
@@ -83,7 +88,7 @@ def write_estimation(
 def estimation_page(
     result: Estimation, images: Mapping[str, bytes], origin: html.Origin | None = None
 ) -> str:
-    """Return the page of a log that was followed: figure, numbers, verdict.
+    """Return the page of an estimation from a log: figure, numbers, verdict.
 
     Args:
         result: what the observer makes of the log.
@@ -92,31 +97,38 @@ def estimation_page(
     """
     info = result.info
     words, style = VERDICTS[info.consistent]
-    shown = html.pictures(images, {"figure": _OVERVIEW}).values()
+    shown = html.encode_pictures(images, {"figure": _OVERVIEW}).values()
     asked = f"Is the record what the observer claims? {words}"
-    head = html.paragraph(html.tag("span", asked, style))
-    found = [_widths(result), *further_tables(result.outputs, actuators(info), gaps(info))]
-    reasons = [html.paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons]
-    return html.page(
+    head = html.build_paragraph(html.build_tag("span", asked, style))
+    found = [
+        _log_width_table(result),
+        *further_tables(result.outputs, log_actuator_rows(info), log_gap_rows(info)),
+    ]
+    reasons = [
+        html.build_paragraph(f"{reason[:1].upper()}{reason[1:]}.") for reason in info.reasons
+    ]
+    return html.build_page(
         info.title,
         head,
         *reasons,
-        html.section("Along the log", *found, *shown, html.paragraph(_TEST, "note")),
-        html.section("The log", html.table(("what", "value"), list(_numbers(result).items()))),
+        html.build_section("Along the log", *found, *shown, html.build_paragraph(_TEST, "note")),
+        html.build_section(
+            "The log", html.build_table(("what", "value"), list(_log_numbers(result).items()))
+        ),
         origin=origin,
     )
 
 
-def _widths(result: Estimation) -> html.Html:
-    """Return the final widths of each output, and how many readings lie on each side."""
+def _log_width_table(result: Estimation) -> html.Html:
+    """Return the final widths of each output, and the number of readings on each branch."""
     info = result.info
     counts = list(zip(info.right, info.left, info.silent, strict=True))
     heads = ("readings right", "left", "silent")
-    return html.estimates("output", result.outputs, widths(info), heads, counts)
+    return html.estimates_table("output", result.outputs, log_width_rows(info), heads, counts)
 
 
-def _numbers(result: Estimation) -> dict[str, Any]:
-    """Return the numbers of a log, in words."""
+def _log_numbers(result: Estimation) -> dict[str, Any]:
+    """Return the numbers of a log by their descriptions."""
     info = result.info
     return {
         "log": info.source,
@@ -142,12 +154,12 @@ def log_overview(result: Estimation) -> Figure:
     for i in range(result.y.shape[1]):
         rows.append([f"output {i}"] * 2)
         rows.append([f"widths {i}", f"innovation {i}"])
-    figure, panels = sheet(rows, result.info.title, even=True)
+    figure, panels = create_panels(rows, result.info.title, even=True)
     for i, name in enumerate(result.outputs):
         of = f" {name}" if len(result.outputs) > 1 else ""
         output(panels[f"output {i}"], result, i, of)
-        _draw_widths(panels[f"widths {i}"], result, i, of)
-        _innovations(panels[f"innovation {i}"], result, i, of)
+        _draw_log_widths(panels[f"widths {i}"], result, i, of)
+        _draw_innovations(panels[f"innovation {i}"], result, i, of)
     return figure
 
 
@@ -157,7 +169,7 @@ def _drawn_window(result: Estimation) -> slice:
 
 
 def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
-    """Reading and estimates of output i over its estimated dead zone; of: its name."""
+    """Draw reading and estimates of output i over its estimated dead zone; of: its name."""
     shown = _drawn_window(result)
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
@@ -172,12 +184,12 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
         axes.plot(t, smooth, color=ink.TRUTH, linestyle=DASHED, label="with the whole log")
     _mark_missing(axes, result, i)
     title = f"Output{of}: what was read, and what the observer makes of it"
-    finish(axes, title, label("z, y", result.unit("z_hat")), legend=4)
+    finish_panel(axes, title, label_with_unit("z, y", result.unit("z_hat")), legend=4)
 
 
 def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
-    """Shade where readings of output i are missing."""
-    first, last = runs(~np.isfinite(result.y[:, i]))
+    """Shade the times of missing readings of output i."""
+    first, last = bounds_of_runs(~np.isfinite(result.y[:, i]))
     if first.size > MOST_GAPS:
         return
     ends = np.minimum(last + 1, result.t.size - 1)
@@ -185,13 +197,13 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
         axes.axvspan(start, end, color=ink.FORBIDDEN, linewidth=0)
 
 
-def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
-    """The estimated widths of output i, with 95 % intervals."""
+def _draw_log_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
+    """Draw the estimated widths of output i, with 95 % intervals."""
     shown = _drawn_window(result)
     t, columns = result.t[shown], slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
-    width_lines(axes, t, widths, std)
+    draw_width_lines(axes, t, widths, std)
     if result.d_smooth is not None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
             axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=DASHED)
@@ -201,17 +213,24 @@ def _draw_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     if np.isfinite(room):
         axes.set_ylim(low - room, high + room)
     band = ", 95 % intervals" if result.d_std is not None else ""
-    finish(axes, f"Widths{of}{band}", label("d", result.unit("d_hat")))
+    finish_panel(axes, f"Widths{of}{band}", label_with_unit("d", result.unit("d_hat")))
 
 
-def _innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
-    """The normalised innovations of output i and the statistic of the test; else innovations."""
+def _draw_innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
+    """Draw the normalised innovations of output i and the test statistic; without a test,
+    innovations.
+    """
     shown = _drawn_window(result)
     t, innovation = result.t[shown], result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
         axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)
-        finish(axes, f"Innovations{of}: no test exists", label("e", result.unit("y")), legend=0)
+        finish_panel(
+            axes,
+            f"Innovations{of}: no test exists",
+            label_with_unit("e", result.unit("y")),
+            legend=0,
+        )
         return
     normalised = innovation[used] / result.innovation_std[shown, i][used]
     limited = np.clip(normalised, -2 * FAR, 2 * FAR)
@@ -221,4 +240,4 @@ def _innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
         axes.axhline(bound, color=ink.REFERENCE, linewidth=0.8)
     axes.plot(t, np.minimum(result.B[shown, i], 2 * FAR), color=ink.PRINTED, label="B")
     axes.axhline(CHANCE, color=ink.PRINTED, linewidth=0.8, linestyle=DASHED, label="usual limit")
-    finish(axes, f"Innovations{of} and their test", "standard deviations", legend=3)
+    finish_panel(axes, f"Innovations{of} and their test", "standard deviations", legend=3)

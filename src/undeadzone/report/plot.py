@@ -1,4 +1,4 @@
-"""The one figure that says most of a result, or its first panel on axes of one's own."""
+"""Main figure of a result, or its most informative panel on given axes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from undeadzone.errors import InputError
-from undeadzone.report.style import write
-from undeadzone.util.files import path_of
+from undeadzone.report.style import write_figure
+from undeadzone.util.files import to_path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,7 @@ DRAWN: Final = {
 
 
 class Drawing(NamedTuple):
-    """How a result is drawn.
+    """Drawing functions of a result.
 
     Attributes:
         whole: makes the first figure of its report.
@@ -59,18 +59,18 @@ class Drawing(NamedTuple):
     panel: Callable[[Axes], None]
 
 
-class Drawn(Protocol):
-    """A result of another package, which says itself what draws it."""
+class DrawableResult(Protocol):
+    """Result of a further package, which names its own drawing functions."""
 
     @property
     def drawn(self) -> tuple[str, str, str]:
-        """Return a module, its function that makes a figure of a result, and its `panel(axes,
-        result)`.
+        """Return a module, its function that makes a figure of a result, and its
+        `panel(axes, result)`.
         """
 
 
 if TYPE_CHECKING:
-    Result: TypeAlias = Run | Ensemble | Estimation | Check | Design | Tuned | Drawn
+    Result: TypeAlias = Run | Ensemble | Estimation | Check | Design | Tuned | DrawableResult
 
 
 def plot(
@@ -97,7 +97,7 @@ def plot(
         InputError: the result is none of these, or holds nothing that can be drawn
         FileError: the suffix is another one, or the file cannot be written
     """
-    drawing = _drawing(result)
+    drawing = _find_drawing(result)
     if ax is None:
         figure = drawing.whole()
     else:
@@ -107,18 +107,18 @@ def plot(
             legend.set_ncols(NARROW)
         figure = ax.figure  # type: ignore[assignment]
     if path is not None:
-        write(figure, path_of(path))
+        write_figure(figure, to_path(path))
     return figure
 
 
-def _drawing(result: Any) -> Drawing:
-    """How a result is drawn. Raises InputError for what is none.
+def _find_drawing(result: Any) -> Drawing:
+    """Return the drawing functions of a result. Raises InputError for an unknown type.
 
     What draws is imported late, so that whoever draws runs alone does not wait for the rest.
     """
     kind = f"{type(result).__module__}.{type(result).__qualname__}".removeprefix("undeadzone.")
     if kind == "synthesis.check.Check":
-        return _of_check(result)
+        return _drawing_of_check(result)
     drawn = DRAWN.get(kind) or getattr(result, "drawn", None)
     if drawn is None:
         raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")
@@ -129,20 +129,24 @@ def _drawing(result: Any) -> Drawing:
     )
 
 
-def _of_check(result: Check) -> Drawing:
-    """How a check is drawn: its certificate, or without one what can be known. Raises InputError.
+def _drawing_of_check(result: Check) -> Drawing:
+    """Return the drawing functions of a check: certificate, or identifiability.
+
+    Raises InputError.
 
     A jump sensor's widths have no ellipse.
     """
     import numpy as np
 
-    from undeadzone.report.gain_figures import deviations, ellipses
-    from undeadzone.report.proof_figures import least_real_part, positive_realness
+    from undeadzone.report.gain_figures import draw_width_region, plot_ellipses
+    from undeadzone.report.proof_figures import draw_least_real_part, plot_positive_realness
 
     of = result.assessment
     proof = None if of.gains is None else of.gains.certificate
     if proof is not None and np.isfinite(proof.margin):
-        return Drawing(lambda: positive_realness(proof), lambda ax: least_real_part(ax, proof))
+        return Drawing(
+            lambda: plot_positive_realness(proof), lambda ax: draw_least_real_part(ax, proof)
+        )
     if of.problem.sensor.kind != "deadzone":
         raise InputError("plot: this check has no certificate, and nothing that can be drawn")
-    return Drawing(lambda: ellipses(of), lambda ax: deviations(ax, of, 0))
+    return Drawing(lambda: plot_ellipses(of), lambda ax: draw_width_region(ax, of, 0))

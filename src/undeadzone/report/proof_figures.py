@@ -13,7 +13,7 @@ from undeadzone.analysis.convergence.falsify import SwitchMode
 from undeadzone.analysis.convergence.trajectories import Trajectory
 from undeadzone.analysis.error_dynamics import Dynamics, Storage, build_error_dynamics
 from undeadzone.report import ink
-from undeadzone.report.style import FLOOR, finish, sheet
+from undeadzone.report.style import FLOOR, create_panels, finish_panel
 from undeadzone.synthesis.assessment import Attacks, Gains
 from undeadzone.util.arrays import Floats
 
@@ -30,8 +30,8 @@ STYLES: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def proof_of(design: Design) -> Certificate:
-    """Return the certificate that a design holds, checked again by eigenvalues alone."""
+def recheck_design(design: Design) -> Certificate:
+    """Return the certificate of a design, checked again by eigenvalues alone."""
     errors = build_error_dynamics(design.model, design.L, design.gamma, design.Ts)
     V = Storage(np.array(design.P), np.array(design.W), errors.gamma)
     check = recheck_proof(errors, V.P, V.W)
@@ -40,64 +40,66 @@ def proof_of(design: Design) -> Certificate:
 
 def of_design(design: Design) -> Figure:
     """Return the proof of a design over frequency."""
-    return positive_realness(proof_of(design))
+    return plot_positive_realness(recheck_design(design))
 
 
 def panel_of_design(axes: Axes, design: Design) -> None:
-    """The least real part of a design's proof over frequency."""
-    least_real_part(axes, proof_of(design))
+    """Draw the least real part of a design's proof over frequency."""
+    draw_least_real_part(axes, recheck_design(design))
 
 
-def positive_realness(proof: Certificate) -> Figure:
+def plot_positive_realness(proof: Certificate) -> Figure:
     """Return 1 + G(jw) and its real part over frequency.
 
     For several outputs the eigenvalues of its Hermitian part under the weights W. Sampled,
     1 + G - Ts gamma / 2 on the unit circle. The model must be stable: the margin finite.
     """
-    w = _frequencies(proof.dynamics)
+    w = _curve_frequencies(proof.dynamics)
     worst_at = np.inf if proof.frequency is None else proof.frequency
-    H = _response(proof.dynamics, proof.W, w)
+    H = _response_under_weights(proof.dynamics, proof.W, w)
     what = "1 + G" if proof.dynamics.Ts is None else "1 + G − Ts γ/2"
     if H.shape[1] > 1:
-        figure, panels = sheet([["real"]], _verdict(proof, worst_at), height=4.0)
+        figure, panels = create_panels([["real"]], _realness_verdict(proof, worst_at), height=4.0)
         words = f"Eigenvalues of the Hermitian part of $W^{{1/2}}$({what})$W^{{-1/2}}$"
     else:
-        worst = _response(proof.dynamics, proof.W, np.array([worst_at]))[0]
+        worst = _response_under_weights(proof.dynamics, proof.W, np.array([worst_at]))[0]
         rows = [["curve", "real"]]
         if np.abs(H).max() > 15 * abs(proof.margin):
             rows = [["curve", "zoom", "real"]]
-        figure, panels = sheet(rows, _verdict(proof, worst_at), height=4.0)
-        _nyquist_curves(panels, H[:, 0, 0], worst[0, 0], proof, what)
+        figure, panels = create_panels(rows, _realness_verdict(proof, worst_at), height=4.0)
+        _draw_nyquist_curves(panels, H[:, 0, 0], worst[0, 0], proof, what)
         words = f"Re ({what})"
-    _eigenvalues(panels["real"], w, H, proof.margin, worst_at)
-    finish(panels["real"], f"{words} over frequency", "", "ω [rad/s]", legend=0)
+    _draw_eigenvalues(panels["real"], w, H, proof.margin, worst_at)
+    finish_panel(panels["real"], f"{words} over frequency", "", "ω [rad/s]", legend=0)
     return figure
 
 
-def least_real_part(axes: Axes, proof: Certificate) -> None:
-    """The real part of 1 + G, or the eigenvalues of its Hermitian part, over frequency."""
-    w = _frequencies(proof.dynamics)
+def draw_least_real_part(axes: Axes, proof: Certificate) -> None:
+    """Draw the real part of 1 + G, or the eigenvalues of its Hermitian part, over frequency."""
+    w = _curve_frequencies(proof.dynamics)
     worst_at = np.inf if proof.frequency is None else proof.frequency
-    H = _response(proof.dynamics, proof.W, w)
-    _eigenvalues(axes, w, H, proof.margin, worst_at)
-    finish(axes, _verdict(proof, worst_at), "", "ω [rad/s]", legend=0)
+    H = _response_under_weights(proof.dynamics, proof.W, w)
+    _draw_eigenvalues(axes, w, H, proof.margin, worst_at)
+    finish_panel(axes, _realness_verdict(proof, worst_at), "", "ω [rad/s]", legend=0)
 
 
-def _verdict(proof: Certificate, worst_at: float) -> str:
-    """Return the least real part, where it is attained [rad/s], and whether it certifies."""
+def _realness_verdict(proof: Certificate, worst_at: float) -> str:
+    """Return the least real part, its frequency [rad/s], and whether it certifies, as text."""
     at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
     verdict = "certified" if proof.certified else "not certified"
     return f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}"
 
 
-def _frequencies(errors: Dynamics) -> Floats:
-    """Return frequencies [rad/s] about all poles; of a sampled model up to that of Nyquist."""
+def _curve_frequencies(errors: Dynamics) -> Floats:
+    """Return frequencies [rad/s] about all poles; for a sampled model up to the Nyquist
+    frequency.
+    """
     poles = np.abs(np.linalg.eigvals(errors.A[0]))
     highest = np.inf if errors.Ts is None else np.pi / errors.Ts
     return np.geomspace(1e-2 * poles.min(), min(1e2 * poles.max(), highest), POINTS)
 
 
-def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
+def _response_under_weights(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is
     allowed.
     """
@@ -107,21 +109,21 @@ def _response(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     return H.response_values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
 
 
-def _nyquist_curves(
+def _draw_nyquist_curves(
     panels: dict[str, Axes], curve: np.ndarray, worst: complex, proof: Certificate, what: str
 ) -> None:
-    """The curve of one output, and around its worst point again where that would be too small."""
+    """Draw the curve of a single output, enlarged around its worst point if that is too small."""
     axes = panels["curve"]
-    _curve(axes, curve, worst)
-    finish(axes, f"Nyquist curve of {what}", "Im", "Re", legend=0)
+    _draw_nyquist_curve(axes, curve, worst)
+    finish_panel(axes, f"Nyquist curve of {what}", "Im", "Re", legend=0)
     if abs(curve[0] - curve[-1]) > 0.2 * np.abs(curve).max():
         _name_point(axes, curve[0], "ω = 0")
         continuous = proof.dynamics.Ts is None
         _name_point(axes, curve[-1], "ω → ∞" if continuous else "ω = π/Ts")
     if "zoom" in panels:
-        _curve(panels["zoom"], curve, worst)
-        _near(panels["zoom"], curve, worst, abs(proof.margin))
-        finish(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
+        _draw_nyquist_curve(panels["zoom"], curve, worst)
+        _zoom_to_worst(panels["zoom"], curve, worst, abs(proof.margin))
+        finish_panel(panels["zoom"], "The same, enlarged", "", "Re", legend=0)
 
 
 def _name_point(axes: Axes, point: complex, name: str) -> None:
@@ -130,8 +132,8 @@ def _name_point(axes: Axes, point: complex, name: str) -> None:
     axes.annotate(name, place, (4, 4), textcoords="offset points", fontsize=8)
 
 
-def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
-    """A curve and its mirror image in the complex plane, whose left half is shaded."""
+def _draw_nyquist_curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
+    """Draw a curve and its mirror image in the complex plane, with shaded left half."""
     size = max(np.ptp(curve.real), np.abs(curve).max(), 1e-9)
     left = min(0.0, curve.real.min()) - 0.15 * size
     axes.axvspan(left, 0.0, color=ink.FORBIDDEN, linewidth=0)
@@ -144,16 +146,16 @@ def _curve(axes: Axes, curve: np.ndarray, worst: complex) -> None:
     axes.set_ylim(-top, top)
 
 
-def _near(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
-    """Limits around the worst point, some times `size` wide."""
+def _zoom_to_worst(axes: Axes, curve: np.ndarray, worst: complex, size: float) -> None:
+    """Set limits around the worst point, some times `size` wide."""
     near = curve[np.abs(curve.real - worst.real) < 4 * size]
     tall = max(float(np.abs(near.imag - worst.imag).max(initial=0.0)), size)
     axes.set_xlim(worst.real - 3 * size, worst.real + 6 * size)
     axes.set_ylim(worst.imag - tall, worst.imag + tall)
 
 
-def _eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: float) -> None:
-    """Eigenvalues of Herm H over frequency.
+def _draw_eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: float) -> None:
+    """Draw the eigenvalues of Herm H over frequency.
 
     The least of them, which stands out, must stay above the shaded part.
     """
@@ -172,7 +174,7 @@ def _eigenvalues(axes: Axes, w: Floats, H: np.ndarray, least: float, worst_at: f
     axes.set_ylim(low, top)
 
 
-def courses(gains: Gains, tried: Attacks) -> Figure:
+def plot_courses(gains: Gains, tried: Attacks) -> Figure:
     """Return V along random, adversarial and planned switching.
 
     Where V can be made to rise, the attack, and a growing cycle if one was found.
@@ -183,19 +185,19 @@ def courses(gains: Gains, tried: Attacks) -> Figure:
         rows.append([*rising])
     verdict = "can be made to rise" if tried.attack.broken else "never rises"
     count = f"{tried.attack.trajectories:,} random and adversarial trajectories tried"
-    figure, panels = sheet(rows, f"V {verdict}: {count}", height=3.6)
-    _from_one_error(panels["V"], gains, tried)
+    figure, panels = create_panels(rows, f"V {verdict}: {count}", height=3.6)
+    _draw_decay(panels["V"], gains, tried)
     titles = {
-        "attack": f"The attack: {_words(tried.attack.mode)}",
+        "attack": f"The attack: {_describe_mode(tried.attack.mode)}",
         "cycle": "A cycle of sides along which the error grows for ever",
     }
     for kind, course in rising.items():
-        _rise(panels[kind], course, titles[kind])
+        _draw_rise(panels[kind], course, titles[kind])
     return figure
 
 
-def _from_one_error(axes: Axes, gains: Gains, tried: Attacks) -> None:
-    """V relative to its start along every trajectory that starts from one random error."""
+def _draw_decay(axes: Axes, gains: Gains, tried: Attacks) -> None:
+    """Draw V relative to its start along every trajectory from the same random error."""
     axes.set_yscale("log")
     named = set[str]()
     for course in tried.courses:
@@ -209,11 +211,11 @@ def _from_one_error(axes: Axes, gains: Gains, tried: Attacks) -> None:
     decay = np.exp(-2 * gains.rates.rate * t)
     axes.plot(t, decay, color=ink.TRUTH, linewidth=1.0, linestyle="--", label=r"$e^{-2\,rate\,t}$")
     axes.set_xlim(0.0, t[-1])
-    finish(axes, "V / V(0) from one random error", "", legend=5)
+    finish_panel(axes, "V / V(0) from one random error", "", legend=5)
 
 
-def _rise(axes: Axes, course: Trajectory, title: str) -> None:
-    """V along a trajectory on which it rises: in percent if little, else logarithmic."""
+def _draw_rise(axes: Axes, course: Trajectory, title: str) -> None:
+    """Draw V along a trajectory on which V rises: in percent if little, else logarithmic."""
     if course.V.max() > 10:
         level, value, scale, y_label = 1.0, course.V, "log", "V / V(0)"
     else:
@@ -221,11 +223,11 @@ def _rise(axes: Axes, course: Trajectory, title: str) -> None:
     axes.axhline(level, color=ink.TRUTH, linewidth=0.8)
     axes.plot(course.t, value, color=ink.PRINTED, linewidth=1.8)
     axes.set_yscale(scale)
-    finish(axes, title, y_label, legend=0)
+    finish_panel(axes, title, y_label, legend=0)
 
 
-def _words(mode: SwitchMode) -> str:
-    """Return the sides that a mode reads, in words, and for how long."""
+def _describe_mode(mode: SwitchMode) -> str:
+    """Return the branches that a mode reads, and their duration, as text."""
     names = {1: "right", 0: "silent", -1: "left"}
     sides = [names[int(row.sum())] for row in mode.S]
     outputs = sides[0]

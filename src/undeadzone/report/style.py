@@ -1,4 +1,4 @@
-"""One look for every figure: axes, sheets of panels, files and bytes."""
+"""Common style of all figures: axes, sheets of panels, files and bytes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import numpy as np
 from undeadzone.errors import FileError
 from undeadzone.report import ink
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import replacing
-from undeadzone.util.text import HALF_95, printable
-from undeadzone.util.text import label as label
+from undeadzone.util.files import replace_file
+from undeadzone.util.text import HALF_95, escape_controls
+from undeadzone.util.text import label_with_unit as label_with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,16 +36,17 @@ EDGE: Final = 0.1  # between the top of a figure and its title [inch]
 
 
 @functools.cache
-def _look() -> Any:
-    """Return Matplotlib's settings that make the look."""
+def _style_settings() -> Any:
+    """Return Matplotlib's settings of the common style."""
     import matplotlib
 
     path = Path(__file__).parent / "figures.mplstyle"
     return matplotlib.rc_params_from_file(path, use_default_template=False)
 
 
-def own_settings() -> None:
-    """Import Matplotlib with its defaults, whatever the working folder or environment ask for.
+def import_default_matplotlib() -> None:
+    """Import Matplotlib with its defaults, independent of the working folder and the
+    environment.
 
     A file `matplotlibrc` there would change figures, and may belong to a stranger. This is for the
     command line, whose process is its own: in a notebook the user's settings hold. No command reads
@@ -65,7 +66,7 @@ def own_settings() -> None:
         import matplotlib.figure
 
 
-def sheet(
+def create_panels(
     rows: list[list[str]], title: str, width: float = 10.0, height: float = 2.5, even: bool = False
 ) -> tuple[Figure, dict[str, Axes]]:
     """Return a figure of named panels and these panels by name.
@@ -81,19 +82,23 @@ def sheet(
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(_look()):
+    with matplotlib.rc_context(_style_settings()):
         size = (width, height * len(rows) + 0.4)
         figure = Figure(figsize=size, layout=None if even else "constrained")
-        figure.suptitle(plain(title), x=0.01, ha="left", y=1 - EDGE / size[1] if even else None)
+        figure.suptitle(
+            escape_formulas(title), x=0.01, ha="left", y=1 - EDGE / size[1] if even else None
+        )
         if even:
             _leave_room(figure, rows)
-        vars(figure)["_repr_png_"] = functools.partial(png, figure)  # so that a notebook shows it
+        vars(figure)["_repr_png_"] = functools.partial(
+            figure_to_png, figure
+        )  # so that a notebook shows it
         mosaic: Any = rows
         return figure, figure.subplot_mosaic(mosaic)
 
 
 def _leave_room(figure: Figure, rows: list[list[str]]) -> None:
-    """Place panels with fixed room around them and between them."""
+    """Place panels with fixed room around and between the panels."""
     (width, height), (left, right, below, above, beside, between) = figure.get_size_inches(), ROOM
     columns = len(rows[0])
     wide = (width - left - right - beside * (columns - 1)) / columns
@@ -102,7 +107,7 @@ def _leave_room(figure: Figure, rows: list[list[str]]) -> None:
     figure.subplots_adjust(*edges, beside / wide, between / high)
 
 
-def finish(
+def finish_panel(
     axes: Axes, title: str, y_label: str = "", x_label: str = "t [s]", legend: int = 4
 ) -> None:
     """Write title, labels and legend of a panel that has its lines.
@@ -114,7 +119,7 @@ def finish(
     """
     import matplotlib
 
-    with matplotlib.rc_context(_look()):
+    with matplotlib.rc_context(_style_settings()):
         axes.set_title(title)
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
@@ -133,24 +138,24 @@ def _make_room(axes: Axes) -> None:
 
 
 def axis_label(words: str, unit: str) -> str:
-    """Return a `label` on a figure: the words may hold formulas, the unit is shown as it is."""
-    return label(words, plain(unit))
-
-
-def plain(text: str) -> str:
-    """Return a text of others as Matplotlib shows it as it is: no formula, no control
-    characters.
+    """Return a `label_with_unit` on a figure: the words may contain formulas, the unit is
+    verbatim.
     """
-    return printable(text).replace("$", r"\$")
+    return label_with_unit(words, escape_formulas(unit))
+
+
+def escape_formulas(text: str) -> str:
+    """Return foreign text as Matplotlib shows it verbatim: no formula, no control characters."""
+    return escape_controls(text).replace("$", r"\$")
 
 
 def shade_zone(axes: Axes, right: float, left: float) -> None:
-    """The dead zone [-d_l, d_r] as a grey band."""
+    """Shade the dead zone [-d_l, d_r] as a grey band."""
     axes.axhspan(-left, right, color=ink.ZONE, alpha=0.18, linewidth=0, label="dead zone")
 
 
 def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> None:
-    """Where z may be behind a play that reads y / m, as a grey band along the readings.
+    """Shade the possible z behind a play that reads y / m, as a grey band along the readings.
 
     Args:
         axes: the panel
@@ -163,7 +168,8 @@ def shade_gap(axes: Axes, t: Floats, y: Floats, right: float, left: float) -> No
 
 
 def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str) -> None:
-    """Plot |values| on a logarithmic axis: samples faint, the largest in each span of time a line.
+    """Plot |values| on a logarithmic axis: samples faint, the largest in each span of time a
+    line.
 
     What lies far below nearly all of these largest is cut off; single zeros would stretch the axis.
 
@@ -178,7 +184,7 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
     size = np.abs(values)
     starts = np.linspace(0, t.size, min(SPANS, t.size), endpoint=False).astype(int)
     peaks = np.maximum.reduceat(size, starts)
-    floor = floor_of(peaks)
+    floor = log_axis_floor(peaks)
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(LogFormatter())
     axes.yaxis.set_minor_formatter(LogFormatter())
@@ -189,15 +195,13 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
     axes.plot(t[starts], np.maximum(peaks, floor), color=colour, label=name)
 
 
-def floor_of(sizes: Floats) -> float:
-    """Return the least value of these sizes that a logarithmic axis shows: a tenth of nearly
-    all.
-    """
+def log_axis_floor(sizes: Floats) -> float:
+    """Return the least value on a logarithmic axis: a tenth of nearly all of these sizes."""
     return max(FLOOR, float(np.quantile(sizes, 0.03)) / 10)
 
 
-def write(figure: Figure, path: Path) -> Path:
-    """Write a figure as PNG, PDF or SVG by suffix; nothing is left half-written.
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, PDF or SVG by suffix, complete or not at all.
 
     Raises:
         FileError: the suffix is another one, or the file cannot be written
@@ -205,20 +209,18 @@ def write(figure: Figure, path: Path) -> Path:
     if path.suffix.lower() not in SUFFIXES:
         expected = ", ".join(SUFFIXES)
         raise FileError(f"{path}: cannot write a figure with this name; it must end in {expected}")
-    with replacing(path) as temporary:
-        temporary.write_bytes(image(figure, path.suffix.lower()[1:]))
+    with replace_file(path) as temporary:
+        temporary.write_bytes(figure_to_bytes(figure, path.suffix.lower()[1:]))
     return path
 
 
-def png(figure: Figure) -> bytes:
+def figure_to_png(figure: Figure) -> bytes:
     """Return the figure as PNG bytes."""
-    return image(figure, "png")
+    return figure_to_bytes(figure, "png")
 
 
-def image(figure: Figure, kind: str) -> bytes:
-    """Return the figure as bytes of a PNG, PDF or SVG, with its title; the same gives the same
-    SVG.
-    """
+def figure_to_bytes(figure: Figure, kind: str) -> bytes:
+    """Return the figure as bytes of a PNG, PDF or SVG, with its title; reproducible for SVG."""
     import matplotlib
 
     buffer, dpi = io.BytesIO(), FINE if kind == "svg" else DPI
@@ -228,8 +230,8 @@ def image(figure: Figure, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) -> None:
-    """A right and a left width, each with its 95 % intervals.
+def draw_width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) -> None:
+    """Draw a right and a left width, each with its 95 % intervals.
 
     The band does not stretch the axis: at first it is wide.
 

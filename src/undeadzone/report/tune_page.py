@@ -1,4 +1,4 @@
-"""The page of a tuning: the numbers found, their worth on other runs, the search; its figures."""
+"""Page of a tuning: the tuned numbers, their value on held-out runs, the search; its figures."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from undeadzone.report import html, ink
-from undeadzone.report.ensemble_figures import words
-from undeadzone.report.style import DASHED, finish, plain, sheet
+from undeadzone.report.ensemble_figures import describe_metric
+from undeadzone.report.style import DASHED, create_panels, escape_formulas, finish_panel
 from undeadzone.statistics.intervals import Interval
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.tuning.result import HeldOut, Tuned
@@ -51,61 +51,68 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
     Returns:
         The paths of the files.
     """
-    drawn = {"history": history(result), "around": around(result, slices(result))}
+    drawn = {"history": history(result), "around": plot_sweeps(result, sweep_each_number(result))}
     return html.write_page(drawn, folder, lambda images: tune_page(result, images, origin))
 
 
 def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
     """Return the page; images: SVGs by name; else see `write_tuned`."""
-    shown = html.pictures(images, CAPTIONS)
+    shown = html.encode_pictures(images, CAPTIONS)
     what = result.what
     asked = (
         f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
         f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
         "tuned on: they tell what the numbers are worth. In parentheses: 95 % intervals."
     )
-    return html.page(
+    return html.build_page(
         f"Tuned: {result.scenario.title}",
-        _verdict(result),
-        html.section("Numbers", *_numbers(result), *html.pick(shown, "history")),
-        html.section("What they are worth", html.paragraph(asked), _worth(result)),
-        html.section("Around what was found", *html.pick(shown, "around")),
-        html.section(
+        _tuning_verdict(result),
+        html.build_section(
+            "Numbers", *_number_table(result), *html.pick_pictures(shown, "history")
+        ),
+        html.build_section(
+            "What they are worth", html.build_paragraph(asked), _held_out_table(result)
+        ),
+        html.build_section("Around what was found", *html.pick_pictures(shown, "around")),
+        html.build_section(
             "The tuned scenario",
-            html.fold_section("tuned.toml", html.source(toml.dumps(result.scenario))),
+            html.fold_section("tuned.toml", html.source_html(toml.to_toml(result.scenario))),
         ),
         origin=origin,
     )
 
 
-def _verdict(result: Tuned) -> html.Html:
-    """Return one line: better or not, certified or not."""
+def _tuning_verdict(result: Tuned) -> html.Html:
+    """Return a line: better or not, certified or not."""
     no_better = "no improvement that chance could not explain"
-    parts = [html.yes_no(result.improved, "better on held-out runs", no_better)]
+    parts = [html.choose_verdict(result.improved, "better on held-out runs", no_better)]
     if result.margin is not None:
         certified = f"certified, margin {result.margin:.4g}"
-        parts.append(html.yes_no(result.certified, certified, "not certified"))
+        parts.append(html.choose_verdict(result.certified, certified, "not certified"))
     return html.verdict_line(*parts)
 
 
-def _numbers(result: Tuned) -> list[html.Html]:
-    """Return the numbers, from where they started and their ranges; what lies at the end of one."""
+def _number_table(result: Tuned) -> list[html.Html]:
+    """Return the numbers, with start values and ranges, and the numbers at the end of a range."""
     rows = []
     for parameter, value in zip(result.parameters, result.values, strict=True):
         bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
         rows.append((parameter.name, parameter.start, value, bounds))
     head = ("number", "before", "tuned", "range")
     words = "lies at the end of its range: a wider one may do better."
-    return [html.table(head, rows), *(html.paragraph(f"{name} {words}") for name in result.at_edge)]
+    return [
+        html.build_table(head, rows),
+        *(html.build_paragraph(f"{name} {words}") for name in result.at_edge),
+    ]
 
 
-def _worth(result: Tuned) -> html.Html:
-    """Return before and after, on the runs tuned on and on held-out ones of each scenario."""
+def _held_out_table(result: Tuned) -> html.Html:
+    """Return the cost before and after, on the runs of the tuning and on held-out runs."""
     rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
     for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
         rows.append(_held_out_row(scenario.title, held_out))
-    rows.append(("change on held-out runs", None, _interval(result.change), None, None))
-    return html.table(("", "before", "after", "diverged before", "after"), rows)
+    rows.append(("change on held-out runs", None, _interval_words(result.change), None, None))
+    return html.build_table(("", "before", "after", "diverged before", "after"), rows)
 
 
 def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
@@ -113,21 +120,21 @@ def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
     before, after = held_out.before, held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
     name = f"{title}: {count_noun(held_out.runs, 'held-out run')}"
-    return (name, _interval(before.value), _interval(after.value), *lost)
+    return (name, _interval_words(before.value), _interval_words(after.value), *lost)
 
 
-def _interval(interval: Interval) -> str:
+def _interval_words(interval: Interval) -> str:
     """Return a value with its interval."""
     alone = interval.low == interval.high
     return f"{interval.value:.4g}" if alone else bracket_interval(*interval, ".4g")
 
 
-def slices(result: Tuned) -> dict[str, Sweep]:
+def sweep_each_number(result: Tuned) -> dict[str, Sweep]:
     """Return the metric of the first scenario on held-out runs, over each tuned number alone."""
     what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
     sweeps = {}
     for parameter, value in zip(result.parameters, result.values, strict=True):
-        places = {parameter.name: _places(parameter, value)}
+        places = {parameter.name: _sweep_places(parameter, value)}
         sweeps[parameter.name] = sweep(result.scenario, places, what)
     return sweeps
 
@@ -135,15 +142,15 @@ def slices(result: Tuned) -> dict[str, Sweep]:
 def history(result: Tuned) -> Figure:
     """Return every candidate in order, and the scenario before and after on held-out runs."""
     rows = [["trials", "trials", "trials", "held_out"]]
-    figure, panels = sheet(rows, f"{result.scenario.title}: tuned", height=3.6)
+    figure, panels = create_panels(rows, f"{result.scenario.title}: tuned", height=3.6)
     candidates(panels["trials"], result)
-    _compare(panels["held_out"], result)
-    finish(panels["held_out"], "On held-out runs", _words(result), "", legend=0)
+    _draw_comparison(panels["held_out"], result)
+    finish_panel(panels["held_out"], "On held-out runs", _describe_objective(result), "", legend=0)
     return figure
 
 
 def candidates(axes: Axes, result: Tuned) -> None:
-    """The cost of every candidate by the stage that tried it, and the best so far.
+    """Draw the cost of every candidate by its stage of the search, and the best so far.
 
     Those that are not certified are crossed out.
     """
@@ -163,27 +170,33 @@ def candidates(axes: Axes, result: Tuned) -> None:
         axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
     axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
     _use_log_axis(axes, known)
-    finish(axes, "Candidates, on the runs tuned on", _words(result), "candidate", legend=3)
+    finish_panel(
+        axes, "Candidates, on the runs tuned on", _describe_objective(result), "candidate", legend=3
+    )
 
 
-def around(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
-    """Return the metric over each tuned number, on held-out runs; sweeps: as `slices` gives
-    them.
+def plot_sweeps(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
+    """Return the metric over each tuned number, on held-out runs; sweeps: from
+    `sweep_each_number`.
     """
     names = list(sweeps)
     rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
     rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
     title = "Around what was found, on held-out runs, the other numbers unchanged"
-    figure, panels = sheet(rows, title, height=3.0)
+    figure, panels = create_panels(rows, title, height=3.0)
     for parameter, value in zip(result.parameters, result.values, strict=True):
         axes = panels[parameter.name]
-        _curve(axes, parameter, value, sweeps[parameter.name], result.what.margin)
-        finish(axes, plain(parameter.name), _words(result), legend=2, x_label="")
+        _draw_sweep(axes, parameter, value, sweeps[parameter.name], result.what.margin)
+        finish_panel(
+            axes, escape_formulas(parameter.name), _describe_objective(result), legend=2, x_label=""
+        )
     return figure
 
 
-def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float) -> None:
-    """The metric over one number; margin: least one of a certificate."""
+def _draw_sweep(
+    axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float
+) -> None:
+    """Draw the metric over a number; margin: the least margin of a certificate."""
     (x,) = curve.axes.values()
     cost = curve.cost
     axes.set_xscale("log" if parameter.log else "linear")
@@ -199,23 +212,23 @@ def _curve(axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin:
     _use_log_axis(axes, cost[shown])
 
 
-def _words(result: Tuned) -> str:
-    """Return the statistic and the metric that were tuned for."""
-    return f"{result.what.statistic} {words(result.what.metric)}"
+def _describe_objective(result: Tuned) -> str:
+    """Return the statistic and the metric of the tuning."""
+    return f"{result.what.statistic} {describe_metric(result.what.metric)}"
 
 
-def _places(parameter: Parameter, value: float) -> Floats:
+def _sweep_places(parameter: Parameter, value: float) -> Floats:
     """Return the tuned number, and a grid over its range."""
-    return np.unique(np.append(parameter.value(np.linspace(0.0, 1.0, POINTS)), value))
+    return np.unique(np.append(parameter.value_at_share(np.linspace(0.0, 1.0, POINTS)), value))
 
 
-def _compare(axes: Axes, result: Tuned) -> None:
-    """The first scenario on held-out runs as it was and tuned, with intervals."""
+def _draw_comparison(axes: Axes, result: Tuned) -> None:
+    """Draw the first scenario on held-out runs as it was and tuned, with intervals."""
     first = result.held_out[0]
     pairs = (first.before, ink.TRUTH), (first.after, ink.ESTIMATE)
     for place, (worth, colour) in enumerate(pairs):
         value, low, high = worth.value
-        reach = [[_reach(low, value)], [_reach(high, value)]]
+        reach = [[_whisker_length(low, value)], [_whisker_length(high, value)]]
         axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)
     axes.set_xticks([0, 1], ["before", "tuned"])
     axes.set_xlim(-0.6, 1.6)
@@ -223,12 +236,12 @@ def _compare(axes: Axes, result: Tuned) -> None:
     axes.margins(y=0.2)
 
 
-def _reach(end: float, value: float) -> float:
-    """How far an interval reaches from its value; 0 where it has no end."""
+def _whisker_length(end: float, value: float) -> float:
+    """Return the distance of an interval's end from its value; 0 for an infinite end."""
     return abs(end - value) if np.isfinite(end) else 0.0
 
 
 def _use_log_axis(axes: Axes, shown: Floats) -> None:
-    """A logarithmic axis where values span more than a decade."""
+    """Set a logarithmic axis if values span more than a decade."""
     if shown.size and shown.min() > 0 and shown.max() > 10 * shown.min():
         axes.set_yscale("log")

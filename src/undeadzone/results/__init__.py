@@ -1,1 +1,1 @@
-"""Results: signals, what is known of them, how they are said and kept."""
+"""Results: signals, facts about them, display and files."""

@@ -1,4 +1,4 @@
-"""The result of `estimate`: what an observer makes of a log. There is no truth in it."""
+"""Result of `estimate`: the estimates of an observer from a log, without true values."""
 
 from __future__ import annotations
 
@@ -13,16 +13,23 @@ from undeadzone.logs.samples import count_in_words
 from undeadzone.results import files, sheet
 from undeadzone.results.info import LogInfo
 from undeadzone.results.sheet import Row
-from undeadzone.results.signals import LOG, Signals, attribute, attributes, final, output_names
+from undeadzone.results.signals import (
+    LOG,
+    Signals,
+    get_signal,
+    last_values,
+    list_attributes,
+    output_names,
+)
 from undeadzone.util import shown
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.shown import Block, Rows
-from undeadzone.util.text import label
+from undeadzone.util.text import label_with_unit
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Estimation:
-    """What an observer makes of a log, one row per sample.
+    """Estimates of an observer from a log, one row per sample.
 
     Each signal is an attribute, None where the method does not estimate it: those of a log, and
     what observers give (`results.signals.ESTIMATED`).
@@ -74,22 +81,22 @@ class Estimation:
         object.__setattr__(self, "signals", Signals(LOG, {**before, **given}))
 
     layout: ClassVar = LOG
-    __dir__ = attributes
+    __dir__ = list_attributes
 
     def __getattr__(self, name: str) -> Any:
-        """Return a signal by name, None where there is none. Raises AttributeError."""
-        return attribute(self, name)
+        """Return a signal by name, None if it is not estimated. Raises AttributeError."""
+        return get_signal(self, name)
 
     @property
     def consistent(self) -> bool | None:
-        """Return whether the innovations are what the observer claims; None: it cannot be
-        tested.
+        """Return whether the innovations fit the assumptions of the observer; None if that
+        cannot be tested.
         """
         return self.info.consistent
 
     @property
     def outputs(self) -> list[str]:
-        """Return the names of the outputs: an arm's joints where it has one for each, else
+        """Return the names of the outputs: an arm's joints if the counts agree, else
         numbers.
         """
         return output_names(self.info.joints, self.y.shape[1])
@@ -97,18 +104,18 @@ class Estimation:
     def summary(self) -> dict[str, Any]:
         """Return the numbers of the log, ready for JSON; lists where there are several outputs."""
         numbers = self.info.summary()
-        numbers |= final(self.signals.arrays, "width_std")
+        numbers |= last_values(self.signals.arrays, "width_std")
         if found := self.signals.parameters(self.info.uncertain):
             numbers["parameters"] = found
         numbers["smoothed"] = self.z_smooth is not None
-        return finite(numbers)
+        return to_json_value(numbers)
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone estimate` prints."""
-        return in_words(self.info)
+        return blocks_from_log(self.info)
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     plot = shown.plot
     """Draw it."""
@@ -143,13 +150,13 @@ FAULTS: Final = {  # by kind, after a number
 }
 
 
-def in_words(info: LogInfo) -> list[Block]:
-    """What a log comes to: pairs, and of several outputs a table with their rows."""
+def blocks_from_log(info: LogInfo) -> list[Block]:
+    """Return the summary of a log: pairs, and for several outputs a table with their rows."""
     single = len(info.d_right) == 1
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, step {info.step:g} s",
-        "log": _samples(info),
+        "log": _describe_samples(info),
     }
     if info.columns:
         shown["columns"] = info.columns
@@ -160,33 +167,35 @@ def in_words(info: LogInfo) -> list[Block]:
         shown["faults"] = ", ".join(f"{n} {FAULTS[kind]}" for kind, n in info.faults.items())
     if single:
         estimated = "" if info.adapts else " (not estimated)"
-        shown |= sheet.in_text(row._replace(note=estimated) for row in widths(info)[0])
-        for rows in [*gaps(info), *actuators(info)]:
-            shown |= sheet.in_text(rows)
-        shown["readings"] = _sides(info, 0)
+        shown |= sheet.rows_to_text(row._replace(note=estimated) for row in log_width_rows(info)[0])
+        for rows in [*log_gap_rows(info), *log_actuator_rows(info)]:
+            shown |= sheet.rows_to_text(rows)
+        shown["readings"] = _describe_branches(info, 0)
     elif not info.adapts:
         shown["widths"] = "not estimated"
-    shown["consistent"] = _verdict(info)
+    shown["consistent"] = _describe_consistency(info)
     if info.remarks:
         shown["remark"] = "; ".join(info.remarks)
-    return [shown] if single else [shown, _rows(info)]
+    return [shown] if single else [shown, _log_output_rows(info)]
 
 
-def _rows(info: LogInfo) -> Rows:
-    """Return a row for each output: its widths and on which sides its readings are."""
+def _log_output_rows(info: LogInfo) -> Rows:
+    """Return a row for each output: widths and number of readings per branch."""
     count, unit = len(info.d_right), info.units.output
     names = output_names(info.joints, count)
     what = "output" if names[0] == "0" else "joint"
     rows: list[Sequence[str]] = [
-        (what, label("d_right", unit), label("d_left", unit), "readings"),
+        (what, label_with_unit("d_right", unit), label_with_unit("d_left", unit), "readings"),
     ]
-    for i, (name, edges) in enumerate(zip(names, widths(info), strict=True)):
-        rows.append((name, *(row.value_with_interval for row in edges), _sides(info, i)))
+    for i, (name, edges) in enumerate(zip(names, log_width_rows(info), strict=True)):
+        rows.append(
+            (name, *(row.value_with_interval for row in edges), _describe_branches(info, i))
+        )
     return rows
 
 
-def _samples(info: LogInfo) -> str:
-    """How many samples there are, and how many of them are missing."""
+def _describe_samples(info: LogInfo) -> str:
+    """Return the number of samples and of missing samples, as text."""
     text = f"{info.samples} samples, {info.missing} missing"
     if info.gaps:
         text += f" ({info.gaps} in gaps)"
@@ -195,25 +204,25 @@ def _samples(info: LogInfo) -> str:
     return text + f", {info.measured_step:g} s apart"
 
 
-def widths(info: LogInfo) -> list[list[Row]]:
+def log_width_rows(info: LogInfo) -> list[list[Row]]:
     """Return the final widths of each output."""
-    return sheet.of_each(msgspec.structs.asdict(info), "d", info.units.output, None, info.ranges)
+    return sheet.build_width_rows(
+        msgspec.structs.asdict(info), "d", info.units.output, None, info.ranges
+    )
 
 
-def gaps(info: LogInfo) -> list[list[Row]]:
-    """Return the final gaps of the play ahead of each dead zone; nothing where none are
-    estimated.
-    """
-    return sheet.of_each(info.further, "gap", info.units.output)
+def log_gap_rows(info: LogInfo) -> list[list[Row]]:
+    """Return the final gaps of the play ahead of each dead zone; empty if not estimated."""
+    return sheet.build_width_rows(info.further, "gap", info.units.output)
 
 
-def actuators(info: LogInfo) -> list[list[Row]]:
-    """Return the final widths of each actuator; nothing where none are estimated."""
-    return sheet.of_each(info.further, "b", info.units.input)
+def log_actuator_rows(info: LogInfo) -> list[list[Row]]:
+    """Return the final widths of each actuator; empty if not estimated."""
+    return sheet.build_width_rows(info.further, "b", info.units.input)
 
 
-def _sides(info: LogInfo, i: int) -> str:
-    """How many readings of output i are on each side."""
+def _describe_branches(info: LogInfo, i: int) -> str:
+    """Return the number of readings of output i on each branch, as text."""
     right, left = info.right[i], info.left[i]
     neither = "in the gap" if info.sensor == "gears" else "silent"
     text = f"{right} right, {left} left, {info.silent[i]} {neither}"
@@ -223,8 +232,10 @@ def _sides(info: LogInfo, i: int) -> str:
     return f"{text}: the {' and the '.join(never)} edge is never passed" if never else text
 
 
-def _verdict(info: LogInfo) -> str:
-    """Return whether the record is consistent with what the observer claims, and why not."""
+def _describe_consistency(info: LogInfo) -> str:
+    """Return whether the record is consistent with the observer's assumptions, with the
+    reasons, as text.
+    """
     if info.consistent is None:
         return f"cannot be tested: {'; '.join(info.reasons)}"
     if not info.consistent:

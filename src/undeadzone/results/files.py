@@ -1,4 +1,4 @@
-"""A result as a table, and its files: signals with their info, exactly as they were.
+"""Result as a table, and its files: signals with their info, exact to the last bit.
 
 What takes a result here is a method of it: of a run, and of what an observer makes of a log.
 """
@@ -15,11 +15,11 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.results.signals import Layout, Signals, from_columns, unit_of
+from undeadzone.results.signals import Layout, Signals, signal_unit, signals_from_columns
 from undeadzone.util import files
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import LARGEST_RUN, Name, path_of, reason, replacing
-from undeadzone.util.text import json_line, printable
+from undeadzone.util.files import LARGEST_RUN, Name, failure_reason, replace_file, to_path
+from undeadzone.util.text import escape_controls, escape_json_controls
 
 CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
 DIGITS: Final = 20  # bytes of a number in a `.csv`, about
@@ -36,17 +36,17 @@ def columns(result: Any) -> dict[str, Floats]:
 
 
 def unit(result: Any, name: str) -> str:
-    """Return the unit of a signal or of one of its columns.
+    """Return the unit of a signal or of a column.
 
     Args:
         result: whose signal it is.
         name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
     """
-    return unit_of(name, result.info.units)
+    return signal_unit(name, result.info.units)
 
 
 def to_pandas(result: Any) -> Any:
-    """Return a pandas DataFrame indexed by t, one column per scalar signal; needs pandas."""
+    """Return a pandas DataFrame indexed by t, a column per scalar signal; needs pandas."""
     import pandas as pd
 
     table = columns(result)
@@ -55,12 +55,12 @@ def to_pandas(result: Any) -> Any:
 
 
 def table_size(result: Any) -> float:
-    """Return about how many bytes its `.csv` has."""
+    """Return the approximate size of the `.csv` of a result [bytes]."""
     return DIGITS * sum(float(column.size) for column in columns(result).values())
 
 
 def save(result: Any, path: Name) -> Path:
-    """Write the signals to a file.
+    """Write the signals to a file and return its path.
 
     Args:
         result: whose signals they are.
@@ -74,7 +74,7 @@ def save(result: Any, path: Name) -> Path:
         FileError: it cannot be written.
         InputError: the name ends otherwise.
     """
-    path, info = path_of(path), without_times(result.info)
+    path, info = to_path(path), drop_computing_time(result.info)
     if path.suffix == ".npz":
         _write_npz(path, info, result.signals.arrays)
     elif path.suffix == ".csv":
@@ -84,8 +84,8 @@ def save(result: Any, path: Name) -> Path:
     return path
 
 
-def without_times(info: Any) -> Any:
-    """Return an info without the time that it took, so that equal runs have equal files."""
+def drop_computing_time(info: Any) -> Any:
+    """Return an info without the computing time, so that equal runs have equal files."""
     return msgspec.structs.replace(info, seconds=0.0) if hasattr(info, "seconds") else info
 
 
@@ -97,27 +97,27 @@ def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple
         layout: of the signals.
         kind: of the info.
     """
-    path = path_of(path)
+    path = to_path(path)
     try:
         if path.suffix == ".csv":
-            files.require_plain(path, LARGEST_RUN)
+            files.require_plain_file(path, LARGEST_RUN)
             info, table = _read_csv(path, kind)
-            return info, Signals(layout, from_columns(table, layout))
-        arrays = files.arrays_of(path, LARGEST_RUN)
+            return info, Signals(layout, signals_from_columns(table, layout))
+        arrays = files.load_arrays(path, LARGEST_RUN)
         info = msgspec.json.decode(arrays["info"].tobytes(), type=kind)
         signals = {name: arrays[name] for name in layout.names if name in arrays}
         return info, Signals(layout, signals)
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except NOT_A_RUN as error:
         raise FileError(f"{path}: not a run saved by undeadzone ({error})") from None
 
 
 def _write_npz(path: Path, info: Any, signals: Mapping[str, Floats]) -> None:
-    """Write signals compressed."""
+    """Write the info and the signals to a compressed `.npz`."""
     head = np.frombuffer(msgspec.json.encode(info), np.uint8)
     arrays: dict[str, Any] = {"info": head, **signals}
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with replace_file(path) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, **arrays)
 
 
@@ -126,12 +126,12 @@ def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
 
     The info ends with a checksum of the whole file, in which zeros stand in its own place.
     """
-    units = [" ".join(unit_of(name, info.units).split()) for name in table]
-    heads = [f"{name} [{printable(unit)}]" for name, unit in zip(table, units, strict=True)]
+    units = [" ".join(signal_unit(name, info.units).split()) for name in table]
+    heads = [f"{name} [{escape_controls(unit)}]" for name, unit in zip(table, units, strict=True)]
     numbers = np.stack(list(table.values()), axis=1)
-    entries = json_line(msgspec.json.encode(info).decode()).removesuffix("}")
+    entries = escape_json_controls(msgspec.json.encode(info).decode()).removesuffix("}")
     first = f'# {entries},{CHECKSUM}{NO_SUM}"}}\n'
-    with replacing(path) as temporary:
+    with replace_file(path) as temporary:
         with open(temporary, "w", encoding="utf-8", newline="") as file:
             file.write(first)
             csv.writer(file, lineterminator="\n").writerow(heads)
@@ -144,7 +144,7 @@ def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
 
 def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Floats]]:
     """Return the info and the columns of a table."""
-    _require_whole(path)
+    _require_checksum(path)
     with open(path, encoding="utf-8", newline="") as file:
         info = msgspec.json.decode(file.readline().removeprefix("# "), type=kind)
         heads = next(csv.reader([file.readline()]))
@@ -156,8 +156,8 @@ def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Fl
     return info, dict(zip(names, table.T, strict=True))
 
 
-def _require_whole(path: Path) -> None:
-    """Raise ValueError for a table that is not as it was written; older ones have no checksum."""
+def _require_checksum(path: Path) -> None:
+    """Raise ValueError if a table was changed or cut; older tables have no checksum."""
     with open(path, "rb") as file:
         first = file.readline()
         start = first.rfind(CHECKSUM.encode())

@@ -1,4 +1,4 @@
-"""What is known of a run, and of a log once an observer has followed it, besides the signals."""
+"""Facts about a run, and about a log after estimation, besides the signals."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from undeadzone.scenario.schema import Units
 
 
 class IntegrationError(NamedTuple):
-    """By how much a run differs from its twin of half the step.
+    """Difference between a run and its repetition with half the step.
 
     Attributes:
         largest: difference of x, x^, d^.
@@ -22,7 +22,7 @@ class IntegrationError(NamedTuple):
 
 
 class Info(msgspec.Struct, frozen=True, kw_only=True):
-    """What a run knows besides its signals.
+    """Facts about a run besides its signals.
 
     Attributes:
         title: of the scenario.
@@ -92,7 +92,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What an observer makes of a log as a whole.
+    """Facts about a log as a whole after estimation.
 
     Attributes:
         title: of the scenario.
@@ -171,7 +171,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     faults: dict[str, int] = {}
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers, ready for JSON; lists where there are several outputs."""
+        """Return the numbers, ready for JSON; lists for several outputs."""
         numbers = msgspec.to_builtins(self)
         numbers |= numbers.pop("further")
         for name in ("right", "left", "silent", "limited"):

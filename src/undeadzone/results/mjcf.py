@@ -1,4 +1,4 @@
-"""Gears with a gap as MuJoCo takes them: what a run, or the log of a servo, says of each joint.
+"""Gears with backlash for MuJoCo, from the estimates of a run or of a servo's log.
 
 Each joint becomes two hinges at one place: the motor, with its inertia and friction, and the gap,
 which the link may turn from there. Friction of the link is that of a tendon over both.
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-from undeadzone.results.run import Run, widths
+from undeadzone.results.run import Run, final_width_rows
 from undeadzone.scenario.problem import systems
 from undeadzone.scenario.reader import parse
 from undeadzone.util.files import write_text
@@ -24,7 +24,7 @@ USE = (
 
 
 class Joint(NamedTuple):
-    """The gears of a joint.
+    """Gears of a joint.
 
     Attributes:
         name: of the joint.
@@ -47,9 +47,8 @@ class Joint(NamedTuple):
     contact: tuple[float, float] | None = None
 
 
-def of_run(run: Run) -> list[Joint]:
-    """Return the gears as a run found them, and as its model has the rest; none where it found
-    none.
+def joints_from_run(run: Run) -> list[Joint]:
+    """Return the gears estimated in a run, the rest from its model; empty without an estimate.
 
     Args:
         run: with its scenario.
@@ -60,7 +59,9 @@ def of_run(run: Run) -> list[Joint]:
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
     joints = []
-    for i, (name, (right, left)) in enumerate(zip(run.info.joints, widths(run), strict=False)):
+    for i, (name, (right, left)) in enumerate(
+        zip(run.info.joints, final_width_rows(run), strict=False)
+    ):
         joint = Joint(
             name,
             f"the link may be {right.value_with_interval} rad ahead of its motor, "
@@ -77,8 +78,9 @@ def of_run(run: Run) -> list[Joint]:
     return joints
 
 
-def write(joints: list[Joint], folder: Path) -> list[Path]:
-    """Write joints to a folder, as MuJoCo's default classes and tendons; nothing where none are.
+def write_gears(joints: list[Joint], folder: Path) -> list[Path]:
+    """Write joints to a folder, as MuJoCo's default classes and tendons; nothing for no
+    joints.
 
     Args:
         joints: of an arm.
@@ -98,14 +100,18 @@ def write(joints: list[Joint], folder: Path) -> list[Path]:
     for joint in joints:
         classes.append(Comment(f" {joint.name}: {joint.words} ".replace("--", "-")))
         motor, gap = f"{joint.name}_motor", f"{joint.name}_gap"
-        parts = _numbers(armature=joint.inertia, frictionloss=joint.friction, damping=joint.viscous)
+        parts = _format_attributes(
+            armature=joint.inertia, frictionloss=joint.friction, damping=joint.viscous
+        )
         SubElement(SubElement(classes, "default", {"class": motor}), "joint", parts)
-        ends = _numbers(range=(-joint.behind, joint.ahead)) | {"limited": "true"}
+        ends = _format_attributes(range=(-joint.behind, joint.ahead)) | {"limited": "true"}
         if joint.contact is not None:
             rate, ratio = joint.contact
-            ends |= _numbers(solreflimit=(-(rate**2), -2 * ratio * rate)) | {"solimplimit": FIRM}
+            ends |= _format_attributes(solreflimit=(-(rate**2), -2 * ratio * rate)) | {
+                "solimplimit": FIRM
+            }
         SubElement(SubElement(classes, "default", {"class": gap}), "joint", ends)
-        parts = _numbers(frictionloss=joint.link[0], damping=joint.link[1])
+        parts = _format_attributes(frictionloss=joint.link[0], damping=joint.link[1])
         tendon = SubElement(tendons, "fixed", {"name": f"{joint.name}_link"} | parts)
         for name in (joint.name, gap):
             SubElement(tendon, "joint", {"joint": name, "coef": "1"})
@@ -113,8 +119,8 @@ def write(joints: list[Joint], folder: Path) -> list[Path]:
     return [write_text(tostring(root, encoding="unicode") + "\n", folder / FILE)]
 
 
-def _numbers(**values: float | tuple[float, ...]) -> dict[str, str]:
-    """Return attributes of an element."""
+def _format_attributes(**values: float | tuple[float, ...]) -> dict[str, str]:
+    """Return numeric attributes of an XML element as text."""
     found = {}
     for name, value in values.items():
         entries = value if isinstance(value, tuple) else (value,)

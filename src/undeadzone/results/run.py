@@ -1,4 +1,4 @@
-"""The result of a run: signals by name, with their units and what was found out about them."""
+"""Result of a run: signals by name, with their units and derived facts."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
 from undeadzone.results.feedback import describe_feedback as listening_in_words
 from undeadzone.results.info import Info
-from undeadzone.results.scales import LIMIT, Scales, shares
-from undeadzone.results.sheet import Row, in_json
+from undeadzone.results.scales import LIMIT, Scales, largest_scaled_signals
+from undeadzone.results.sheet import Row, rows_to_json
 from undeadzone.results.signals import (
     RUN,
     Signals,
-    attribute,
-    attributes,
-    claims_at_end,
-    ending,
-    final,
+    final_rejections,
+    get_signal,
+    last_values,
+    list_attributes,
+    list_summary_signals,
     output_names,
 )
-from undeadzone.util.arrays import Floats, finite, one_or_list
-from undeadzone.util.earlier import SCHEMA, translated_std
-from undeadzone.util.shown import Block, Rows, in_notebook, in_text, plot
-from undeadzone.util.text import label
+from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
+from undeadzone.util.earlier import SCHEMA, translate_stds
+from undeadzone.util.shown import Block, Rows, format_result, plot, result_to_html
+from undeadzone.util.text import label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -46,7 +46,7 @@ INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Run:
-    """Signals of one run, one row per sample.
+    """Signals of a run, one row per sample.
 
     Each signal is an attribute, None where the method does not estimate it or the plant does not
     have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
@@ -104,11 +104,14 @@ class Run:
         object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
 
     layout: ClassVar = RUN
-    __dir__ = attributes
+    __dir__ = list_attributes
 
     def __getattr__(self, name: str) -> Any:
-        """Return a signal by name, None where there is none. Raises AttributeError."""
-        return attribute(self, name)
+        """Return a signal by name, None if the run does not have it.
+
+        Raises AttributeError.
+        """
+        return get_signal(self, name)
 
     @property
     def last(self) -> slice:
@@ -117,28 +120,29 @@ class Run:
 
     @property
     def lasting(self) -> float:
-        """Return the time over which errors are measured, at the end: 2 s, or all of a shorter run
-        [s].
+        """Return the length of the final interval in which errors are measured [s].
+
+        That is 2 s, or all of a shorter run.
         """
         return min(LAST, float(self.t[-1] - self.t[0]))
 
     @property
     def divergence_time(self) -> float | None:
-        """Return the time [s] at which a signal left 1e12 times its scale or was no number, or
-        None.
+        """Return the time at which a signal left 1e12 times its scale or was not finite,
+        or None [s].
 
         The scales are the plant's own, so that no choice of units makes a run diverge.
         """
         *of_states, of_outputs, of_inputs = self.info.scales or [1.0, 1.0]
         scales = Scales(np.array(of_states or [1.0]), of_outputs, of_inputs)
         outputs = [self.z, self.z_hat, self.d_hat]
-        worst = shares(scales, [self.x, self.x_hat], outputs, self.u)
+        worst = largest_scaled_signals(scales, [self.x, self.x_hat], outputs, self.u)
         bad = np.flatnonzero(~(worst < LIMIT))
         return float(self.t[bad[0]]) if bad.size else None
 
     @property
     def inexact(self) -> bool:
-        """Return whether half the step makes so much of a difference that the run is no result.
+        """Return whether half the step changes the run too much for a valid result.
 
         That is more than 1 % of the largest |z|, in z, z^ or d^.
         """
@@ -147,9 +151,7 @@ class Run:
 
     @property
     def plot_window(self) -> slice:
-        """Return the samples that a figure shows: those up to where the run diverged, two at
-        least.
-        """
+        """Return the samples that a figure shows: until divergence, at least two."""
         diverged = self.divergence_time
         if diverged is None:
             return slice(0, self.t.size)
@@ -157,7 +159,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """What figures call its observer.
+        """Return the observer's name in figures.
 
         This is the method, or what tells it from the one that it is compared with.
         """
@@ -165,27 +167,30 @@ class Run:
 
     @property
     def rms_tracking(self) -> float:
-        """Return root mean square of z - r over the last 2 s and the tracked outputs."""
-        return _rms((self.z[:, self.info.tracked] - self.r)[self.last])
+        """Return the root mean square of z - r over the last 2 s and the tracked outputs
+        [z].
+        """
+        return _root_mean_square((self.z[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_estimation(self) -> float:
-        """Return root mean square of z - z_hat over the last 2 s and all outputs."""
-        return _rms((self.z - self.z_hat)[self.last])
+        """Return the root mean square of z - z_hat over the last 2 s and all outputs [z]."""
+        return _root_mean_square((self.z - self.z_hat)[self.last])
 
     @property
     def rms_behind_play(self) -> float | None:
-        """Return root mean square of y / m - r over the last 2 s, y without noise; None without a
-        play.
+        """Return the root mean square of y / m - r over the last 2 s [z]; None without a play.
+
+        Here y is without noise.
         """
         if self.level is None:
             return None
-        return _rms((self.level[:, self.info.tracked] - self.r)[self.last])
+        return _root_mean_square((self.level[:, self.info.tracked] - self.r)[self.last])
 
     @property
     def rms_tip(self) -> float | None:
-        """Return root mean square distance of an arm's tip from where it should be over the last 2
-        s [m].
+        """Return the root mean square distance of an arm's tip from its path over the last
+        2 s [m].
 
         None without an arm.
         """
@@ -195,13 +200,13 @@ class Run:
 
     @property
     def widths(self) -> Floats:
-        """Return the final width estimates (p x 2): [d_r^, d_l^] of each output."""
+        """Return the final width estimates (p x 2): [d_r^, d_l^] of each output [z]."""
         return self.d_hat[-1].reshape(-1, 2)
 
     @property
     def parameters(self) -> dict[str, dict[str, float]]:
-        """Return the final estimates of uncertain parameters, their standard deviations, and the
-        truth.
+        """Return the final estimates of uncertain parameters, with standard deviations and
+        true values.
         """
         true = self.info.uncertain
         found = self.signals.parameters(true)
@@ -209,19 +214,20 @@ class Run:
 
     @property
     def outputs(self) -> list[str]:
-        """Return the names of the outputs: an arm's joints where it has one for each, else
+        """Return the names of the outputs: an arm's joints if the counts agree, else
         numbers.
         """
         return output_names(self.info.joints, self.z.shape[1])
 
     @property
     def silent_fraction(self) -> float:
-        """Return the share of samples at which an output is silent."""
+        """Return the share of samples inside the zone of an output [1]."""
         return float((self.side == 0).mean())
 
     @property
     def largest_rise_of_V(self) -> float | None:
-        """Return the largest increase of V above any earlier value, relative to the largest V.
+        """Return the largest increase of V above any earlier value, relative to the
+        largest V [1].
 
         None without a certificate.
         """
@@ -233,7 +239,9 @@ class Run:
 
     @property
     def fully_identifiable(self) -> bool:
-        """Return whether every width of every output could be told from this run's readings."""
+        """Return whether every width of every output was identifiable from this run's
+        readings.
+        """
         return all(verdict["right"] and verdict["left"] for verdict in self.info.identifiable)
 
     @property
@@ -245,39 +253,39 @@ class Run:
         return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the run, ready for JSON; lists where there are several outputs."""
+        """Return the numbers of the run, ready for JSON; lists for several outputs."""
         verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
             "time": self.info.time,
             "step": self.info.step,
-            **in_json(errors(self)),
-            **final(ends, "d_hat"),
-            **({"d_right_std": None, "d_left_std": None} | final(ends, "d_std")),
+            **rows_to_json(final_error_rows(self)),
+            **last_values(ends, "d_hat"),
+            **({"d_right_std": None, "d_left_std": None} | last_values(ends, "d_std")),
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
-            **final(ends, *ending(float, but=("d_hat", "d_std", "width_std"))),
-            **({"width_std": None} | final(ends, "width_std")),
-            **final(ends, *ending(bool), *ending(int)),
-            **claims_at_end(ends),
-            "listens": one_or_list(np.array(listens, float)) if listens else None,
+            **last_values(ends, *list_summary_signals(float, but=("d_hat", "d_std", "width_std"))),
+            **({"width_std": None} | last_values(ends, "width_std")),
+            **last_values(ends, *list_summary_signals(bool), *list_summary_signals(int)),
+            **final_rejections(ends),
+            "listens": to_scalar_or_list(np.array(listens, float)) if listens else None,
             "silent_fraction": self.silent_fraction,
             "certified": self.info.certified,
             "largest_rise_of_V": self.largest_rise_of_V,
             "integration_error": self.info.integration_error,
             "inexact": self.inexact,
-            "identifiable": one_or_list(verdicts),
+            "identifiable": to_scalar_or_list(verdicts),
             "diverged_at": self.divergence_time,
             "seconds": self.info.seconds,
         }
-        return finite(numbers)
+        return to_json_value(numbers)
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone run` prints."""
-        return in_words(self)
+        return blocks_from_run(self)
 
-    __repr__ = in_text
-    _repr_html_ = in_notebook
+    __repr__ = format_result
+    _repr_html_ = result_to_html
 
     plot = plot
     """Draw it."""
@@ -300,24 +308,24 @@ class Run:
         """
         info, *signals = files.read_result(path, RUN, Info)
         verdicts = info.identifiable
-        stds = translated_std([one.get("std") for one in verdicts], info.schema, path)
+        stds = translate_stds([one.get("std") for one in verdicts], info.schema, path)
         told = [one | {"std": std} for one, std in zip(verdicts, stds, strict=True)]
         return cls(msgspec.structs.replace(info, identifiable=told, schema=SCHEMA), *signals)
 
 
 def last_samples(t: Floats) -> slice:
-    """Return the samples at times t [s] over which errors are measured: of the last 2 s, or all."""
+    """Return the samples at times t [s] in which errors are measured: the last 2 s, or all."""
     return slice(int(np.searchsorted(t, t[-1] - LAST - 1e-12)), None)
 
 
-def _rms(values: Floats) -> float:
-    """Return root mean square of all entries."""
+def _root_mean_square(values: Floats) -> float:
+    """Return the root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
 
 
-def errors(run: Run) -> list[Row]:
-    """Return the errors of a run over its end."""
+def final_error_rows(run: Run) -> list[Row]:
+    """Return the errors at the end of a run."""
     last, unit = f"last {run.lasting:g} s", run.info.units.output
     rows = []
     for key, (name, title) in ERRORS.items():
@@ -329,7 +337,7 @@ def errors(run: Run) -> list[Row]:
     return rows
 
 
-def parameters(run: Run) -> list[Row]:
+def final_parameter_rows(run: Run) -> list[Row]:
     """Return the parameters that the observer estimates."""
     rows = []
     for name, found in run.parameters.items():
@@ -339,57 +347,57 @@ def parameters(run: Run) -> list[Row]:
     return rows
 
 
-def widths(run: Run) -> list[list[Row]]:
+def final_width_rows(run: Run) -> list[list[Row]]:
     """Return the widths of each output."""
-    return sheet.of_each(
+    return sheet.build_width_rows(
         _last_widths(run), "d", run.info.units.output, run.info.widths, run.info.ranges
     )
 
 
-def actuators(run: Run) -> list[list[Row]]:
-    """Return the widths of each actuator; nothing where none are estimated."""
-    return sheet.of_each(_last_widths(run), "b", run.info.units.input, run.info.actuator)
+def final_actuator_rows(run: Run) -> list[list[Row]]:
+    """Return the widths of each actuator; empty if not estimated."""
+    return sheet.build_width_rows(_last_widths(run), "b", run.info.units.input, run.info.actuator)
 
 
-def gaps(run: Run) -> list[list[Row]]:
-    """Return the gaps of the play ahead of each dead zone; nothing where none are estimated."""
-    return sheet.of_each(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
+def final_gap_rows(run: Run) -> list[list[Row]]:
+    """Return the gaps of the play ahead of each dead zone; empty if not estimated."""
+    return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
 def _last_widths(run: Run) -> dict[str, Any]:
-    """Return the last widths and gaps, and their deviations where known, by name."""
+    """Return the last widths and gaps by name, with known deviations."""
     names = "d_hat", "d_std", "b_hat", "b_std", "c_hat", "c_std", "gap_std"
-    return final(run.signals.arrays, *names)
+    return last_values(run.signals.arrays, *names)
 
 
-def in_words(run: Run) -> list[Block]:
-    """What a run came to: pairs, and of several outputs a table with their rows."""
+def blocks_from_run(run: Run) -> list[Block]:
+    """Return the summary of a run: pairs, and for several outputs a table with their rows."""
     info, single = run.info, len(run.outputs) == 1
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
-        **sheet.in_text(errors(run)),
+        **sheet.rows_to_text(final_error_rows(run)),
     }
-    driven = actuators(run)
+    driven = final_actuator_rows(run)
     if single:
-        shown |= sheet.in_text(widths(run)[0])
+        shown |= sheet.rows_to_text(final_width_rows(run)[0])
     if len(driven) == 1:
-        shown |= sheet.in_text(driven[0])
+        shown |= sheet.rows_to_text(driven[0])
     if single:
-        for rows in gaps(run):
-            shown |= sheet.in_text(rows)
-    shown |= sheet.in_text(parameters(run))
+        for rows in final_gap_rows(run):
+            shown |= sheet.rows_to_text(rows)
+    shown |= sheet.rows_to_text(final_parameter_rows(run))
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
     if run.divergence_time is not None:  # what readings would tell is no use of these
         shown["DIVERGED"] = f"at {run.divergence_time:g} s"
-        return [shown] if single else [shown, _rows(run)]
-    if refuted := claims_at_end(run.signals.arrays).get("claims"):
+        return [shown] if single else [shown, _final_output_rows(run)]
+    if refuted := final_rejections(run.signals.arrays).get("claims"):
         shown["claims"] = "NOT as told: " + "; ".join(describe_rejected_assumptions(refuted))
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
-    shown |= _proof(run) | _identifiable(info, run.outputs)
+    shown |= _describe_proof(run) | _describe_identifiable(info, run.outputs)
     if run.inexact:
         share = info.integration_share
         assert share is not None
@@ -397,21 +405,23 @@ def in_words(run: Run) -> list[Block]:
             f"half the step changes the run by {100 * share:.3g} % of the largest |z|: these are "
             "no results; use a smaller simulation.step"
         )
-    return [shown] if single else [shown, _rows(run)]
+    return [shown] if single else [shown, _final_output_rows(run)]
 
 
-def _rows(run: Run) -> Rows:
-    """Return a row for each output: its errors, widths, and what its readings tell."""
+def _final_output_rows(run: Run) -> Rows:
+    """Return a row for each output: errors, widths and identifiability."""
     info, unit = run.info, run.info.units.output
-    heads = [label(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")]
+    heads = [
+        label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")
+    ]
     what = "joint" if info.joints == run.outputs else "output"
     rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
-    for i, (name, edges) in enumerate(zip(run.outputs, widths(run), strict=True)):
+    for i, (name, edges) in enumerate(zip(run.outputs, final_width_rows(run), strict=True)):
         tracking = ""
         if i in info.tracked:
             missed = run.z[:, i] - run.r[:, info.tracked.index(i)]
-            tracking = f"{_rms(missed[run.last]):.4g}"
-        cells = [tracking, f"{_rms((run.z - run.z_hat)[run.last, i]):.4g}"]
+            tracking = f"{_root_mean_square(missed[run.last]):.4g}"
+        cells = [tracking, f"{_root_mean_square((run.z - run.z_hat)[run.last, i]):.4g}"]
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
@@ -420,8 +430,8 @@ def _rows(run: Run) -> Rows:
     return rows
 
 
-def _proof(run: Run) -> dict[str, Any]:
-    """What is proved of a run, and how exactly it was integrated."""
+def _describe_proof(run: Run) -> dict[str, Any]:
+    """Return the certificate and the integration error of a run, as text by name."""
     shown: dict[str, Any] = {}
     certified, rise = run.info.certified, run.largest_rise_of_V
     if certified is False:
@@ -437,8 +447,10 @@ def _proof(run: Run) -> dict[str, Any]:
     return shown
 
 
-def _identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
-    """What the readings tell of the widths of one output; of several, why not all of them."""
+def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
+    """Return the identifiability of a single output's widths; for several outputs, the reasons
+    against.
+    """
     if len(outputs) == 1:
         verdict = info.identifiable[0]
         return {"identifiable": "; ".join([format_yes_no(verdict), *verdict["reasons"]])}

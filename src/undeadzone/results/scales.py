@@ -1,4 +1,4 @@
-"""The plant's own sizes of its signals, by which a run is judged to have diverged."""
+"""Scales of the plant's signals, the basis of the divergence test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMIT: Final = 1e12  # times its scale, beyond which a signal has diverged
 
 
 class Scales(NamedTuple):
-    """Sizes of the plant's own, so that no choice of units makes a run diverge.
+    """Scales of the plant's signals, so that the choice of units cannot make a run diverge.
 
     Attributes:
         states: of the states (n).
@@ -30,7 +30,8 @@ class Scales(NamedTuple):
 
 
 def plant_scales(problem: Problem) -> Scales:
-    """Return the scales of a problem; those of states and inputs are 1 if the plant is nonlinear.
+    """Return the scales of a problem; states and inputs have scale 1 if the plant is
+    nonlinear.
 
     That of the outputs is the largest of widths, reference and start; of a state that with which
     the outputs show about theirs, of the inputs that which makes such states.
@@ -49,8 +50,10 @@ def plant_scales(problem: Problem) -> Scales:
     return Scales(states, output, float((states / state_response_sizes(A, B)).max()))
 
 
-def shares(scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats) -> Floats:
-    """Return the largest signal of each sample in its scale (N); not below `LIMIT`: it has
+def largest_scaled_signals(
+    scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats
+) -> Floats:
+    """Return the largest signal of each sample in its scale (N) [1]; not below `LIMIT`: it has
     diverged.
 
     Args:

@@ -1,7 +1,7 @@
-"""A sheet: numbers of a result, each said once for JSON, a terminal, a notebook and a page.
+"""Numbers of a result, each defined once for JSON, a terminal, a notebook and a page.
 
 A row has a value and whatever is known of it. JSON takes key and value; a terminal and a notebook
-take label and `words`; a page takes title and `cell`, as `report.html.estimates` sets them.
+take label and `words`; a page takes title and `cell`, as `report.html.estimates_table` sets them.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from undeadzone.util.arrays import finite
-from undeadzone.util.text import label, with_interval, with_unit
+from undeadzone.util.arrays import to_json_value
+from undeadzone.util.text import append_unit, format_with_interval, label_with_unit
 
 
 class Row(NamedTuple):
-    """A number of a result.
+    """Number of a result.
 
     Attributes:
         label: what a terminal calls it.
@@ -46,29 +46,31 @@ class Row(NamedTuple):
 
     @property
     def value_with_interval(self) -> str:
-        """Return the value, with its 95 % interval where that is known; nan where there is none."""
+        """Return the value as text, with its 95 % interval if known; nan if missing."""
         if self.std is None:
-            return number(finite(self.value), self.form)
-        return with_interval(finite(self.value), finite(self.std), self.least, self.most)
+            return format_number(to_json_value(self.value), self.form)
+        return format_with_interval(
+            to_json_value(self.value), to_json_value(self.std), self.least, self.most
+        )
 
     @property
-    def words(self) -> str:
-        """Return the value with all that is known of it."""
+    def value_in_words(self) -> str:
+        """Return the value as text with interval, unit, true value and note."""
         truth = "" if self.true is None else f" (true {self.true:.6g})"
-        return f"{with_unit(self.value_with_interval, self.unit)}{truth}{self.note}"
+        return f"{append_unit(self.value_with_interval, self.unit)}{truth}{self.note}"
 
     @property
-    def cell(self) -> Any:
-        """Return the value as a page has it: a number, or words where its interval is known."""
+    def page_cell(self) -> Any:
+        """Return the value for a page: a number, or text if its interval is known."""
         return self.value if self.std is None else self.value_with_interval
 
     @property
-    def head(self) -> str:
+    def title_with_unit(self) -> str:
         """Return the title with the unit."""
-        return label(self.title, self.unit)
+        return label_with_unit(self.title, self.unit)
 
 
-def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
+def format_number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
     """Return a number as text.
 
     Args:
@@ -79,8 +81,8 @@ def number(value: float | None, form: str = ".4g", none: str = "nan") -> str:
     return none if value is None else format(value, form)
 
 
-def within(value: str, low: str, high: str) -> str:
-    """Return a value and its interval as text; an end that is not known is empty."""
+def format_bounds(value: str, low: str, high: str) -> str:
+    """Return a value and its interval as text; an unknown end is an empty text."""
     if not low and not high:
         return value
     if not high:
@@ -90,29 +92,30 @@ def within(value: str, low: str, high: str) -> str:
     return value if value == low == high else f"{value} [{low}, {high}]"
 
 
-def in_text(rows: Iterable[Row]) -> dict[str, str]:
-    """Return rows as a terminal and a notebook show them."""
-    return {row.label: row.words for row in rows}
+def rows_to_text(rows: Iterable[Row]) -> dict[str, str]:
+    """Return rows for a terminal or a notebook, text by label."""
+    return {row.label: row.value_in_words for row in rows}
 
 
-def in_json(rows: Iterable[Row]) -> dict[str, float | None]:
-    """Return rows as a summary has them."""
+def rows_to_json(rows: Iterable[Row]) -> dict[str, float | None]:
+    """Return rows for a summary, values by key."""
     return {row.key: row.value for row in rows}
 
 
-def on_page(rows: Iterable[Row]) -> dict[str, Any]:
-    """Return rows as a page shows them one below the other."""
-    return {row.head: row.cell for row in rows}
+def rows_to_page(rows: Iterable[Row]) -> dict[str, Any]:
+    """Return rows for a page, cells by title."""
+    return {row.title_with_unit: row.page_cell for row in rows}
 
 
-def of_each(
+def build_width_rows(
     final: Mapping[str, Any],
     name: str,
     unit: str,
     true: Sequence[float] | None = None,
     ranges: Sequence[Sequence[float]] = (),
 ) -> list[list[Row]]:
-    """What is found of each output's zone or play, or of each actuator; nothing of none.
+    """Return the rows of each output's zone or play, or of each actuator; empty if not
+    estimated.
 
     Args:
         final: last values by name, a number or one each: of right and left, of their deviations
@@ -131,17 +134,17 @@ def of_each(
     ends = (
         np.reshape(ranges, (-1, 2, 2)).tolist() if ranges else [[[0.0, math.inf]] * 2] * len(found)
     )
-    return [_of_one(name, *one, unit) for one in zip(found, truths, ends, strict=False)]
+    return [_build_side_rows(name, *one, unit) for one in zip(found, truths, ends, strict=False)]
 
 
-def _of_one(
+def _build_side_rows(
     name: str,
     found: Sequence[float],
     true: Sequence[float] | None,
     ranges: Sequence[Sequence[float]],
     unit: str,
 ) -> list[Row]:
-    """What is found of one zone, play or actuator; of gaps their sum too, which is told better.
+    """Return the rows of a zone, play or actuator; for gaps with their more accurate sum.
 
     Args:
         name: of the widths.

@@ -1,4 +1,4 @@
-"""The signals of a result: one table of their names, units and columns, and what is made of it."""
+"""Signals of a result: a table of names, units and columns, with functions on it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate, list_rejected_assumptions
 from undeadzone.scenario.schema import Units
-from undeadzone.util.arrays import Floats, one_or_list
+from undeadzone.util.arrays import Floats, to_scalar_or_list
 
 
 class Signal(NamedTuple):
-    """A signal of a result, one row per sample.
+    """Signal of a result, one row per sample.
 
     Attributes:
         unit: whose it has: that of an output, input or state, of a state's rate; or the unit.
@@ -29,8 +29,10 @@ class Signal(NamedTuple):
     final: type | None = None
 
 
-def _estimated_signals() -> dict[str, Signal]:
-    """Return the signals that observers give; a run calls b what an estimate calls actuator."""
+def _build_estimated_signals() -> dict[str, Signal]:
+    """Return the signals that observers estimate; b in a run is called actuator in an
+    estimate.
+    """
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
@@ -43,7 +45,7 @@ def _estimated_signals() -> dict[str, Signal]:
     return found
 
 
-ESTIMATED: Final = _estimated_signals()
+ESTIMATED: Final = _build_estimated_signals()
 SIGNALS: Final = {
     "t": Signal("s"),
     **dict.fromkeys(("x", "x_smooth", "x_smooth_std"), Signal("state")),
@@ -70,7 +72,7 @@ NOT_OF_LOGS: Final = ("consistent", "refused", "restarts")
 
 
 class Layout(NamedTuple):
-    """Which signals a kind of result may have, in the order of its files.
+    """Signals that a kind of result may have, in the order of its files.
 
     Attributes:
         names: of all of them.
@@ -81,25 +83,27 @@ class Layout(NamedTuple):
     required: tuple[str, ...]
 
 
-def _layout(measured: tuple[str, ...], driven: tuple[str, ...], further: tuple[str, ...]) -> Layout:
-    """Return a layout: what is measured, what every observer gives, what drives, and what else may
-    be.
+def _build_layout(
+    measured: tuple[str, ...], driven: tuple[str, ...], further: tuple[str, ...]
+) -> Layout:
+    """Return a layout: measured signals, estimates of every observer, inputs, and optional
+    signals.
     """
     required = (*measured, *EVERY, *driven)
     return Layout((*required, *further), required)
 
 
-RUN: Final = _layout(
+RUN: Final = _build_layout(
     ("t", "x", "z", "y", "side"),
     ("u", "r"),
     ("V", *FURTHER, "level", "tip", "tip_hat", "tip_r", "poses"),
 )
 _REST: Final = [name for name in FURTHER if name not in (*DEVIATIONS, *NOT_OF_LOGS)]
-LOG: Final = _layout(("t", "y", "u", "side"), (), (*DEVIATIONS, "B", *_REST, *SMOOTHED))
+LOG: Final = _build_layout(("t", "y", "u", "side"), (), (*DEVIATIONS, "B", *_REST, *SMOOTHED))
 
 
 class Signals:
-    """The signals of a result by name; one that it has not is None.
+    """Signals of a result by name; a missing signal is None.
 
     Args:
         layout: which there may be.
@@ -138,8 +142,8 @@ class Signals:
         return columns
 
     def parameters(self, names: Iterable[str]) -> dict[str, dict[str, float]]:
-        """Return the last estimates of parameters, and their deviations; nothing where there are
-        none.
+        """Return the last estimates of parameters with their deviations; empty without
+        estimates.
 
         Args:
             names: of the parameters.
@@ -150,8 +154,8 @@ class Signals:
         return {name: {"estimate": float(value), "std": float(std)} for name, value, std in ends}
 
 
-def attribute(result: Any, name: str) -> Any:
-    """Return a signal by name, None where there is none; `__getattr__` of results.
+def get_signal(result: Any, name: str) -> Any:
+    """Return a signal by name, None if the result lacks it; `__getattr__` of results.
 
     Raises:
         AttributeError: such a result cannot have it.
@@ -161,13 +165,13 @@ def attribute(result: Any, name: str) -> Any:
     return result.signals.arrays.get(name)
 
 
-def attributes(result: Any) -> list[str]:
-    """Return the names of attributes, signals among them; `__dir__` of results."""
+def list_attributes(result: Any) -> list[str]:
+    """Return the names of attributes, signals included; `__dir__` of results."""
     return [*object.__dir__(result), *type(result).layout.names]
 
 
-def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
-    """Return the last rows of signals, for a summary; nothing of those that there are not.
+def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
+    """Return the last rows of signals for a summary; missing signals are left out.
 
     Args:
         signals: by name.
@@ -176,12 +180,12 @@ def final(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
     numbers: dict[str, Any] = {}
     for name in names:
         if name in signals:
-            numbers |= _final(SIGNALS[name], signals[name][-1])
+            numbers |= _last_row(SIGNALS[name], signals[name][-1])
     return numbers
 
 
-def claims_at_end(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
-    """Return the names of claims that the last readings refute, for a summary; nothing of no
+def final_rejections(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
+    """Return the names of the assumptions that the last readings reject; empty without a
     filter.
     """
     if "claims" not in signals:
@@ -191,17 +195,17 @@ def claims_at_end(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
     }
 
 
-def _final(signal: Signal, last: Floats) -> dict[str, Any]:
+def _last_row(signal: Signal, last: Floats) -> dict[str, Any]:
     """Return the last row of a signal, by the names of its columns."""
     if signal.final is not float:
         assert signal.final is not None
         return {signal.columns[0]: signal.final(last.sum())}
     parts = len(signal.columns)
-    return {name: one_or_list(last[k::parts]) for k, name in enumerate(signal.columns)}
+    return {name: to_scalar_or_list(last[k::parts]) for k, name in enumerate(signal.columns)}
 
 
-def ending(kind: type, but: Iterable[str] = ()) -> list[str]:
-    """Return the estimated signals whose last rows stand in a summary as this.
+def list_summary_signals(kind: type, but: Iterable[str] = ()) -> list[str]:
+    """Return the estimated signals whose last rows appear in a summary in a given form.
 
     Args:
         kind: float: a number each; int: their sum; bool: whether they hold.
@@ -210,8 +214,8 @@ def ending(kind: type, but: Iterable[str] = ()) -> list[str]:
     return [name for name in ESTIMATED if ESTIMATED[name].final is kind and name not in but]
 
 
-def of_estimate(estimate: Estimate) -> dict[str, Floats]:
-    """Return the signals that an observer gave.
+def signals_from_estimate(estimate: Estimate) -> dict[str, Floats]:
+    """Return the signals that an observer estimated, by name.
 
     Args:
         estimate: a row for each sample in each field.
@@ -221,22 +225,23 @@ def of_estimate(estimate: Estimate) -> dict[str, Floats]:
     """
     found = {}
     for name, signal in ESTIMATED.items():
-        if all(getattr(estimate, field).size for field in _telling(signal)):
+        if all(getattr(estimate, field).size for field in _fields_to_require(signal)):
             parts = [getattr(estimate, field) for field in signal.fields]
             found[name] = np.stack(parts, axis=2).reshape(len(parts[0]), -1)
     return found
 
 
-def _telling(signal: Signal) -> list[str]:
-    """Return the fields that tell whether a signal is estimated: gaps without a deviation are
-    known.
+def _fields_to_require(signal: Signal) -> list[str]:
+    """Return the fields that must be estimated for a signal.
+
+    Gaps without a deviation are known.
     """
     deviations = [f"{field}_std" for field in signal.fields if field in Estimate._field_defaults]
     return [*signal.fields, *(name for name in deviations if name in QUANTITIES)]
 
 
-def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Floats]:
-    """Return the signals whose columns these are.
+def signals_from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Floats]:
+    """Return the signals of given columns.
 
     Args:
         columns: as `Signals.columns` names them.
@@ -253,8 +258,8 @@ def from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[str, Flo
     return arrays
 
 
-def unit_of(name: str, units: Units) -> str:
-    """Return the unit of a signal, `x`, or of one of its columns, `x[0]`.
+def signal_unit(name: str, units: Units) -> str:
+    """Return the unit of a signal, `x`, or of a column, `x[0]`.
 
     Args:
         name: of either.
@@ -263,10 +268,10 @@ def unit_of(name: str, units: Units) -> str:
     head, _, index = name.partition("[")
     of_columns = (signal for signal in SIGNALS.values() if head in signal.columns)
     unit = SIGNALS.get(head, next(of_columns, Signal("output"))).unit
-    return of_kind(unit, int(index.rstrip("]") or 0), units)
+    return quantity_unit(unit, int(index.rstrip("]") or 0), units)
 
 
-def of_kind(kind: str, index: int, units: Units) -> str:
+def quantity_unit(kind: str, index: int, units: Units) -> str:
     """Return the unit of an entry of a quantity.
 
     Args:
@@ -281,7 +286,7 @@ def of_kind(kind: str, index: int, units: Units) -> str:
 
 
 def output_names(joints: Sequence[str], count: int) -> list[str]:
-    """Return the names of outputs: an arm's joints where it has one for each, else numbers.
+    """Return the names of outputs: an arm's joints if the counts agree, else numbers.
 
     Of encoders at links and motors those at the motors come last.
     """

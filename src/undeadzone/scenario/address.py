@@ -18,11 +18,11 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.registry import decode
+from undeadzone.registry import decode_field
 from undeadzone.scenario import ensemble_table, tune_table
 from undeadzone.scenario.messages import CHOOSERS, explain
 from undeadzone.util.arrays import Array, Floats
-from undeadzone.util.toml import tables
+from undeadzone.util.toml import to_tables
 
 TUNABLE: Final = ("observer", "controller")  # the tables whose numbers have addresses
 TABLES: Final = (ensemble_table.TABLE, tune_table.TABLE)  # those whose keys may be addresses
@@ -218,7 +218,7 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
             fields[name] = change
         elif name == LAST and isinstance(change, Mapping) and "like" in change:
             observer: Any = fields.get("observer", child(scenario, "observer"))
-            whole = alike(change, tables(observer))
+            whole = alike(change, to_tables(observer))
             fields[name] = _merge_and_check(None, name, whole, hints[name], type(scenario))
         else:
             before = child(scenario, name)
@@ -295,7 +295,7 @@ def _merge_and_check(before: Any, name: str, change: Any, annotation: Any, kind:
     require_finite(after, name)
     try:
         after = with_entries({name: after})[name]
-        return msgspec.convert(after, annotation, dec_hook=decode)
+        return msgspec.convert(after, annotation, dec_hook=decode_field)
     except msgspec.ValidationError as error:
         message = f"{error} - at `$.{name}`"
         raise InputError(explain(message, {name: after}, kind)) from None
@@ -304,12 +304,12 @@ def _merge_and_check(before: Any, name: str, change: Any, annotation: Any, kind:
 def _merge_tables(before: Any, change: Any) -> Any:
     """Return a value as TOML would give it: tables merged key by key, anything else replaced."""
     if isinstance(change, msgspec.Struct):
-        return tables(change)
+        return to_tables(change)
     if isinstance(change, np.ndarray | np.number):
         return change.tolist()
     if not isinstance(change, Mapping):
         return change
-    present = tables(before) if isinstance(before, msgspec.Struct) else before
+    present = to_tables(before) if isinstance(before, msgspec.Struct) else before
     if not isinstance(present, Mapping) or _is_another(present, change):
         present = {}
     merged = dict(present)

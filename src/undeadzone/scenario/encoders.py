@@ -51,7 +51,7 @@ def with_gaps(zone: Zone, system: System) -> Zone:
     """
     if system.gears is None:
         return zone
-    right, left = (np.asarray(each).ravel() for each in system.gears.widths(system.params))
+    right, left = (np.asarray(each).ravel() for each in system.gears.gap_widths(system.params))
     return msgspec.structs.replace(zone, kind="gears", right=right, left=left)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.scenario.address_table import Table
-from undeadzone.util.arrays import LARGEST, Floats, scalar
+from undeadzone.util.arrays import LARGEST, Floats, require_number
 
 POSITIVE: Final = float(np.finfo(float).tiny)
 KINDS: Final = ("uniform", "normal", "log_normal")
@@ -152,7 +152,7 @@ def _numbers(address: str, distribution: Distribution) -> tuple[str, float, floa
     pair = getattr(distribution, kind)
     if np.shape(pair) != (2,):
         raise InputError(f"{key}.{kind}: expected two numbers, found {pair!r:.60}")
-    first, second = (scalar(f"{key}.{kind}[{i}]", number) for i, number in enumerate(pair))
+    first, second = (require_number(f"{key}.{kind}[{i}]", number) for i, number in enumerate(pair))
     return kind, first, second
 
 

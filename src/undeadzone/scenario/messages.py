@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from undeadzone.errors import InputError
-from undeadzone.registry import CATALOGUES
+from undeadzone.registry import REGISTRIES
 
 _CURES = {  # what may stand for a part, where its type does not say it
     "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
@@ -113,7 +113,7 @@ def require_kind(key: str, value: Any, kind: Any) -> None:
             looked at.
     """
     kinds = typing.get_args(kind) or (kind,)
-    tables = [each for each in kinds if each in CATALOGUES or hasattr(each, "__struct_fields__")]
+    tables = [each for each in kinds if each in REGISTRIES or hasattr(each, "__struct_fields__")]
     if tables and not any(_is_of(value, each) for each in kinds):
         cure = _CURES.get(key, f"uz.{tables[0].__name__}(...)")
         found = f"the class {value.__name__}" if isinstance(value, type) else type(value).__name__
@@ -122,10 +122,10 @@ def require_kind(key: str, value: Any, kind: Any) -> None:
 
 def _is_of(value: Any, kind: Any) -> bool:
     """Return whether a part is of a kind; the options of an observer are no controller's."""
-    if kind not in CATALOGUES or isinstance(value, type) or not isinstance(value, kind):
+    if kind not in REGISTRIES or isinstance(value, type) or not isinstance(value, kind):
         return isinstance(value, kind) and not isinstance(value, type)
-    others = [one for each, one in CATALOGUES.items() if each is not kind]
-    return not any(one.has(type(value)) for one in others)
+    others = [one for each, one in REGISTRIES.items() if each is not kind]
+    return not any(one.has_options(type(value)) for one in others)
 
 
 def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
@@ -222,8 +222,8 @@ def _entry(key: str, data: Any) -> str:
 
 def _structs(annotation: Any) -> _Structs:
     """Return the structs that an annotation allows."""
-    if annotation in CATALOGUES:
-        return [*CATALOGUES[annotation].every()]
+    if annotation in REGISTRIES:
+        return [*REGISTRIES[annotation].list_options()]
     if isinstance(annotation, type) and issubclass(annotation, msgspec.Struct):
         return [annotation]
     structs: _Structs = []

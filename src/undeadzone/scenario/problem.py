@@ -33,8 +33,8 @@ from undeadzone.observers.filtering.actuator import build_with_actuator
 from undeadzone.observers.filtering.motion_detection import require_branch_observer
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.region import box
-from undeadzone.plants.system import System, pace
+from undeadzone.plants.region import build_box
+from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.encoders import require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
@@ -49,7 +49,7 @@ from undeadzone.scenario.time_step import (
 )
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
 CHECKED = 0.01  # [s] between the instants at which a path is checked
 
@@ -101,7 +101,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     """
     true, flow, x0 = systems(scenario)
     step, steps = require_steps(scenario, true)
-    rate = pace(flow.linear)
+    rate = plant_pace(flow.linear)
     sensor = resolve_sensor(scenario.sensor, true, step, rate)
     _require_numbers(sensor)
     tracked = _tracked_outputs(scenario, true)
@@ -135,7 +135,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if model.Ts is None:
         require_fine_step(plant, model, observer, controller, step)
     if scenario.region is not None:
-        box(scenario.region, model)
+        build_box(scenario.region, model)
     return Problem(
         with_units(scenario, true),
         plant,
@@ -322,7 +322,7 @@ def plant_of_model(scenario: Scenario) -> Plant:
         raise InputError(
             "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
         )
-    linear = plants.matrices(plant)
+    linear = plants.linear_matrices(plant)
     return Plant(**{**linear._asdict(), **_given_keys(model, "ABC")}, delay=plant.delay)
 
 
@@ -384,8 +384,10 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
     if signal is None:
         return None
     if isinstance(signal, signals.Random):
-        nonnegative("disturbance.rms", signal.rms, inputs, f"one per input, there are {inputs}")
-        scalar("disturbance.correlation_time", signal.correlation_time, above=0.0)
+        require_nonnegative(
+            "disturbance.rms", signal.rms, inputs, f"one per input, there are {inputs}"
+        )
+        require_number("disturbance.correlation_time", signal.correlation_time, above=0.0)
         return None
     return signals.build_exosystem("disturbance", signal, inputs)
 
@@ -428,7 +430,11 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
         task = signals.build_exosystem("reference", reference, len(body.chain.plane), task=True)
         params, posture = model.joints(model.params, start)
         swing = getattr(reference, "swing", None)
-        begin = 0.0 if swing is None else scalar("reference.swing.until", swing.until, above=0.0)
+        begin = (
+            0.0
+            if swing is None
+            else require_number("reference.swing.until", swing.until, above=0.0)
+        )
         path = joint_path(body, params, task, max(duration - begin, step), step, posture)
         if swing is not None:
             path = after_swing(path, swing)

@@ -18,13 +18,13 @@ from typing import Any, Final
 import msgspec
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.registry import decode
+from undeadzone.registry import decode_field
 from undeadzone.scenario.address import alike, require_finite, with_entries
 from undeadzone.scenario.messages import explain
 from undeadzone.scenario.schema import Scenario
-from undeadzone.util.arrays import matlab
-from undeadzone.util.earlier import translated
-from undeadzone.util.files import LARGEST_TABLE, path_of, read_bytes, read_text, reason
+from undeadzone.util.arrays import parse_matlab_matrix
+from undeadzone.util.earlier import translate_scenario
+from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_bytes, read_text, to_path
 from undeadzone.util.toml import require_short_keys
 
 # What people write, by what such a line holds, and what to write instead.
@@ -60,7 +60,7 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
         InputError: with the key, what was found and what to do; also for a file outside of
             `confine`.
     """
-    path = path_of(path)
+    path = to_path(path)
     with _naming(path):
         scenario = parse(_text(path), path.parent)
     return scenario if confine is None else confine_files(scenario, Path(confine))
@@ -82,7 +82,7 @@ def read_for_logs(
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do.
     """
-    path = path_of(path)
+    path = to_path(path)
     with _naming(path):
         scenario = convert(_complete_tables(_tables(_text(path))), path.parent)
     return scenario if confine is None else confine_files(scenario, Path(confine))
@@ -133,7 +133,7 @@ def _text(path: Path) -> str:
     except UnicodeDecodeError:
         raise FileError(f"{path}: cannot read: not UTF-8 text; save it as UTF-8") from None
     except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
 
 
 @contextmanager
@@ -188,8 +188,8 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         data = with_entries(data)
         if "compare" in data:
             data["compare"] = alike(data["compare"], data.get("observer"))
-        data = translated(data)
-        scenario = msgspec.convert(data, Scenario, dec_hook=decode)
+        data = translate_scenario(data)
+        scenario = msgspec.convert(data, Scenario, dec_hook=decode_field)
     except RecursionError:
         raise InputError("the tables are nested too deeply for a scenario") from None
     except msgspec.ValidationError as error:
@@ -303,7 +303,7 @@ def _as_lists(line: str) -> str:
     if assignment is None:
         return ""
     try:
-        rows = matlab(assignment[2])
+        rows = parse_matlab_matrix(assignment[2])
     except ValueError:
         return ""
     listed = [f"[{', '.join(f'{entry:g}' for entry in row)}]" for row in rows]

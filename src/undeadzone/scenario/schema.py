@@ -33,8 +33,8 @@ from undeadzone.scenario.messages import require_kind
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.signals.exosystem import Disturbance, Signal
 from undeadzone.util import shown, toml
-from undeadzone.util.arrays import Array, array
-from undeadzone.util.earlier import CLAIMS, SCHEMA
+from undeadzone.util.arrays import Array, require_array
+from undeadzone.util.earlier import ASSUMPTION_TABLES, SCHEMA
 from undeadzone.util.files import write_text
 
 VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
@@ -69,11 +69,11 @@ def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -
     """
     gears = getattr(plant.arm, "gears", None)
     if gears is not None:
-        return OBSERVERS.create(
+        return OBSERVERS.create_options(
             "contact", half=[0.0, VAGUE * max(float(np.max(gears.half)), SMALL)]
         )
     claims = vague_claims(sensor) if declared is None else declared
-    return OBSERVERS.create("auto", **claims.claims())
+    return OBSERVERS.create_options("auto", **claims.claims())
 
 
 def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
@@ -84,10 +84,10 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
         sampled: whether time is sampled.
     """
     if plant.arm is None:
-        return CONTROLLERS.create("state_feedback")
+        return CONTROLLERS.create_options("state_feedback")
     if not isinstance(plant.arm, ElasticJoint):
-        return CONTROLLERS.create("computed_torque", bandwidth=BANDWIDTH)
-    return CONTROLLERS.create("lqr" if sampled else "state_feedback")
+        return CONTROLLERS.create_options("computed_torque", bandwidth=BANDWIDTH)
+    return CONTROLLERS.create_options("lqr" if sampled else "state_feedback")
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -216,10 +216,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             if value is not None or field.default is not None:
                 require_kind(field.name, value, field.type)
         for side in ("right", "left"):
-            array(f"sensor.{side}", getattr(self.sensor, side))
+            require_array(f"sensor.{side}", getattr(self.sensor, side))
         if self.schema not in (None, SCHEMA):
             raise InputError(f"schema: expected {SCHEMA}, found {self.schema!r:.40}")
-        if any(_claims_centre(getattr(self, name)) for name in CLAIMS):
+        if any(_claims_centre(getattr(self, name)) for name in ASSUMPTION_TABLES):
             msgspec.structs.force_setattr(
                 self, "schema", SCHEMA
             )  # for the file that it is saved in
@@ -269,15 +269,15 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             FileError: it cannot be written.
             InputError: something in it that no text can hold, such as a Python function.
         """
-        return write_text(toml.dumps(self), path)
+        return write_text(toml.to_toml(self), path)
 
     def __str__(self) -> str:
         """Return the scenario as TOML."""
         try:
-            return toml.dumps(self)
+            return toml.to_toml(self)
         except InputError:
             return repr(self)
 
     def _repr_html_(self) -> str:
         """Return the same, for a notebook."""
-        return shown.source(str(self))
+        return shown.source_to_html(str(self))

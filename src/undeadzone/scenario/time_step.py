@@ -12,7 +12,7 @@ from undeadzone.linalg.poles import slowest_growth_rate
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Exosystem
-from undeadzone.util.arrays import scalar, seed_of
+from undeadzone.util.arrays import require_number, require_seed
 
 STABLE: Final = 2.5  # largest |pole| times a Runge-Kutta step: beyond about 2.78 it is unstable
 MEMORY: Final = 4e9  # [bytes] of signals that one run may hold
@@ -27,12 +27,12 @@ def require_steps(scenario: Scenario, plant: System) -> tuple[float, int]:
         InputError: order, seed or duration cannot be; or, as ShapeError, the units.
     """
     simulation = scenario.simulation
-    duration = scalar("simulation.duration", simulation.duration, above=0.0)
-    step = scalar("simulation.step", simulation.step, above=0.0)
+    duration = require_number("simulation.duration", simulation.duration, above=0.0)
+    step = require_number("simulation.step", simulation.step, above=0.0)
     if step > duration:
         raise StepError(f"simulation.step: {step:g} s is longer than the duration, {duration:g} s")
     _require_order(simulation, plant)
-    seed_of("simulation.seed", simulation.seed)
+    require_seed("simulation.seed", simulation.seed)
     _require_memory(duration / step, plant)
     names = scenario.units.state
     if not isinstance(names, str) and len(names) != plant.n:

@@ -15,7 +15,7 @@ from undeadzone.observers.contact import MOST_COUPLED
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import fill_words, json_line
+from undeadzone.util.text import escape_json_controls, fill_words
 
 SWING = {"revolute": 0.3, "continuous": 0.3, "prismatic": 0.05}  # [rad or m] to each side
 SHARE = 0.8  # of the way to a limit, and of the greatest speed
@@ -107,7 +107,7 @@ def _units(joints: list[Joint], bodies: int) -> dict[str, str]:
 
 def _text(words: str) -> str:
     """Return a text in TOML."""
-    return json_line(json.dumps(words, ensure_ascii=False))
+    return escape_json_controls(json.dumps(words, ensure_ascii=False))
 
 
 def _texts(many: Sequence[str]) -> str:

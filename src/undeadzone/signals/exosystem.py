@@ -19,8 +19,8 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic, build_curve
-from undeadzone.util.arrays import Array, Floats, scalar, vector
-from undeadzone.util.files import LARGEST_TABLE, read_text, reason
+from undeadzone.util.arrays import Array, Floats, require_number, require_vector
+from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_text
 from undeadzone.util.toml import Kind
 
 Derivatives = Callable[[Floats], Floats]
@@ -227,7 +227,7 @@ def piecewise_exosystem(
 
 def _require_per_channel(key: str, value: Array, channels: int) -> Floats:
     """Return a number per channel, or raise."""
-    return vector(key, value, channels, f"one per channel, there are {channels}")
+    return require_vector(key, value, channels, f"one per channel, there are {channels}")
 
 
 def _tones_exosystem(
@@ -242,7 +242,7 @@ def _tones_exosystem(
     for name, tone in zip(keys, tones, strict=True):
         amplitude = _require_per_channel(f"{name}.amplitude", tone.amplitude, channels)
         phase = _require_per_channel(f"{name}.phase", tone.phase, channels)
-        omega = 2 * np.pi * scalar(f"{name}.frequency", tone.frequency, above=0.0)
+        omega = 2 * np.pi * require_number(f"{name}.frequency", tone.frequency, above=0.0)
         omegas.append(omega)
         gains += [amplitude * np.cos(phase), amplitude * np.sin(phase)]
     if constant.any():
@@ -266,7 +266,7 @@ def _step_exosystem(key: str, signal: Step, channels: int) -> Exosystem:
     """Return the exosystem of a step, constant on either side."""
     before = _require_per_channel(f"{key}.before", signal.before, channels)
     after = _require_per_channel(f"{key}.amplitude", signal.amplitude, channels)
-    time = scalar(f"{key}.time", signal.time)
+    time = require_number(f"{key}.time", signal.time)
     return Exosystem(
         np.zeros((channels, channels)),
         np.eye(channels),
@@ -278,8 +278,8 @@ def _step_exosystem(key: str, signal: Step, channels: int) -> Exosystem:
 def _trapezoid_exosystem(key: str, signal: Trapezoid, channels: int) -> Exosystem:
     """Return the exosystem of a trapezoid."""
     amplitude = _require_per_channel(f"{key}.amplitude", signal.amplitude, channels)
-    rise = scalar(f"{key}.rise", signal.rise, above=0.0)
-    hold = scalar(f"{key}.hold", signal.hold, least=0.0)
+    rise = require_number(f"{key}.rise", signal.rise, above=0.0)
+    hold = require_number(f"{key}.hold", signal.hold, least=0.0)
     corners = np.cumsum([0.0, rise, hold, 2 * rise, hold, rise])
     exo = piecewise_exosystem(trapezoid_derivatives(corners, amplitude), channels)
     return exo._replace(period=float(corners[-1]), corners=corners)
@@ -381,7 +381,7 @@ def _read_cells(key: str, path: str) -> list[list[str]]:
     except UnicodeDecodeError:
         raise FileError(f"{key}.path: cannot read {path}: not UTF-8 text") from None
     except (OSError, ValueError, csv.Error) as error:
-        raise FileError(f"{key}.path: cannot read {path}: {reason(error)}") from None
+        raise FileError(f"{key}.path: cannot read {path}: {failure_reason(error)}") from None
 
 
 def _require_sample(where: str, row: list[str], channels: int) -> None:

@@ -13,7 +13,15 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, series, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_array,
+    require_matrix,
+    require_number,
+    require_series,
+    require_vector,
+)
 from undeadzone.util.toml import Kind
 
 Space = Literal["joint", "task"]
@@ -142,13 +150,13 @@ def build_curve(key: str, path: Path, channels: int) -> Curve:
             return _quintic_curve(key, path, channels)
         case Circle():
             across, along = _plane_directions(key, path, channels)
-            radius = scalar(f"{key}.radius", path.radius, above=0.0)
-            phase = scalar(f"{key}.phase", path.phase)
+            radius = require_number(f"{key}.radius", path.radius, above=0.0)
+            phase = require_number(f"{key}.phase", path.phase)
             gains = radius * np.exp(1j * phase) * (across - 1j * along)[None]
             return _turning_curve(key, path, np.array([1]), gains)
         case FigureEight():
-            width = scalar(f"{key}.width", path.width, above=0.0)
-            height = scalar(f"{key}.height", path.height, above=0.0)
+            width = require_number(f"{key}.width", path.width, above=0.0)
+            height = require_number(f"{key}.height", path.height, above=0.0)
             across, along = _plane_directions(key, path, channels)
             gains = -0.5j * np.stack([width * across, height * along])
             return _turning_curve(key, path, np.array([1, 2]), gains)
@@ -176,11 +184,11 @@ def _quintic_curve(key: str, path: Quintic, channels: int) -> Curve:
 
 def _require_points(key: str, path: Quintic, channels: int) -> tuple[Floats, Floats]:
     """Return points (K x channels) and times (K) [s], or raise."""
-    points = array(f"{key}.points", path.points)
+    points = require_array(f"{key}.points", path.points)
     if points.ndim == channels == 1:
         points = points[:, None]
-    points = matrix(f"{key}.points", points, None, channels, "a row per point")
-    times = series(f"{key}.times", path.times)
+    points = require_matrix(f"{key}.points", points, None, channels, "a row per point")
+    times = require_series(f"{key}.times", path.times)
     if times.size != len(points) or times.size < 2:
         raise ShapeError(
             f"{key}.times: expected one time per point and two points or more, "
@@ -210,7 +218,7 @@ def _plane_directions(key: str, path: Circle | FigureEight, channels: int) -> tu
             raise InputError(f"{key}.normal: has no meaning in two coordinates; remove it")
         return np.array([1.0, 0.0]), np.array([0.0, 1.0])
     z = np.array([0.0, 0.0, 1.0])
-    normal = z if path.normal is None else vector(f"{key}.normal", path.normal, 3)
+    normal = z if path.normal is None else require_vector(f"{key}.normal", path.normal, 3)
     if not normal.any():
         raise InputError(f"{key}.normal: must not be zero")
     normal = normal / np.linalg.norm(normal)
@@ -236,9 +244,9 @@ def _turning_curve(
         harmonics: multiples of the angle (K).
         gains: complex, of the harmonics (K x channels).
     """
-    centre = vector(f"{key}.centre", path.centre, gains.shape[1], "one per coordinate")
-    period = scalar(f"{key}.period", path.period, above=0.0)
-    ramp = period / 4 if path.ramp is None else scalar(f"{key}.ramp", path.ramp, least=0.0)
+    centre = require_vector(f"{key}.centre", path.centre, gains.shape[1], "one per coordinate")
+    period = require_number(f"{key}.period", path.period, above=0.0)
+    ramp = period / 4 if path.ramp is None else require_number(f"{key}.ramp", path.ramp, least=0.0)
     w = 2 * np.pi / period  # [rad/s]
 
     def derivatives(t: Floats) -> Floats:

@@ -109,7 +109,7 @@ class Wiring(NamedTuple):
             instant: the shapes of the exogenous inputs.
             column: their numbers, unscaled, one below the other.
         """
-        w: Exogenous = tree.unpack(instant, column)
+        w: Exogenous = tree.unpack_column(instant, column)
         scale = self.p.scale
         scaled = Target(*(part * scale.reference for part in w.target[:3]))
         return w._replace(
@@ -216,8 +216,10 @@ class Wiring(NamedTuple):
             like: a state of the right shapes.
             column: the numbers of a state.
         """
-        s: State = tree.unpack(like, column)
-        return tree.stack(s._replace(observer=self.observer.project(self.p.observer, s.observer)))
+        s: State = tree.unpack_column(like, column)
+        return tree.stack_leaves(
+            s._replace(observer=self.observer.project(self.p.observer, s.observer))
+        )
 
 
 def close(problem: Problem) -> loop.Loop:
@@ -234,19 +236,19 @@ def close(problem: Problem) -> loop.Loop:
     """
     plant, simulation = problem.plant, problem.scenario.simulation
     params, state, instant = numbers(problem), _state(problem), _instant(problem)
-    p_column, p = tree.symbols(params, "p")
-    s_column, s = tree.symbols(state, "s")
+    p_column, p = tree.create_symbols(params, "p")
+    s_column, s = tree.create_symbols(state, "s")
     own = problem.observer, problem.controller
     wiring = Wiring(plant, problem.sensor.kind, *own, p, problem.compensator)
     count = loop.instants(plant.Ts, simulation.order)
-    columns = [ca.SX.sym(f"w{i}", tree.size(instant)) for i in range(count)]
+    columns = [ca.SX.sym(f"w{i}", tree.count_numbers(instant)) for i in range(count)]
     w = wiring.exogenous(instant, columns[0])
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))
     inputs = [s_column, ca.vertcat(*columns), p_column]
-    out = tree.stack(outputs)
+    out = tree.stack_leaves(outputs)
     step, attempts = _Step(wiring, state, instant, s_column, columns), []
     if plant.Ts is not None:
-        following = tree.stack(moved)
+        following = tree.stack_leaves(moved)
     elif simulation.switching != "located":
         following = _plain(step)
     else:
@@ -370,9 +372,9 @@ def _plain(step: _Step) -> ca.SX:
     wiring = step.wiring
 
     def rate(column: ca.SX, c: float) -> ca.SX:
-        s = tree.unpack(step.like, step.admissible(column))
+        s = tree.unpack_column(step.like, step.admissible(column))
         w = wiring.exogenous(step.instant, exogenous_at(step.columns, c, wiring.plant.p))
-        return tree.stack(wiring.move(s, w, wiring.mode(s, w))[0])
+        return tree.stack_leaves(wiring.move(s, w, wiring.mode(s, w))[0])
 
     return wiring.admissible(step.like, rk4(rate, step.start, wiring.p.h))
 
@@ -411,7 +413,7 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
     noise = wiring.exogenous(step.instant, step.columns[0])
     right, left = wiring.widths(noise)
     arc = _dense_step(step, order)
-    before = wiring.mode(tree.unpack(like, step.start), noise)
+    before = wiring.mode(tree.unpack_column(like, step.start), noise)
     edges = wiring.levels(noise)
 
     def after(mode: Mode, crossing: dense_output.Crossing) -> Mode:
@@ -449,12 +451,12 @@ def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_ou
     wiring, size, h = step.wiring, step.start.shape[0], step.wiring.p.h
     x, w = ca.SX.sym("x", size), ca.SX.sym("w", step.columns[0].shape[0])
     branch_taken = Mode(*(ca.SX.sym(name, wiring.plant.p) for name in Mode._fields))
-    s, inputs = tree.unpack(step.like, x), wiring.exogenous(step.instant, w)
-    derivative = tree.stack(wiring.move(s, inputs, branch_taken)[0])
+    s, inputs = tree.unpack_column(step.like, x), wiring.exogenous(step.instant, w)
+    derivative = tree.stack_leaves(wiring.move(s, inputs, branch_taken)[0])
     evaluate = ca.Function("rate", [x, w, *branch_taken], [derivative], {"allow_free": True})
 
     def output(column: ca.SX) -> ca.SX:
-        return wiring.plant.output(wiring.p.plant, tree.unpack(step.like, column).plant)
+        return wiring.plant.output(wiring.p.plant, tree.unpack_column(step.like, column).plant)
 
     def rate(column: ca.SX, c: Any, mode: Mode) -> ca.SX:
         at_c = exogenous_at(step.columns, c, wiring.plant.p)

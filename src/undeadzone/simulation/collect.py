@@ -22,7 +22,7 @@ from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
 from undeadzone.results.run import FRAMES, Run
 from undeadzone.results.scales import plant_scales
-from undeadzone.results.signals import RUN, Signals, of_estimate
+from undeadzone.results.signals import RUN, Signals, signals_from_estimate
 from undeadzone.scenario.problem import Problem, constant_gains
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.identifiability import (
@@ -78,8 +78,8 @@ def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiabilit
     t = np.arange(rows) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
     gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
-    friction = at_motor * np.ravel(gears.number(plant.params, "friction"))
-    told = gap_identifiability(plant.arm, gears.links(plant.params), along, step, friction)
+    friction = at_motor * np.ravel(gears.gear_number(plant.params, "friction"))
+    told = gap_identifiability(plant.arm, gears.link_params(plant.params), along, step, friction)
     return told * (plant.p // plant.arm.size)
 
 
@@ -195,7 +195,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
     estimate = signal.estimate
-    given = of_estimate(estimate)
+    given = signals_from_estimate(estimate)
     proof = certificate(problem)
     signals = {
         "t": t,
@@ -303,7 +303,7 @@ def _info(
 def _text(scenario: Scenario) -> str:
     """Return the scenario as TOML; empty where it holds a function of Python."""
     try:
-        return toml.dumps(scenario)
+        return toml.to_toml(scenario)
     except InputError:
         return ""
 

@@ -31,7 +31,7 @@ from undeadzone.observers.filtering.multiple_models import LEAST
 from undeadzone.observers.filtering.smoothing import Moments
 from undeadzone.plants.system import System
 from undeadzone.results.estimation import Estimation
-from undeadzone.results.signals import LOG, SMOOTHED, Signals, of_estimate
+from undeadzone.results.signals import LOG, SMOOTHED, Signals, signals_from_estimate
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower, require_units
@@ -39,7 +39,7 @@ from undeadzone.simulation.online import ObserverGraph, observer_graph
 from undeadzone.util import tree
 from undeadzone.util.arrays import Array, Floats
 from undeadzone.util.files import LARGEST_RUN
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.progress import notebook_progress
 
 LARGEST_LOG: Final = 20_000_000  # samples; beyond this the memory of most machines
 
@@ -100,9 +100,13 @@ def estimate(
             f"{log.source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split "
             "it"
         )
-    with in_notebook(progress, "estimating", None) as advance:
+    with notebook_progress(progress, "estimating", None) as advance:
         estimated, sides, B = follower.follow(regular, advance)
-        given = {name: value for name, value in of_estimate(estimated).items() if name in LOG.names}
+        given = {
+            name: value
+            for name, value in signals_from_estimate(estimated).items()
+            if name in LOG.names
+        }
         signals = {"t": regular.t, "y": regular.y, "u": regular.u, "side": sides} | given
         if B.size:
             signals["B"] = B
@@ -244,16 +248,21 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
-    row, (seen, share, kept) = tree.symbols((tuple(beliefs), np.zeros(len(like)), record), "r")
+    row, (seen, share, kept) = tree.create_symbols(
+        (tuple(beliefs), np.zeros(len(like)), record), "r"
+    )
     shown: Estimate = smoothing.shown(known.params, seen, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
-    where, of_estimate = tree.slices((init, np.zeros(model.m)))[0], tree.slices(known.out).estimate
+    where, of_estimate = (
+        tree.leaf_slices((init, np.zeros(model.m)))[0],
+        tree.leaf_slices(known.out).estimate,
+    )
     return _Graphs(
         ca.Function("watched", inputs, [following, ca.vertcat(given, known.s)]),
         interpret.build_stateless_step(
-            [ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack(every))
+            [ca.vertcat(known.s, known.w), known.p], ca.cse(tree.stack_leaves(every))
         ),
-        interpret.build_stateless_step([row, known.p], ca.cse(tree.stack(out))),
+        interpret.build_stateless_step([row, known.p], ca.cse(tree.stack_leaves(out))),
         known,
         [getattr(of_estimate, name) for name in SHOWN],
         like,
@@ -298,12 +307,12 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
 def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
     """Return the moments of each member at each sample, from rows of packed numbers."""
     leaves = []
-    columns = tree.leaves(tree.columns(like, known))
-    for (_, leaf), (_, values) in zip(tree.leaves(like), columns, strict=True):
+    columns = tree.iterate_leaves(tree.unpack_columns(like, known))
+    for (_, leaf), (_, values) in zip(tree.iterate_leaves(like), columns, strict=True):
         if leaf.shape[1] > 1:
             values = np.swapaxes(values.reshape(len(known), *leaf.shape[::-1]), 1, 2)
         leaves.append(values)
-    every: tuple[Moments, ...] = tree.rebuild(like, iter(leaves))
+    every: tuple[Moments, ...] = tree.rebuild_tree(like, iter(leaves))
     return every
 
 
@@ -336,7 +345,7 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
         states: after each sample (B x S).
         worst: from the samples after the block (numbers); None: there are none.
     """
-    places = [part for _, part in tree.leaves(graphs.record)]
+    places = [part for _, part in tree.iterate_leaves(graphs.record)]
     if not places:
         return np.empty((len(states), 0)), None
     records = np.hstack([states[:, part] for part in places])

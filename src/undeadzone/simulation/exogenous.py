@@ -12,7 +12,7 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.signals import exosystem as signals
 from undeadzone.signals import noise
 from undeadzone.simulation.loop import HELD, RUNGE_KUTTA, instants
-from undeadzone.util.arrays import Floats, Integers, vector
+from undeadzone.util.arrays import Floats, Integers, require_vector
 
 NUDGE: Final = 1e-9  # of a step: a reference's corners on the grid belong to the step that follows
 INSTANTS: Final = (0.0, 0.5, 1.0)  # of a continuous step, as fractions of it
@@ -237,5 +237,5 @@ def _targets_at(problem: Problem, t: Floats) -> Target:
     if problem.path is not None:
         return flat_targets(problem.flow, problem.path, problem.tracked, t)
     n, x_eq = problem.model.n, problem.scenario.plant.x_eq
-    start = vector("plant.x_eq", np.zeros(n) if x_eq is None else x_eq, n)
+    start = require_vector("plant.x_eq", np.zeros(n) if x_eq is None else x_eq, n)
     return invert_targets(problem.flow, problem.reference, problem.tracked, t, start)

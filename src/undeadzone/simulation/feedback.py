@@ -18,7 +18,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.problem import Problem
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import Progress, Start, prepare, signals_of, simulate_scenario
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 
 STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
 
@@ -31,7 +31,7 @@ def measure_feedback(scenario: Scenario, progress: Progress | None = None) -> Ru
         progress: called with the number of steps just done.
     """
     run, problem, start = simulate_scenario(scenario, progress=progress)
-    known = finite(feedback_shares(problem, run, start, progress))
+    known = to_json_value(feedback_shares(problem, run, start, progress))
     return dataclasses.replace(run, info=msgspec.structs.replace(run.info, listens=known))
 
 

@@ -15,7 +15,7 @@ from undeadzone.logs.range_ends import RunningEnds
 from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, Regular
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
-from undeadzone.results.signals import final, of_estimate
+from undeadzone.results.signals import last_values, signals_from_estimate
 from undeadzone.scenario.problem import (
     describe_actuator,
     plant_of_model,
@@ -26,7 +26,7 @@ from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, build_observer
 from undeadzone.simulation.sample_by_sample import numeric_along
-from undeadzone.util.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, require_number
 
 LIMIT = 1e12  # beyond this an estimate has diverged
 
@@ -63,7 +63,7 @@ class Follower:
 
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
         simulation, plant = scenario.simulation, plant_of_model(scenario)
-        step = scalar("simulation.step", simulation.step, above=0.0)
+        step = require_number("simulation.step", simulation.step, above=0.0)
         parts = (scenario.observer, plant, sensor_of_model(scenario), step, simulation.substeps)
         actuator = describe_actuator(scenario)
         self.model, self.zone, built = build_observer(*parts, actuator)
@@ -239,7 +239,9 @@ class Follower:
             units=scenario.units,
             limited=limited if self.zone.limits is not None else [],
             sensor=self.zone.kind,
-            further=final(of_estimate(last_row), "c_hat", "c_std", "gap_std", "b_hat", "b_std"),
+            further=last_values(
+                signals_from_estimate(last_row), "c_hat", "c_std", "gap_std", "b_hat", "b_std"
+            ),
             remarks=[*self._remarks(), *_repeated_times(grid)],
             **verdict._asdict(),
         )

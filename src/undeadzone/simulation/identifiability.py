@@ -38,7 +38,7 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.observers.filtering.prior import read_width_ranges
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.loop import Outputs
-from undeadzone.util.arrays import Floats, later
+from undeadzone.util.arrays import Floats, shift_rows
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
 ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
@@ -204,7 +204,7 @@ def widths_with_unknown_actuator(
 
 def late_inputs(problem: Problem, signal: Outputs) -> Floats:
     """Return the inputs of a run at the samples at which they act on the plant (N x m)."""
-    return later(signal.u, problem.plant.delay, np.zeros(1, int))
+    return shift_rows(signal.u, problem.plant.delay, np.zeros(1, int))
 
 
 def by_claims(

@@ -15,7 +15,7 @@ from undeadzone.logs.samples import Placed, Regular
 from undeadzone.results.estimation import Estimation
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.follower import Follower
-from undeadzone.util.arrays import Floats, later
+from undeadzone.util.arrays import Floats, shift_rows
 
 SAMPLES: Final = 3000  # at the beginning of a log, which are tried
 DELAYS: Final = (1, 2, 3, 5, 10, 20)  # samples
@@ -57,7 +57,7 @@ def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats
         yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u
         yield f"the inputs are in another unit: times {factor:g} they fit", y, u * factor
     for delay in DELAYS[: int(np.searchsorted(DELAYS, len(u) / 4))]:
-        late, early = (later(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
+        late, early = (shift_rows(u, samples, np.zeros(1, int)) for samples in (delay, -delay))
         yield f"the inputs act {delay} samples later: plant.delay = {known + delay}", y, late
         earlier = f"plant.delay = {known - delay}" if known >= delay else "the log has them late"
         yield f"the inputs act {delay} samples earlier: {earlier}", y, early

@@ -23,14 +23,14 @@ from undeadzone.nonlinearities.actuator import ActuatorModel, believe_actuator
 from undeadzone.nonlinearities.sensor import Sensor, Zone, present
 from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import System, pace, sample_plant
+from undeadzone.plants.system import System, plant_pace, sample_plant
 from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.encoders import resolve_sensor
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
 from undeadzone.util import tree
-from undeadzone.util.arrays import Array, Floats, scalar, unmask
+from undeadzone.util.arrays import Array, Floats, fill_masked, require_number
 
 if TYPE_CHECKING:
     from undeadzone.compile.scalar_step import CompiledStepper
@@ -79,19 +79,19 @@ def observer_graph(model: System, observer: Observer, sensor: Zone) -> ObserverG
         sensor: the dead zone, for its threshold and its range.
     """
     values = (observer.params, (sensor.threshold, sensor.limits))
-    p, (params, levels) = tree.symbols(values, "p")
+    p, (params, levels) = tree.create_symbols(values, "p")
     start = (observer.init(observer.params), np.zeros(model.m))
-    s, (state, held) = tree.symbols(start, "s")
+    s, (state, held) = tree.create_symbols(start, "s")
     y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, held)
     w, reading = ca.vertcat(y, u), to_reading(y, *levels)
     after, estimate = observer.step(params, state, used, reading)
     out = Out(estimate, sample_branch(reading, estimate), ca.mmin(present(y)) == 0)
-    results = [tree.stack((after, used)), tree.stack(out)]
+    results = [tree.stack_leaves((after, used)), tree.stack_leaves(out)]
     step = ca.Function("live", [s, w, p], results, {"cse": True})
     shapes: Out = tree.map_leaves(lambda part: np.zeros(part.shape[0]), out)
     symbols = (s, w, p, state, params, used, reading)
-    return ObserverGraph(step, shapes, *symbols, tree.pack(start), tree.pack(values))
+    return ObserverGraph(step, shapes, *symbols, tree.pack_tree(start), tree.pack_tree(values))
 
 
 class Online:
@@ -144,7 +144,7 @@ class Online:
         self.missing = 0
         self._step, self.engine = _engine(self._graph, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
-        self._where: Out = tree.slices(self._graph.out)
+        self._where: Out = tree.leaf_slices(self._graph.out)
         self.latest = Estimate(*[self._out[part] for part in self._where.estimate])
         self._entries = cast("memoryview[float]", self._w.data)
         self._last = self._out.data
@@ -222,8 +222,8 @@ class Online:
             self._entries[1] = u
         else:
             try:
-                self._w[: self._p] = unmask(y)
-                self._w[self._p :] = unmask(u)
+                self._w[: self._p] = fill_masked(y)
+                self._w[self._p :] = fill_masked(u)
             except (ValueError, TypeError):
                 raise ShapeError(
                     f"sample: expected y and u with {self._p} and {self._w.size - self._p} "
@@ -266,7 +266,7 @@ class Online:
         try:
             columns = self._p, self._w.size - self._p
             pairs = zip((y, u), columns, strict=True)
-            w = np.hstack([np.reshape(unmask(one), (-1, many)) for one, many in pairs])
+            w = np.hstack([np.reshape(fill_masked(one), (-1, many)) for one, many in pairs])
         except ValueError:
             raise ShapeError(
                 f"samples: expected y and u with {self._p} and {self._w.size - self._p} columns, "
@@ -332,10 +332,10 @@ def build_observer(
     require_words("plant", plant, Plant)
     require_kind("observer", observer, ObserverOptions)
     require_kind("actuator", actuator, ActuatorModel | None)
-    Ts = scalar("step", step, above=0.0)
+    Ts = require_number("step", step, above=0.0)
     system = plants.system(plant)
     require_visible(system, "plant")
     model = sample_plant(system, Ts, substeps)
-    zone = resolve_sensor(sensor, system, Ts, pace(system.linear))
+    zone = resolve_sensor(sensor, system, Ts, plant_pace(system.linear))
     belief = believe_actuator(actuator, model.m)
     return model, zone, watching(observer, model, zone, belief, Ts)

@@ -32,12 +32,12 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
         observer=observer.init(observer.params),
         controller=controller.init(controller.params),
     )
-    return tree.pack(state), tree.pack(numbers(problem._replace(observer=observer)))
+    return tree.pack_tree(state), tree.pack_tree(numbers(problem._replace(observer=observer)))
 
 
 def changed_params(loop: Loop, others: Iterable[Floats]) -> Integers:
     """Where packed params of the loop differ from its own in any of the others."""
-    differ: Any = np.any([other != tree.pack(loop.params) for other in others], axis=0)
+    differ: Any = np.any([other != tree.pack_tree(loop.params) for other in others], axis=0)
     return np.flatnonzero(differ)
 
 
@@ -53,10 +53,10 @@ def graph(problem: Problem) -> str:
         InputError: there is no graph.
     """
     observer, controller, model = require_graph(problem.observer), problem.controller, problem.model
-    p_column, p = tree.symbols((observer.params, controller.params), "p")
+    p_column, p = tree.create_symbols((observer.params, controller.params), "p")
     like = observer.init(observer.params), controller.init(controller.params)
-    s_column, s = tree.symbols(like, "s")
-    t_column, target = tree.symbols(no_target(problem), "t")
+    s_column, s = tree.create_symbols(like, "s")
+    t_column, target = tree.create_symbols(no_target(problem), "t")
     u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
     side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
     following, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
@@ -69,6 +69,6 @@ def graph(problem: Problem) -> str:
         controller.init(p[1]),
     )
     inputs = [p_column, s_column, t_column, u, y, side, x]
-    function = ca.Function("graph", inputs, [tree.stack(result) for result in results])
-    plan = () if controller.plan is None else tree.pack(controller.plan.params).tolist()
-    return str(function.serialize()) + str((tree.names((observer.params, like)), plan))
+    function = ca.Function("graph", inputs, [tree.stack_leaves(result) for result in results])
+    plan = () if controller.plan is None else tree.pack_tree(controller.plan.params).tolist()
+    return str(function.serialize()) + str((tree.number_addresses((observer.params, like)), plan))

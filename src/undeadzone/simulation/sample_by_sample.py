@@ -20,7 +20,7 @@ from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
 from undeadzone.simulation.loop import Outputs
 from undeadzone.util import tree
-from undeadzone.util.arrays import Floats, vector
+from undeadzone.util.arrays import Floats, require_vector
 
 ControlLaw: TypeAlias = Callable[[float, Estimate, Floats], Any]
 
@@ -45,14 +45,14 @@ def run_sample_by_sample(
     """
     numeric = problem.observer.python
     loop = close(problem)
-    initial = tree.pack(loop.state._replace(plant=problem.x0))
-    stepper = Stepper(loop.step, initial, tree.pack(loop.params))
-    where: Outputs = tree.slices(loop.outputs)
-    r = tree.slices(loop.instant).target.r
+    initial = tree.pack_tree(loop.state._replace(plant=problem.x0))
+    stepper = Stepper(loop.step, initial, tree.pack_tree(loop.params))
+    where: Outputs = tree.leaf_slices(loop.outputs)
+    r = tree.leaf_slices(loop.instant).target.r
     n, m = problem.plant.n, problem.plant.m
-    estimated = slice(n, n + tree.size(loop.state.observer))
-    driving = slice(estimated.stop, estimated.stop + tree.size(loop.state.controller))
-    outputs = np.empty((exogenous.shape[0], tree.size(loop.outputs)))
+    estimated = slice(n, n + tree.count_numbers(loop.state.observer))
+    driving = slice(estimated.stop, estimated.stop + tree.count_numbers(loop.state.controller))
+    outputs = np.empty((exogenous.shape[0], tree.count_numbers(loop.outputs)))
     state = None if numeric is None else numeric.start(problem.scenario.simulation.seed)
     for k, row in enumerate(exogenous):
         stepper.w[:] = row
@@ -62,7 +62,7 @@ def run_sample_by_sample(
         if numeric is not None:
             reading = Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())
             state, estimate = numeric.correct(state, reading)
-            before[estimated] = tree.pack(tuple(estimate))
+            before[estimated] = tree.pack_tree(tuple(estimate))
         if law is not None:
             t = k * problem.scenario.simulation.step
             before[driving] = _input(law(t, estimate, row[r].copy()), m, t)
@@ -74,7 +74,7 @@ def run_sample_by_sample(
         last = k + 1 == exogenous.shape[0]
         if progress is not None and (last or (k + 1) % CHUNK == 0):
             progress(k % CHUNK + 1)
-    by_name: Outputs = tree.columns(loop.outputs, outputs)
+    by_name: Outputs = tree.unpack_columns(loop.outputs, outputs)
     return by_name
 
 
@@ -96,7 +96,7 @@ def placeholder_controller(m: int) -> Controller:
 def _input(u: Any, m: int, t: float) -> Floats:
     """What a law gave as input (m). Raises InputError."""
     try:
-        return vector("controller", u, m, "one per input")
+        return require_vector("controller", u, m, "one per input")
     except InputError as error:
         raise type(error)(f"{error}, from the control law at t = {t:g} s") from None
 

@@ -14,7 +14,13 @@ import numpy as np
 
 import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.util.files import LARGEST_TABLE, NO_ARRAYS, arrays_of, reason, replacing
+from undeadzone.util.files import (
+    LARGEST_TABLE,
+    NO_ARRAYS,
+    failure_reason,
+    load_arrays,
+    replace_file,
+)
 
 DIGEST: Final = "digest"
 
@@ -33,7 +39,7 @@ def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     arrays: dict[str, Any] = {}
     for owner, name, key in _stored_arrays(parts):
         arrays[key] = np.asarray(getattr(owner, name))
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with replace_file(path) as temporary, open(temporary, "wb") as file:
         np.savez(file, allow_pickle=False, **{DIGEST: np.array(_whole(digest))}, **arrays)
         file.flush()
         os.fsync(file.fileno())
@@ -51,13 +57,13 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         FileError: it cannot be read, is no such file, or is of something else.
     """
     try:
-        arrays = arrays_of(path, LARGEST_TABLE)
+        arrays = load_arrays(path, LARGEST_TABLE)
         is_of_these = str(arrays[DIGEST]) == _whole(digest)
         if is_of_these:
             for owner, name, key in _stored_arrays(parts):
                 setattr(owner, name, _like(getattr(owner, name), arrays[key], key))
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except NO_ARRAYS as error:
         raise FileError(
             f"{path}: no state saved by undeadzone, or a damaged one ({error}); name another file, "

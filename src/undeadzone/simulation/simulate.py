@@ -27,8 +27,8 @@ from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
-from undeadzone.util.progress import in_notebook
-from undeadzone.util.toml import tables
+from undeadzone.util.progress import notebook_progress
+from undeadzone.util.toml import to_tables
 
 Engine = Literal["auto", "interpret", "lanes"]
 Progress = Callable[[int], None]  # called with the number of steps just done
@@ -92,7 +92,7 @@ def simulate_scenario(
     """Simulate a scenario and keep what the run was computed from; arguments as of `simulate`."""
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
-    with in_notebook(progress, "simulating", steps(scenario, check_step)) as advance:
+    with notebook_progress(progress, "simulating", steps(scenario, check_step)) as advance:
         if controller is not None:
             problem = _under(controller, problem, engine)
         # As lanes an observer in Python is refused where the loop is closed.
@@ -192,7 +192,7 @@ def outputs_of(
     """
     if run is None:
         run = engine_for(start.loop, "auto", len(start.exogenous))
-    packed, _ = run(start.state, start.exogenous, tree.pack(start.loop.params), progress)
+    packed, _ = run(start.state, start.exogenous, tree.pack_tree(start.loop.params), progress)
     return name_outputs(start.loop, packed)
 
 
@@ -224,7 +224,7 @@ class Start(NamedTuple):
 def prepare(problem: Problem) -> Start:
     """What a run of a problem starts from."""
     loop = close_problem(problem)
-    state = tree.pack(loop.state._replace(plant=problem.x0))
+    state = tree.pack_tree(loop.state._replace(plant=problem.x0))
     return Start(loop, state, inputs.exogenous(problem))
 
 
@@ -263,7 +263,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
 
 def name_outputs(loop: Loop, outputs: Floats) -> Outputs:
     """Return the columns of recorded outputs (N x all) by name."""
-    by_name: Outputs = tree.columns(loop.outputs, outputs)
+    by_name: Outputs = tree.unpack_columns(loop.outputs, outputs)
     return by_name
 
 
@@ -305,7 +305,7 @@ def compare(
             "compare: this scenario has no [compare]; name there the observer whose run is to be "
             'shown beside the first, such as method = "luenberger"'
         )
-    with in_notebook(progress, "simulating", 2 * steps(scenario)) as advance:
+    with notebook_progress(progress, "simulating", 2 * steps(scenario)) as advance:
         return beside(scenario, simulate(scenario, progress=advance), advance)
 
 
@@ -331,7 +331,7 @@ def labels(first: Any, second: Any) -> tuple[str, str]:
     These are their methods, and, where the methods are the same, one option that differs: a switch
     before all others.
     """
-    one, other = tables(first), tables(second)
+    one, other = to_tables(first), to_tables(second)
     differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     if "method" in differing or not differing:
         return _in_words(one, "method"), _in_words(other, "method")

@@ -1,1 +1,1 @@
-"""Gains of a scenario: assessed, and found by a search, under a certificate."""
+"""Gains of a scenario: their assessment, and their search under a certificate."""

@@ -1,4 +1,4 @@
-"""All that a report shows of a scenario's gains, and what its readings can tell.
+"""Assessment of a scenario's gains and of the identifiability from its readings, for reports.
 
 Of the gains: their certificate, their rate, attempts to break them. Of the readings: the sides
 along the reference or a run, verdicts, expected deviations, and cures.
@@ -51,7 +51,7 @@ from undeadzone.simulation.identifiability import (
     with_false_claims,
 )
 from undeadzone.util.arrays import Floats
-from undeadzone.util.progress import silent
+from undeadzone.util.progress import ignore_progress
 
 CONSTANTS: Final = 6  # time constants that a trajectory lasts
 TRIES: Final = 600  # of the search for a growing cycle
@@ -61,7 +61,7 @@ POINTS: Final = 100  # shown of each mode of an attack, and of each period of a 
 
 
 class Gains(NamedTuple):
-    """Constant gains and what they are worth.
+    """Constant gains with their certificate and rates.
 
     The dynamics are those of the errors that matter: a jump sensor's readings do not hold d, so
     that its widths are left out.
@@ -89,7 +89,7 @@ class Gains(NamedTuple):
 
 
 class Attacks(NamedTuple):
-    """Attempts to make V rise.
+    """Attempts to increase V.
 
     Attributes:
         attack: the falsifier's.
@@ -103,7 +103,7 @@ class Attacks(NamedTuple):
 
 
 class Assessment(NamedTuple):
-    """What a scenario's gains are worth, and what its readings can tell.
+    """Assessment of a scenario's gains and of the identifiability from its readings.
 
     Attributes:
         problem: the scenario's parts.
@@ -122,27 +122,27 @@ class Assessment(NamedTuple):
     listens: tuple[float, ...] = ()
 
 
-def assess(problem: Problem, listen: bool = False) -> Assessment:
+def assess_problem(problem: Problem, listen: bool = False) -> Assessment:
     """Return the assessment of a problem.
 
     Args:
         problem: the scenario's parts.
         listen: whether to measure how strongly readings move z^, by two runs.
     """
-    run = trial_run(problem)
-    schedule = plan(problem, run)
-    known = knowledge(problem, schedule, run)
+    run = simulate_trial_run(problem)
+    schedule = plan_branches(problem, run)
+    known = assess_identifiability(problem, schedule, run)
     constant = constant_gains(problem.observer, problem.model)
     if constant is None or problem.model.nonlinear:
         gains = None
     else:
-        gains = _gains(problem, schedule, *constant)
+        gains = _assess_gains(problem, schedule, *constant)
     listens = tuple(feedback_shares(problem, run)) if listen else ()
     return Assessment(problem, run, schedule, known, gains, listens)
 
 
-def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:
-    """Return attempts to break the gains of an assessment, which take seconds.
+def attack_gains(assessment: Assessment, seed: int = 0) -> Attacks | None:
+    """Return attempts to falsify the gains of an assessment. They take seconds.
 
     Args:
         assessment: of a scenario.
@@ -175,8 +175,10 @@ def attack(assessment: Assessment, seed: int = 0) -> Attacks | None:
     return Attacks(attempt, cycle, drawn)
 
 
-def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains:
-    """What gains L (n x p), gamma (p) [1/s] are worth on a schedule of sides."""
+def _assess_gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains:
+    """Return the certificate and rates of gains L (n x p), gamma (p) [1/s] on a schedule of
+    branches.
+    """
     linear, Ts, jump = problem.model.linear, problem.model.Ts, problem.sensor.kind == "jump"
     certificate = certify(linear, L, gamma, Ts)
     dynamics, V = certificate.dynamics, certificate.V
@@ -188,12 +190,16 @@ def _gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Ga
     if certificate.certified:
         settled = worst_settling_time(dynamics, V, schedule)
     else:
-        near = _nearest(problem, schedule, L, gamma)
+        near = _find_nearest_gains(problem, schedule, L, gamma)
     return Gains(L, gamma, certificate, speed, settled, near, dynamics, V)
 
 
-def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> Gains | None:
-    """Return certified gains near to L (n x p), gamma (p) [1/s]; None where none were found."""
+def _find_nearest_gains(
+    problem: Problem, schedule: Schedule, L: Floats, gamma: Floats
+) -> Gains | None:
+    """Return certified gains near to L (n x p), gamma (p) [1/s], or None if the search found
+    no gains.
+    """
     try:
         certificate = nearest_certified_gains(
             problem.model.linear, L, gamma, problem.model.Ts
@@ -203,11 +209,11 @@ def _nearest(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats) -> 
     if not certificate.certified:
         return None
     dynamics = certificate.dynamics
-    return _gains(problem, schedule, dynamics.L, np.diag(dynamics.gamma)[::2])
+    return _assess_gains(problem, schedule, dynamics.L, np.diag(dynamics.gamma)[::2])
 
 
-def trial_run(problem: Problem) -> Run | None:
-    """Return a run of the scenario, where its sides cannot be told without one; else None.
+def simulate_trial_run(problem: Problem) -> Run | None:
+    """Return a run of the scenario if its branches depend on a run, else None.
 
     They cannot for a nonlinear plant, nor for a controller that does not make z follow r, nor can
     the modes of an actuator whose widths are estimated.
@@ -220,11 +226,11 @@ def trial_run(problem: Problem) -> Run | None:
         return None
     from undeadzone.simulation.simulate import simulate
 
-    return simulate(problem.scenario, check_step=False, progress=silent)
+    return simulate(problem.scenario, check_step=False, progress=ignore_progress)
 
 
-def plan(problem: Problem, run: Run | None) -> Schedule:
-    """Return the sides along a run, or along the reference where there is none."""
+def plan_branches(problem: Problem, run: Run | None) -> Schedule:
+    """Return the branches along a run, or along the reference without a run."""
     model, sensor = problem.model, problem.sensor
     if run is not None:
         return schedule_of_record(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
@@ -235,8 +241,11 @@ def plan(problem: Problem, run: Run | None) -> Schedule:
     )
 
 
-def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Knowledge]:
-    """What can be known of each output, and how well after the scenario's duration.
+def assess_identifiability(
+    problem: Problem, schedule: Schedule, run: Run | None
+) -> list[Knowledge]:
+    """Return the identifiability of each output, with deviations after the scenario's
+    duration.
 
     A disturbance counts as unknown in the class of its kind. Of a nonlinear plant this is what its
     run tells.
@@ -247,12 +256,12 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
         run: of it, where one was needed.
     """
     if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
-        return _knowledge_from_run(run)
+        return _identifiability_from_run(run)
     linear, jump = problem.model.linear, problem.sensor.kind == "jump"
     if problem.sensor.play is None:
         remedies = find_remedies(linear, schedule, constant_inputs(problem, linear.B), jump)
     else:
-        remedies = cures_of_both(problem, schedule)
+        remedies = find_joint_remedies(problem, schedule)
     # The schedule of a run knows already which readings arrived.
     arrive = np.ones(problem.model.p) if run is not None else 1 - problem.sensor.dropout
     known = []
@@ -267,8 +276,8 @@ def knowledge(problem: Problem, schedule: Schedule, run: Run | None) -> list[Kno
     return known
 
 
-def _knowledge_from_run(run: Run) -> list[Knowledge]:
-    """What the run of a nonlinear plant tells of each output."""
+def _identifiability_from_run(run: Run) -> list[Knowledge]:
+    """Return the identifiability of each output from the run of a nonlinear plant."""
     unknown = dict.fromkeys(DIRECTIONS, np.inf)
     known = []
     for verdict in run.info.identifiable:
@@ -277,8 +286,8 @@ def _knowledge_from_run(run: Run) -> list[Knowledge]:
     return known
 
 
-def cures_of_both(problem: Problem, schedule: Schedule) -> list[Remedy]:
-    """What would tell more of a play and a dead zone."""
+def find_joint_remedies(problem: Problem, schedule: Schedule) -> list[Remedy]:
+    """Return remedies that make a backlash and a dead zone identifiable together."""
     model, remedies = problem.model, []
     visited = schedule.branch_visits(model.n + 2 * model.p)
     for i in range(problem.model.p):
@@ -293,8 +302,10 @@ def cures_of_both(problem: Problem, schedule: Schedule) -> list[Remedy]:
     return remedies
 
 
-def determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
-    """Which states the readings along a schedule determine (n); none are listed if nonlinear."""
+def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
+    """Return a mask of the states that the readings along a schedule determine (n); empty if
+    nonlinear.
+    """
     model, jump = problem.model, problem.sensor.kind == "jump"
     if model.nonlinear:
         return []

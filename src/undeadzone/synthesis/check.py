@@ -1,4 +1,6 @@
-"""What a scenario's own gains are worth and what its readings can tell, with the reasons."""
+"""Check of a scenario: certificate and rates of its gains, identifiability from its readings,
+reasons.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,23 @@ from undeadzone.analysis.identifiability.indistinguishable import (
 from undeadzone.analysis.identifiability.linear import format_yes_no
 from undeadzone.linalg.matrices import delta_form
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.plants.region import Box, box
+from undeadzone.plants.region import Box, build_box
 from undeadzone.results.feedback import describe_feedback as share_in_words
 from undeadzone.results.run import Run
 from undeadzone.results.signals import output_names
 from undeadzone.scenario.overrun import overrun_numbers
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.synthesis.assessment import Assessment, Gains, assess, determined_states
+from undeadzone.synthesis.assessment import (
+    Assessment,
+    Gains,
+    assess_problem,
+    find_determined_states,
+)
 from undeadzone.util import shown
-from undeadzone.util.arrays import Floats, finite, one_or_list
+from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.shown import Block, Rows
-from undeadzone.util.text import HALF_95, label, with_unit
+from undeadzone.util.text import HALF_95, append_unit, label_with_unit
 
 
 class Bounds(NamedTuple):
@@ -48,8 +55,8 @@ class Bounds(NamedTuple):
     noise: float
 
 
-class Nearest(NamedTuple):
-    """Certified gains near to gains that are not.
+class CertifiedNeighbour(NamedTuple):
+    """Certified gains near to gains without a certificate.
 
     Attributes:
         L: gain of x^ (n x p) [1/s].
@@ -63,14 +70,15 @@ class Nearest(NamedTuple):
     margin: float
     rate: float
 
-    def plain(self) -> dict[str, Any]:
-        """Return the same for JSON."""
+    def to_plain(self) -> dict[str, Any]:
+        """Return the same gains for JSON."""
         return self._asdict() | {"L": self.L.tolist(), "gamma": self.gamma.tolist()}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Check:
-    """What a scenario's own gains are worth, and what its readings can tell.
+    """Certificate and rates of a scenario's own gains, and the identifiability from its
+    readings.
 
     Attributes:
         scenario: whose gains were checked, as they stand.
@@ -111,12 +119,13 @@ class Check:
     overrun: tuple[float | None, ...] = ()
     reasons: tuple[str, ...]
     cures: tuple[str, ...]
-    nearest: Nearest | None
+    nearest: CertifiedNeighbour | None
     assessment: Assessment
 
     @property
     def affirmed(self) -> bool:
-        """Return whether everything is answered with yes: the exit code of `undeadzone check`.
+        """Return whether every question is answered with yes: the exit code of `undeadzone
+        check`.
 
         That is: the gains are certified (observers without constant gains need not be), no run
         leaves the region, and every width can be identified.
@@ -126,14 +135,14 @@ class Check:
 
     @property
     def outputs(self) -> list[str]:
-        """Return the names of the outputs: an arm's joints where it has one for each, else
+        """Return the names of the outputs: an arm's joints if each output is a joint, else
         numbers.
         """
         arm = self.assessment.problem.model.arm
         return output_names([] if arm is None else arm.chain.joints, len(self.known))
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers, ready for JSON: lists where there are several outputs.
+        """Return the numbers, ready for JSON: lists for several outputs.
 
         None stands where there is no finite number. They are those of `undeadzone check --json`,
         see docs/json.md.
@@ -142,29 +151,31 @@ class Check:
         numbers: dict[str, Any] = {
             "title": self.scenario.title,
             **{name: getattr(self, name) for name in PROOF},
-            "identifiable": one_or_list(verdicts),
-            "std": one_or_list([one.std for one in self.known]),
-            "second": one_or_list([one.second for one in self.known]),
-            "listens": one_or_list(self.listens) if self.listens else None,
-            **({"overrun": one_or_list(self.overrun)} if self.overrun else {}),
+            "identifiable": to_scalar_or_list(verdicts),
+            "std": to_scalar_or_list([one.std for one in self.known]),
+            "second": to_scalar_or_list([one.second for one in self.known]),
+            "listens": to_scalar_or_list(self.listens) if self.listens else None,
+            **({"overrun": to_scalar_or_list(self.overrun)} if self.overrun else {}),
             "reasons": self.reasons,
             "cures": self.cures,
-            "nearest": None if self.nearest is None else self.nearest.plain(),
+            "nearest": None if self.nearest is None else self.nearest.to_plain(),
         }
-        return dict(finite(numbers))
+        return dict(to_json_value(numbers))
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone check` prints."""
-        return in_words(self)
+        return describe_check(self)
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     plot = shown.plot
     """Draw it."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return checked again from its scenario: what the report draws holds functions."""
+        """Return the scenario, checked again when loaded: the data of figures contain
+        functions.
+        """
         return check, (self.scenario,)
 
 
@@ -176,7 +187,8 @@ PROOF: Final = (
 
 
 def check(scenario: Scenario) -> Check:
-    """What a scenario's own gains are worth, and what its readings can tell.
+    """Check a scenario: certificate and rates of its own gains, identifiability from its
+    readings.
 
     Args:
         scenario: whose observer's gains are checked, as they stand.
@@ -184,13 +196,13 @@ def check(scenario: Scenario) -> Check:
     Raises:
         InputError: or a subclass, as `simulate` does.
     """
-    return check_assessment(assess(resolve_scenario(scenario), listen=True))
+    return check_assessment(assess_problem(resolve_scenario(scenario), listen=True))
 
 
 def check_assessment(assessment: Assessment) -> Check:
-    """What `check` says of an assessment."""
+    """Return the check of an assessment."""
     problem, known = assessment.problem, assessment.known
-    proved, reasons = _proof(assessment)
+    proved, reasons = _prove_gains(assessment)
     near = None if assessment.gains is None else assessment.gains.nearest
     cures: list[str] = []
     for one in known:
@@ -198,47 +210,49 @@ def check_assessment(assessment: Assessment) -> Check:
     return Check(
         scenario=problem.scenario,
         **proved,
-        states=tuple(determined_states(problem, assessment.schedule)),
+        states=tuple(find_determined_states(problem, assessment.schedule)),
         known=tuple(known),
         listens=assessment.listens,
-        overrun=_overrun(problem),
-        reasons=(*reasons, *_reasons_of_outputs(known)),
+        overrun=_overrun_of_outputs(problem),
+        reasons=(*reasons, *_list_output_reasons(known)),
         cures=tuple(cures),
-        nearest=None if near is None else _nearest(near),
+        nearest=None if near is None else _to_certified_neighbour(near),
         assessment=assessment,
     )
 
 
-def _overrun(problem: Problem) -> tuple[float | None, ...]:
-    """Return the overrun number of each output; nothing where no inertia is given."""
+def _overrun_of_outputs(problem: Problem) -> tuple[float | None, ...]:
+    """Return the overrun number of each output; empty without an inertia."""
     step = problem.scenario.simulation.step
     parts = problem.reference, problem.tracked, problem.steps * step, step
     return tuple(overrun_numbers(problem.sensor, *parts) or ())
 
 
-def _nearest(gains: Gains) -> Nearest:
-    """Return gains and what they are worth."""
-    return Nearest(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
+def _to_certified_neighbour(gains: Gains) -> CertifiedNeighbour:
+    """Return gains with their margin and rate."""
+    return CertifiedNeighbour(gains.L, gains.gamma, gains.certificate.margin, gains.rates.rate)
 
 
-def _proof(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
-    """What is proved of an assessment's gains, and the reasons where it is not."""
+def _prove_gains(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
+    """Return the proved properties of an assessment's gains, and the reasons of a refusal."""
     problem, gains = assessment.problem, assessment.gains
     constant = constant_gains(problem.observer, problem.model)
     if constant is None:
         return {}, ["no certificate and no rate: the observer has no constant gains L, gamma"]
     if gains is not None:
-        return _proof_of_linear(problem, gains)
+        return _prove_on_linear_model(problem, gains)
     if problem.scenario.region is None:
         return {}, [
             "no certificate and no rate: the model is nonlinear; certificates of such models hold "
             "on a declared [region]"
         ]
-    return _proof_on_region(assessment, *constant)
+    return _prove_on_region(assessment, *constant)
 
 
-def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], list[str]]:
-    """What is proved of constant gains on a linear model, and the reasons where it is not."""
+def _prove_on_linear_model(problem: Problem, gains: Gains) -> tuple[dict[str, Any], list[str]]:
+    """Return the proved properties of constant gains on a linear model, and the reasons of a
+    refusal.
+    """
     proof, speed = gains.certificate, gains.rates
     reasons = []
     if not proof.certified:
@@ -253,34 +267,38 @@ def _proof_of_linear(problem: Problem, gains: Gains) -> tuple[dict[str, Any], li
         )
     return {
         "certified": proof.certified,
-        "margin": finite(proof.margin),
-        "frequency": finite(proof.frequency),
-        "l2_gain": _bounded_gains(proof, problem) if proof.certified else None,
-        "rate": finite(speed.rate),
-        "time_constant": finite(speed.time_constant),
+        "margin": to_json_value(proof.margin),
+        "frequency": to_json_value(proof.frequency),
+        "l2_gain": _compute_l2_gains(proof, problem) if proof.certified else None,
+        "rate": to_json_value(speed.rate),
+        "time_constant": to_json_value(speed.time_constant),
         "never": tuple(speed.never),
     }, reasons
 
 
-def _proof_on_region(
+def _prove_on_region(
     assessment: Assessment, L: Floats, gamma: Floats
 ) -> tuple[dict[str, Any], list[str]]:
-    """What is proved of constant gains on a nonlinear model's region, and the reasons if not."""
+    """Return the proved properties of constant gains on a nonlinear model's region, and
+    reasons.
+    """
     problem = assessment.problem
     region = problem.scenario.region
     assert region is not None
-    ranges = box(region, problem.model)
+    ranges = build_box(region, problem.model)
     proof = certify_on(problem.model, L, gamma, ranges)
     reasons = [] if proof.certified else [f"{REFUSED}{proof.reason}"]
     return {
         "certified": proof.certified,
-        "margin": finite(proof.margin),
+        "margin": to_json_value(proof.margin),
         "left_region": _exit_time(assessment.run, ranges),
     }, reasons
 
 
-def _reasons_of_outputs(known: Sequence[Knowledge]) -> list[str]:
-    """Why not all is known of each output, which is named where there are several."""
+def _list_output_reasons(known: Sequence[Knowledge]) -> list[str]:
+    """Return the reasons for incomplete identifiability of each output, with its number if
+    several.
+    """
     reasons = []
     for i, one in enumerate(known):
         prefix = f"output {i}: " if len(known) > 1 else ""
@@ -288,8 +306,8 @@ def _reasons_of_outputs(known: Sequence[Knowledge]) -> list[str]:
     return reasons
 
 
-def _bounded_gains(proof: Certificate, problem: Problem) -> Bounds | None:
-    """Return the least L2 gains to z - z^, each with the other input absent; None if one has no
+def _compute_l2_gains(proof: Certificate, problem: Problem) -> Bounds | None:
+    """Return the least L2 gains to z - z^, each with the other input absent, or None without a
     proof.
 
     They are those from a disturbance of the input and from noise on the reading.
@@ -303,8 +321,8 @@ def _bounded_gains(proof: Certificate, problem: Problem) -> Bounds | None:
 
 
 def _exit_time(run: Run | None, ranges: Box) -> float | None:
-    """Return the time [s] at which state, estimate or input of a run first leave a box; None:
-    never.
+    """Return the time [s] at which state, estimate or input of a run first leave a box, or
+    None.
     """
     assert run is not None
     outside = np.flatnonzero(ranges.is_outside(run.x, run.x_hat, run.u))
@@ -314,20 +332,20 @@ def _exit_time(run: Run | None, ranges: Box) -> float | None:
 # --- In words
 
 
-def in_words(found: Check) -> list[Block]:
-    """What was found of a scenario's gains: pairs, and of several outputs a table."""
+def describe_check(found: Check) -> list[Block]:
+    """Return the check of a scenario's gains as pairs, and for several outputs as a table."""
     scenario, names = found.scenario, found.outputs
     shown: dict[str, Any] = {
         "scenario": scenario.title,
         "observer": f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time",
         **_describe_certificate(found),
-        **_bounds(found),
-        **_speed(found),
+        **_describe_bounds(found),
+        **_describe_decay(found),
     }
     if found.listens:
         shown["listens"] = share_in_words(found.listens)
     if found.overrun:
-        shown["overrun"] = _coasting(found.overrun)
+        shown["overrun"] = _describe_coasting(found.overrun)
     if len(names) == 1:
         shown |= _describe_output(scenario, found.known[0])
     if told := in_words_of_truths([one.second for one in found.known]):
@@ -339,30 +357,28 @@ def in_words(found: Check) -> list[Block]:
     if len(names) == 1:
         return [shown]
     duration = scenario.simulation.duration
-    note = label(f"±: 95 % at best after {duration:g} s", scenario.units.output)
-    return [shown, _rows(found), note]
+    note = label_with_unit(f"±: 95 % at best after {duration:g} s", scenario.units.output)
+    return [shown, _identifiability_rows(found), note]
 
 
-def _rows(found: Check) -> Rows:
-    """Return a row for each output: what its readings tell, with the least deviations they
-    allow.
-    """
+def _identifiability_rows(found: Check) -> Rows:
+    """Return a row for each output: its identifiability, with the least possible deviations."""
     table: list[Sequence[str]] = [("identifiable", *DIRECTIONS)]
     for name, known in zip(found.outputs, found.known, strict=True):
-        table.append((name, *(_describe_knowledge(known, each) for each in DIRECTIONS)))
+        table.append((name, *(_format_identifiability(known, each) for each in DIRECTIONS)))
     return table
 
 
-def _describe_knowledge(known: Knowledge, name: str) -> str:
-    """Return whether a direction can be known, and how well."""
+def _format_identifiability(known: Knowledge, name: str) -> str:
+    """Return whether a direction is identifiable, and its deviation."""
     if not getattr(known, name):
         return "NO"
-    std = finite(known.std.get(name))
+    std = to_json_value(known.std.get(name))
     return "yes" if std is None else f"yes, ± {HALF_95 * std:.2g}"
 
 
 def _describe_certificate(found: Check) -> dict[str, str]:
-    """Return whether the gains are certified, and whether a run stays where they are."""
+    """Return whether the gains are certified, and whether a run stays in the certified region."""
     shown = {}
     on_region = found.scenario.region is not None
     if found.certified and on_region:
@@ -385,8 +401,8 @@ def _describe_certificate(found: Check) -> dict[str, str]:
     return shown
 
 
-def _bounds(found: Check) -> dict[str, str]:
-    """Return certified gains near to those that are not, and bounds of those that are."""
+def _describe_bounds(found: Check) -> dict[str, str]:
+    """Return certified gains near to uncertified gains, and L2 bounds of certified gains."""
     shown, near = {}, found.nearest
     if near is not None:
         gains = f"L = {format_gains(near.L.tolist())}, gamma = {format_gains(near.gamma.tolist())}"
@@ -402,8 +418,8 @@ def _bounds(found: Check) -> dict[str, str]:
     return shown
 
 
-def _speed(found: Check) -> dict[str, str]:
-    """How fast the error dies, and which errors stay."""
+def _describe_decay(found: Check) -> dict[str, str]:
+    """Return the decay rate of the error, and the errors that stay."""
     shown = {}
     if found.rate is not None:
         after = "the error does not die"
@@ -417,21 +433,21 @@ def _speed(found: Check) -> dict[str, str]:
     return shown
 
 
-def _coasting(overrun: Sequence[float | None]) -> str:
-    """Return whether what is behind a play rests in its gap."""
-    told = ", ".join(f"{number:.3g}" for number in overrun if finite(number) is not None)
+def _describe_coasting(overrun: Sequence[float | None]) -> str:
+    """Return whether the load behind a backlash rests in its gap."""
+    told = ", ".join(f"{number:.3g}" for number in overrun if to_json_value(number) is not None)
     if not told:
         return "cannot be told: the reference has corners"
     return f"J a / f = {told}: below 1 the load rests against its contact"
 
 
 def _describe_output(scenario: Scenario, one: Knowledge) -> dict[str, str]:
-    """What the readings tell of a single output, and how well at best."""
+    """Return the identifiability of a single output, and its deviations at best."""
     shown = {"identifiable": format_yes_no(msgspec.structs.asdict(one))}
-    kept = {name: std for name, std in one.std.items() if finite(std) is not None}
+    kept = {name: std for name, std in one.std.items() if to_json_value(std) is not None}
     known = [f"{name} ± {HALF_95 * std:.2g}" for name, std in kept.items()]
     if known:
         duration = scenario.simulation.duration
-        words = with_unit(", ".join(known), scenario.units.output)
+        words = append_unit(", ".join(known), scenario.units.output)
         shown["known to"] = f"{words} (95 %) after {duration:g} s at best"
     return shown

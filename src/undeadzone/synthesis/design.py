@@ -18,11 +18,11 @@ from undeadzone.plants.system import System
 from undeadzone.scenario.problem import Problem, constant_gains, resolve_scenario, systems
 from undeadzone.scenario.schema import Scenario
 from undeadzone.synthesis import gain_search
-from undeadzone.synthesis.assessment import determined_states, knowledge
-from undeadzone.synthesis.task import Candidate, candidate_of, make_task
-from undeadzone.util.arrays import Floats, scalar, seed_of
+from undeadzone.synthesis.assessment import assess_identifiability, find_determined_states
+from undeadzone.synthesis.task import Candidate, build_task, score_candidate
+from undeadzone.util.arrays import Floats, require_number, require_seed
 from undeadzone.util.earlier import SCHEMA
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.progress import notebook_progress
 
 AIMS = Literal["knee", "rate"]
 Aim = AIMS | gain_search.Weights
@@ -56,51 +56,51 @@ def design(
     """
     _require_aim(maximise)
     _, flow, _ = systems(scenario)
-    _require_task(scenario, flow)
-    reason = impossible(flow)
+    _require_linear_task(scenario, flow)
+    reason = why_not_certifiable(flow)
     if reason:
         raise StructureError(f"plant: no gains can be certified: {reason}")
-    seed = seed_of("seed", seed)
+    seed = require_seed("seed", seed)
     neutral = Certified(L=[[0.0] * flow.p] * flow.n, gamma=0.0)
     try:
         problem = resolve_scenario(msgspec.structs.replace(scenario, observer=neutral))
     except InputError as error:  # its remedy may be another method
         own = "; a design is of 'certified' alone, others need none" * ("'certified'" in str(error))
         raise type(error)(f"{error}{own}") from None
-    task = make_task(problem, margin)
-    present = _present(scenario, problem)
-    before = None if present is None else candidate_of(task, *present)
-    with in_notebook(progress, "designing", rounds(maximise)) as advance:
+    task = build_task(problem, margin)
+    present = _find_present_gains(scenario, problem)
+    before = None if present is None else score_candidate(task, *present)
+    with notebook_progress(progress, "designing", count_design_rounds(maximise)) as advance:
         if maximise == "knee":
             result = gain_search.find_balanced(task, before, seed, advance)
         else:
             weights = maximise if isinstance(maximise, gain_search.Weights) else gain_search.RATE
-            result = gain_search.fastest(task, weights, seed, advance)
+            result = gain_search.find_fastest(task, weights, seed, advance)
     never = error_decay_rates(task.model, result.best.L, result.best.gamma, task.whole).never
     return Design(
         title=scenario.title,
-        chosen=_in_words(maximise),
+        chosen=_format_aim(maximise),
         seed=seed,
         Ts=problem.model.Ts,
-        **_proof(problem, result),
+        **_to_proof_fields(problem, result),
         never=list(never),
-        states=determined_states(problem, task.whole),
+        states=find_determined_states(problem, task.whole),
         remarks=list(result.remarks),
-        best=_point(result.best),
-        present=None if before is None else _point(before),
-        identifiable=knowledge(problem, task.whole, None),
-        front=[_point(candidate) for candidate in result.front],
+        best=_to_point(result.best),
+        present=None if before is None else _to_point(before),
+        identifiable=assess_identifiability(problem, task.whole, None),
+        front=[_to_point(candidate) for candidate in result.front],
         schema=SCHEMA,
     )
 
 
-def rounds(maximise: Aim) -> int:
-    """How many rounds `design` reports to its progress callback."""
+def count_design_rounds(maximise: Aim) -> int:
+    """Return the number of rounds that `design` reports to its progress callback."""
     return gain_search.STARTS + (gain_search.ROUNDS if maximise == "knee" else 0)
 
 
-def impossible(flow: System) -> str:
-    """Why no gains can be certified for a linear model; an empty string where some can.
+def why_not_certifiable(flow: System) -> str:
+    """Return the reason why no gains can be certified for a linear model; empty if some can.
 
     Args:
         flow: the model in continuous time.
@@ -110,7 +110,7 @@ def impossible(flow: System) -> str:
     return certify(flow.linear, np.zeros((flow.n, flow.p)), np.ones(flow.p)).reason
 
 
-def with_gains(scenario: Scenario, design: Design) -> Scenario:
+def apply_design(scenario: Scenario, design: Design) -> Scenario:
     """Return the scenario with the gains of a design."""
     kept = scenario.observer if isinstance(scenario.observer, Certified) else Certified()
     observer = msgspec.structs.replace(kept, L=design.L, gamma=design.gamma, design=None)
@@ -118,18 +118,18 @@ def with_gains(scenario: Scenario, design: Design) -> Scenario:
 
 
 def _require_aim(maximise: Aim) -> None:
-    """Raise InputError for an aim that there is not."""
+    """Raise InputError for an unknown aim."""
     if isinstance(maximise, gain_search.Weights):
         for name, power in maximise._asdict().items():
-            scalar(f"maximise.{name}", power, least=0.0)
+            require_number(f"maximise.{name}", power, least=0.0)
     elif maximise not in get_args(AIMS):
         raise InputError(
             f"maximise: expected 'knee', 'rate' or uz.Weights(...), found {maximise!r:.40}"
         )
 
 
-def _require_task(scenario: Scenario, flow: System) -> None:
-    """Raise InputError for a scenario that `design` cannot plan on."""
+def _require_linear_task(scenario: Scenario, flow: System) -> None:
+    """Raise InputError for a scenario without automatic design."""
     if flow.nonlinear or scenario.sensor.kind == "jump":
         what = "plant: a nonlinear plant" if flow.nonlinear else "sensor.kind: a jump sensor"
         raise InputError(
@@ -139,8 +139,8 @@ def _require_task(scenario: Scenario, flow: System) -> None:
         raise InputError("controller.method: a design plans on z = r; use state_feedback")
 
 
-def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
-    """Return the scenario's own gains, if they are certified."""
+def _find_present_gains(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
+    """Return the scenario's own gains if they are certified, else None."""
     if not isinstance(scenario.observer, Certified):
         return None
     model = problem.model
@@ -150,8 +150,8 @@ def _present(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | No
     return gains
 
 
-def _proof(problem: Problem, result: gain_search.Synthesis) -> dict[str, Any]:
-    """Return the model of a design and the proof of its gains, as its file holds them."""
+def _to_proof_fields(problem: Problem, result: gain_search.Synthesis) -> dict[str, Any]:
+    """Return the model of a design and the proof of its gains, for its file."""
     A, B, C = problem.model.linear
     certificate = result.certificate
     return {
@@ -166,15 +166,15 @@ def _proof(problem: Problem, result: gain_search.Synthesis) -> dict[str, Any]:
     }
 
 
-def _in_words(maximise: Aim) -> str:
-    """What was maximised."""
+def _format_aim(maximise: Aim) -> str:
+    """Return the maximised quantity as text."""
     if isinstance(maximise, str):
         return maximise
     powers = [f"{name}^{power:g}" for name, power in maximise._asdict().items()]
     return f"rate / ({' '.join(powers)})"
 
 
-def _point(candidate: Candidate) -> Point:
-    """Return a candidate as a design's file holds it."""
+def _to_point(candidate: Candidate) -> Point:
+    """Return a candidate as a point of a design file."""
     numbers = candidate._asdict()
     return Point(**numbers | {"L": candidate.L.tolist(), "gamma": candidate.gamma.tolist()})

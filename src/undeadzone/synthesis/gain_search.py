@@ -23,14 +23,14 @@ from undeadzone.synthesis.task import (
     Candidate,
     Scores,
     Task,
-    box,
-    candidate_at,
-    candidate_of,
-    gains_at,
-    gains_at_limit,
-    point_of,
-    score,
-    watch_frequencies,
+    add_frequencies,
+    list_gains_at_limit,
+    score_candidate,
+    score_gains,
+    score_point,
+    search_box,
+    to_certified_gains,
+    to_search_point,
 )
 from undeadzone.util.arrays import Floats
 
@@ -51,7 +51,7 @@ FIRST: Final = 2.0  # weight of the loss by an error of the model; that of the o
 
 
 class Weights(NamedTuple):
-    """The trade to maximise: rate / (disturbance^a mismatch^b noise^c).
+    """Trade to maximise: rate / (disturbance^a mismatch^b noise^c).
 
     Attributes:
         disturbance: its exponent a.
@@ -68,7 +68,7 @@ RATE: Final = Weights()
 
 
 class Synthesis(NamedTuple):
-    """What a search found.
+    """Result of a search of gains.
 
     Attributes:
         best: the chosen gains.
@@ -87,8 +87,9 @@ Tick = Callable[[int], None]
 Cost = Callable[[Floats], Floats]  # of points (b, d): numbers (b)
 
 
-def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
-    """Return the certified gains of the largest rate, or of the best trade that `weights` name.
+def find_fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
+    """Return the certified gains of the largest rate, or of the best trade that `weights`
+    name.
 
     Args:
         task: the design task.
@@ -96,14 +97,14 @@ def fastest(task: Task, weights: Weights, seed: int, tick: Tick) -> Synthesis:
         seed: of the search.
         tick: tick(1) is called STARTS times.
     """
-    task, start = search(task, weights, seed, tick)
-    best, certificate = polish_and_prove(task, start, partial(_cost, weights=weights))
-    return Synthesis(best, certificate, [best], at_the_limit(task, best))
+    task, start = search_seeded(task, weights, seed, tick)
+    best, certificate = polish_and_prove(task, start, partial(_build_trade_cost, weights=weights))
+    return Synthesis(best, certificate, [best], describe_gain_limit(task, best))
 
 
-def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
-    """That the step kept a search from larger gains, if it did."""
-    names = gains_at_limit(task, point_of(task, best))
+def describe_gain_limit(task: Task, best: Candidate) -> tuple[str, ...]:
+    """Return the remark that the step kept a search from larger gains, or no remark."""
+    names = list_gains_at_limit(task, to_search_point(task, best))
     if not names:
         return ()
     return (
@@ -112,44 +113,46 @@ def at_the_limit(task: Task, best: Candidate) -> tuple[str, ...]:
     )
 
 
-def search(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
-    """Return the best of several seeded searches, before it is polished, and the task it was found
-    in.
+def search_seeded(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
+    """Return the best of several seeded searches, before it is polished, and its task.
 
     Where it touches the largest gains that are tried, larger ones are tried too.
     """
-    low, high = box(task)
-    cost, size = _cost(task, weights), population(task)
+    low, high = search_box(task)
+    cost, size = _build_trade_cost(task, weights), search_population(task)
     best, least = low, np.inf
     for start in range(STARTS):
         point, value = minimise_by_cmaes(cost, low, high, seed * STARTS + start, size, SHORT)
         if start == 0 or value < least:
             best, least = point, value
         tick(1)
-    best = _better(cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best)[0])
+    best = _choose_cheaper(
+        cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best)[0]
+    )
     while True:
-        low, high = box(task)
-        best = _better(
+        low, high = search_box(task)
+        best = _choose_cheaper(
             cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best, NEAR)[0]
         )
-        if task.room >= MOST or not gains_at_limit(task, best):
+        if task.room >= MOST or not list_gains_at_limit(task, best):
             return task, best
         task = task._replace(room=min(2 * task.room, MOST))
 
 
-def _better(cost: Cost, one: Floats, other: Floats) -> Floats:
+def _choose_cheaper(cost: Cost, one: Floats, other: Floats) -> Floats:
     """Return the point of less cost (d each)."""
     return (one, other)[int(np.argmin(cost(np.stack([one, other]))))]
 
 
-def _cost(task: Task, weights: Weights) -> Cost:
-    """Return the function that the best trade makes small."""
+def _build_trade_cost(task: Task, weights: Weights) -> Cost:
+    """Return the function that the best trade minimises."""
     mismatch = weights.mismatch > 0
     gains = weights.disturbance > 0 or weights.noise > 0
 
     def cost(points: Floats) -> Floats:
-        L, gamma = gains_at(task, points)
-        scores = score(task, L, gamma, mismatch=mismatch, gains=gains)
+        """Return the cost of points (b)."""
+        L, gamma = to_certified_gains(task, points)
+        scores = score_gains(task, L, gamma, mismatch=mismatch, gains=gains)
         total = -np.log(np.maximum(scores.rate, 1e-300))
         for name, weight in weights._asdict().items():
             if weight:
@@ -162,7 +165,7 @@ def _cost(task: Task, weights: Weights) -> Cost:
 def polish_and_prove(
     task: Task, point: Floats, cost_in: Callable[[Task], Cost]
 ) -> tuple[Candidate, Certificate]:
-    """Return the point polished and proved.
+    """Return the polished point with its certificate.
 
     Where the exact margin is missed, its frequency is watched too.
 
@@ -173,24 +176,25 @@ def polish_and_prove(
     """
     enough = task.margin * (1 - ROUNDING)
     for _ in range(POLISHED):
-        point = _polish(cost_in(task), point, *box(task))
-        candidate = candidate_at(task, point)
+        point = _polish_by_simplex(cost_in(task), point, *search_box(task))
+        candidate = score_point(task, point)
         certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
         if certificate.certified and certificate.margin > enough:
             return candidate, certificate
         if certificate.frequency is not None:
-            task = watch_frequencies(task, np.array([certificate.frequency]))
+            task = add_frequencies(task, np.array([certificate.frequency]))
     while not (certificate.certified and certificate.margin > enough):
-        candidate = candidate_of(task, SHRINK * candidate.L, candidate.gamma)
+        candidate = score_candidate(task, SHRINK * candidate.L, candidate.gamma)
         certificate = certify(task.model, candidate.L, candidate.gamma, task.Ts)
     return candidate, certificate
 
 
-def _polish(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
+def _polish_by_simplex(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
     """Return a point of less cost between bounds (d each), by Nelder and Mead's method."""
     from scipy.optimize import minimize
 
     def cost_of_one(x: Floats) -> float:
+        """Return the cost of a single point (d)."""
         return float(cost(np.clip(x, low, high)[None])[0])
 
     n = point.size
@@ -199,9 +203,9 @@ def _polish(cost: Cost, point: Floats, low: Floats, high: Floats) -> Floats:
     return np.asarray(result.x.clip(low, high))
 
 
-def population(task: Task) -> int:
-    """How many points a round of the search tries."""
-    return 32 if box(task)[0].size < 8 else 64
+def search_population(task: Task) -> int:
+    """Return the number of points that a round of the search evaluates."""
+    return 32 if search_box(task)[0].size < 8 else 64
 
 
 def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
@@ -220,37 +224,42 @@ def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) 
         seed: of the search.
         tick: tick(1) is called STARTS + ROUNDS times.
     """
-    task, quickest = search(task, RATE, seed, tick)
-    quick = score(task, *gains_at(task, quickest[None]), mismatch=False, gains=False)
+    task, quickest = search_seeded(task, RATE, seed, tick)
+    quick = score_gains(
+        task, *to_certified_gains(task, quickest[None]), mismatch=False, gains=False
+    )
     limit = float(quick.rate[0]) * FLOOR
-    traded, advance = partial(_costs, task, limit=limit), partial(tick, 1)
+    traded, advance = partial(_pareto_costs, task, limit=limit), partial(tick, 1)
     points, costs = find_pareto_front(
-        traded, *box(task), seed, quickest[None], rounds=ROUNDS, tick=advance
+        traded, *search_box(task), seed, quickest[None], rounds=ROUNDS, tick=advance
     )
     bars = [np.full(3, np.inf)]
     if present is not None:
         level = np.log([1 / max(present.rate, 1e-300), present.disturbance, present.noise])
         bars = [level - BETTER, level, *bars]
-        near = _around(task, present, level, limit, seed)
+        near = _search_near_present(task, present, level, limit, seed)
         points = np.vstack([points, near])
         costs = np.vstack([costs, traded(near[None])])
         admitted = np.isfinite(costs).all(axis=1)
         points, costs = points[admitted], costs[admitted]
     bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
-    mismatch = score(task, *gains_at(task, points), gains=False).mismatch
+    mismatch = score_gains(task, *to_certified_gains(task, points), gains=False).mismatch
     every = np.hstack([np.log(mismatch)[:, None], costs])
     least, greatest = every.min(axis=0), every.max(axis=0)
-    loss_in = partial(_loss, limit=limit, least=least, greatest=greatest, bar=bar)
+    loss_in = partial(_build_knee_loss, limit=limit, least=least, greatest=greatest, bar=bar)
     start = points[np.argmin(loss_in(task)(points))]
     best, certificate = polish_and_prove(task, start, loss_in)
-    remarks = at_the_limit(task, best)
+    remarks = describe_gain_limit(task, best)
     if present is not None:
-        remarks += _remarks(best, present)
-    return Synthesis(best, certificate, _front(task, points), remarks)
+        remarks += _list_remarks(best, present)
+    return Synthesis(best, certificate, _collect_front(task, points), remarks)
 
 
-def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats) -> Cost:
-    """What the knee makes small: the largest loss between the ends of the front.
+def _build_knee_loss(
+    task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
+) -> Cost:
+    """Return the function that the knee minimises: the largest loss between the ends of the
+    front.
 
     Args:
         task: the design task.
@@ -260,7 +269,8 @@ def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
     """
 
     def loss(points: Floats) -> Floats:
-        scores = score(task, *gains_at(task, points))
+        """Return the loss of points (b)."""
+        scores = score_gains(task, *to_certified_gains(task, points))
         costs = _log_objectives(scores, limit)
         every = np.hstack([np.log(scores.mismatch)[:, None], costs])
         weights = np.array([[FIRST, 1.0, 1.0, 1.0]])
@@ -270,9 +280,11 @@ def _loss(task: Task, limit: float, least: Floats, greatest: Floats, bar: Floats
     return loss
 
 
-def _costs(task: Task, points: Floats, limit: float) -> Floats:
-    """What points (b, d) cost, see `_traded`."""
-    return _log_objectives(score(task, *gains_at(task, points), mismatch=False), limit)
+def _pareto_costs(task: Task, points: Floats, limit: float) -> Floats:
+    """Return the costs of points (b, d), see `TRADED`."""
+    return _log_objectives(
+        score_gains(task, *to_certified_gains(task, points), mismatch=False), limit
+    )
 
 
 def _log_objectives(scores: Scores, limit: float) -> Floats:
@@ -286,19 +298,22 @@ def _log_objectives(scores: Scores, limit: float) -> Floats:
     return np.where(admitted[:, None], logs, np.inf)
 
 
-def _around(task: Task, present: Candidate, level: Floats, limit: float, seed: int) -> Floats:
-    """Return the point near present gains that beats their costs, the level (3), by most."""
+def _search_near_present(
+    task: Task, present: Candidate, level: Floats, limit: float, seed: int
+) -> Floats:
+    """Return the point near present gains that improves most on their costs, the level (3)."""
 
     def worst(points: Floats) -> Floats:
-        return np.asarray((_costs(task, points, limit) - level).max(axis=1))
+        """Return the largest excess of points over the level (b)."""
+        return np.asarray((_pareto_costs(task, points, limit) - level).max(axis=1))
 
-    size, start = population(task), point_of(task, present)
-    return minimise_by_cmaes(worst, *box(task), seed, size, LONG, start, NEAR)[0]
+    size, start = search_population(task), to_search_point(task, present)
+    return minimise_by_cmaes(worst, *search_box(task), seed, size, LONG, start, NEAR)[0]
 
 
-def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
-    """In what gains are worse than the present ones."""
-    pairs = zip(TRADED, _prices(best), _prices(present), strict=True)
+def _list_remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
+    """Return remarks on the objectives in which gains are worse than the present gains."""
+    pairs = zip(TRADED, _to_objectives(best), _to_objectives(present), strict=True)
     worse = [name for name, here, before in pairs if not here < before]
     if not worse:
         return ()
@@ -308,22 +323,22 @@ def _remarks(best: Candidate, present: Candidate) -> tuple[str, ...]:
     )
 
 
-def _front(task: Task, points: Floats) -> list[Candidate]:
-    """Return the undominated of these points by falling rate.
+def _collect_front(task: Task, points: Floats) -> list[Candidate]:
+    """Return the undominated points by falling rate.
 
     Their margins are made exact at their own worst frequencies.
     """
     worst = []
     for point in points:
-        candidate = candidate_at(task, point)
+        candidate = score_point(task, point)
         worst.append(certify(task.model, candidate.L, candidate.gamma, task.Ts).frequency)
-    task = watch_frequencies(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
-    candidates = [candidate_at(task, point) for point in points]
+    task = add_frequencies(task, np.array([w for w in worst if w is not None and np.isfinite(w)]))
+    candidates = [score_point(task, point) for point in points]
     candidates.sort(key=lambda one: -one.rate)
-    keep = is_undominated(np.array([_prices(one) for one in candidates]))
+    keep = is_undominated(np.array([_to_objectives(one) for one in candidates]))
     return [one for one, kept in zip(candidates, keep, strict=True) if kept]
 
 
-def _prices(one: Candidate) -> tuple[float, float, float]:
-    """What is `TRADED` of a candidate, each the better the smaller it is."""
+def _to_objectives(one: Candidate) -> tuple[float, float, float]:
+    """Return the objectives `TRADED` of a candidate, each the better the smaller it is."""
     return -one.rate, one.disturbance, one.noise

@@ -1,4 +1,6 @@
-"""A design task: the model, the reference's sides, and what disturbs the errors (docs/rates.md)."""
+"""Design task: the model, the reference's branches, and the disturbances of the errors
+(docs/rates.md).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from undeadzone.feedforward.targets import moves, steady_state
 from undeadzone.linalg.hold import discretise_noise, zoh
 from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.scenario.problem import Problem
-from undeadzone.util.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, require_number
 
 PER_POLE: Final = 49  # frequencies at which a candidate's margin is looked at, around each pole
 # Of the schedule: the exosystem's state at a corner is that of the piece that follows.
@@ -23,7 +25,7 @@ NUDGE: Final = 1e-12
 
 
 class Task(NamedTuple):
-    """A design task, its states balanced: x = units x_balanced.
+    """Design task, its states balanced: x = units x_balanced.
 
     Dynamics are in delta form if sampled (Ts). N = n + 2p errors (x~, d~); the reference's
     exosystem has k states, w' = S w.
@@ -68,21 +70,21 @@ class Task(NamedTuple):
 
     @property
     def n(self) -> int:
-        """Return number of states."""
+        """Return the number of states."""
         return self.A.shape[0]
 
     @property
     def p(self) -> int:
-        """Return number of outputs."""
+        """Return the number of outputs."""
         return self.linear.C.shape[0]
 
     @property
-    def poles(self) -> Floats:
-        """Return sizes of the plant's poles [1/s]."""
-        return np.abs(_poles(self.A, self.Ts))
+    def pole_sizes(self) -> Floats:
+        """Return the sizes of the plant's poles [1/s]."""
+        return np.abs(_continuous_poles(self.A, self.Ts))
 
 
-def make_task(problem: Problem, margin: float) -> Task:
+def build_task(problem: Problem, margin: float) -> Task:
     """Return the design task of a linear, stable scenario.
 
     Args:
@@ -93,13 +95,13 @@ def make_task(problem: Problem, margin: float) -> Task:
         InputError: there is nothing to plan on.
     """
     model, Ts = problem.model, problem.model.Ts
-    margin = scalar("margin", margin)
+    margin = require_number("margin", margin)
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
     units = 1 / state_response_sizes(delta_form(model.linear, Ts).A.T, model.linear.C.T)
     linear, flow = (
-        _matrices_in_units(model.linear, units),
-        _matrices_in_units(problem.flow.linear, units),
+        _balance_matrices(model.linear, units),
+        _balance_matrices(problem.flow.linear, units),
     )
     horizon = problem.scenario.simulation.duration
     whole = plan_schedule(model, problem.reference, problem.tracked, problem.sensor, horizon)
@@ -110,7 +112,7 @@ def make_task(problem: Problem, margin: float) -> Task:
             f"reference: it never leaves the dead zone, so that the sensor says nothing; {cure}"
         )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
-    S, model_errors, source = _storage_inputs(problem, flow, units)
+    S, model_errors, source = _build_storage_inputs(problem, flow, units)
     hidden = unobservable_changes(linear, schedule.branch_visits(), Ts)
     basis = np.linalg.qr(hidden.basis * hidden.scale[:, None])[0]
     task = Task(
@@ -131,24 +133,24 @@ def make_task(problem: Problem, margin: float) -> Task:
         resolvents=np.empty((0, model.p, model.n)),
         margin=margin,
     )
-    return watch_frequencies(task, _frequencies(task))
+    return add_frequencies(task, _margin_frequencies(task))
 
 
-def _matrices_in_units(linear: Matrices, units: Floats) -> Matrices:
+def _balance_matrices(linear: Matrices, units: Floats) -> Matrices:
     """Return the matrices for states measured in these units (n)."""
     A, B, C = linear
     return Matrices(A / units[:, None] * units, B / units[:, None], C * units)
 
 
-def _frequencies(task: Task) -> Floats:
-    """Return 0 and the frequencies around each pole at which the margin is looked at [rad/s]."""
+def _margin_frequencies(task: Task) -> Floats:
+    """Return 0 and the frequencies around each pole for the test of the margin [rad/s]."""
     near = np.tan(np.linspace(-1.5, 1.5, PER_POLE))
-    around = [abs(s.imag) + abs(s.real) * near for s in _poles(task.A, task.Ts)]
+    around = [abs(s.imag) + abs(s.real) * near for s in _continuous_poles(task.A, task.Ts)]
     return np.abs(np.concatenate([[0.0], *around]))
 
 
-def watch_frequencies(task: Task, w: Floats) -> Task:
-    """Return the task with its margin looked at also at frequencies w [rad/s]."""
+def add_frequencies(task: Task, w: Floats) -> Task:
+    """Return the task with its margin tested also at frequencies w [rad/s]."""
     if task.Ts is None:
         s = 1j * w
     else:
@@ -158,7 +160,7 @@ def watch_frequencies(task: Task, w: Floats) -> Task:
     return task._replace(resolvents=np.concatenate([task.resolvents, resolvents]))
 
 
-def _storage_inputs(
+def _build_storage_inputs(
     problem: Problem, flow: Matrices, units: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return (S, model_errors, source) of `Task`.
@@ -179,7 +181,7 @@ def _storage_inputs(
         hold = zoh(flow._replace(B=np.eye(n)), Ts).B / Ts
         _, spread = discretise_noise(A, spread, Ts)
     both = np.hstack([A, B])
-    kinematic = _kinematic(A, B)
+    kinematic = _find_kinematic_rows(A, B)
     entries = [(i, j) for i, j in np.argwhere(both) if not kinematic[i]]
     model_errors = np.zeros((len(entries), n + 2 * p, S.shape[0]))
     for k, (i, j) in enumerate(entries):
@@ -189,14 +191,16 @@ def _storage_inputs(
     return S, model_errors, source
 
 
-def _kinematic(A: Floats, B: Floats) -> np.ndarray:
-    """Which rows of x' = A x + B u only say that one state is the derivative of another (n)."""
+def _find_kinematic_rows(A: Floats, B: Floats) -> np.ndarray:
+    """Return a mask of the rows of x' = A x + B u that only define a state as a derivative
+    (n).
+    """
     one_state = np.count_nonzero(A, axis=1) == 1
     no_input = np.count_nonzero(B, axis=1) == 0
     return np.asarray(one_state & no_input & (np.diag(A) == 0))
 
 
-def _poles(A: Floats, Ts: float | None) -> np.ndarray:
+def _continuous_poles(A: Floats, Ts: float | None) -> np.ndarray:
     """Return poles [1/s] of A, or of a sampled A in delta form mapped back to continuous time."""
     poles = np.linalg.eigvals(A)
     if Ts is None:
@@ -216,7 +220,7 @@ WEIGHT: Final = 3.0  # largest logarithm of the ratio of two storage weights
 
 
 class Scores(NamedTuple):
-    """What b candidates are worth (b each): rate, and rms over the reference of (C x~, d~) [z].
+    """Scores of b candidates (b each): rate, and rms over the reference of (C x~, d~) [z].
 
     Attributes:
         rate: of the error [1/s].
@@ -232,10 +236,10 @@ class Scores(NamedTuple):
     noise: Floats
 
 
-def score(
+def score_gains(
     task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bool = True
 ) -> Scores:
-    """What b candidates are worth; nan for what is not asked.
+    """Return the scores of b candidates; nan for scores that are not requested.
 
     Args:
         task: the design task.
@@ -248,7 +252,9 @@ def score(
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * p)
     F, G = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
     rate = (
-        -_slowest(task, *floquet.matrix_product(floquet.span_transitions(F, task.schedule)))
+        -_slowest_multiplier(
+            task, *floquet.matrix_product(floquet.span_transitions(F, task.schedule))
+        )
         / task.schedule.total_duration
     )
     disturbance = noise = model = np.full(rate.shape, np.nan)
@@ -272,7 +278,7 @@ def score(
 
 
 def shrink_to_certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floats:
-    """Return L shrunk towards 0 as far as the margin asks (b, n, p): docs/rates.md.
+    """Return L shrunk towards 0 as far as the margin requires (b, n, p): docs/rates.md.
 
     1 + G - Ts gamma / 2 >= margin is linear in L, and holds at L = 0 since Ts gamma <= 1.
 
@@ -295,8 +301,8 @@ def shrink_to_certified(task: Task, L: Floats, gamma: Floats, W: Floats) -> Floa
     return np.asarray(L * np.minimum(1.0, 1.0 / np.maximum(-least, floquet.TINY))[:, None, None])
 
 
-def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
-    """Return the largest ln |multiplier| of errors that can die (b).
+def _slowest_multiplier(task: Task, M: Floats, size: Floats) -> Floats:
+    """Return the largest ln |multiplier| of errors that can decay (b).
 
     Those apart that unidentifiable errors keep on the unit circle.
 
@@ -305,20 +311,20 @@ def _slowest(task: Task, M: Floats, size: Floats) -> Floats:
         M: transition of the errors over the schedule (b, N, N), but for a factor.
         size: logarithm of that factor (b).
     """
-    own = _logarithms(task.seen.T @ M @ task.seen).max(axis=-1) + size
+    own = _log_eigenvalues(task.seen.T @ M @ task.seen).max(axis=-1) + size
     if not task.hidden.shape[1]:
         return own
-    kept = _logarithms(task.hidden.T @ M @ task.hidden) + size[:, None]
+    kept = _log_eigenvalues(task.hidden.T @ M @ task.hidden) + size[:, None]
     return np.maximum(own, np.where(np.abs(kept) < floquet.NEUTRAL, -np.inf, kept).max(axis=-1))
 
 
-def _logarithms(M: Floats) -> Floats:
+def _log_eigenvalues(M: Floats) -> Floats:
     """Return ln |eigenvalue| of matrices (b, N, N)."""
     return np.log(np.maximum(np.abs(np.linalg.eigvals(M)), floquet.TINY))
 
 
 class Candidate(NamedTuple):
-    """Gains and what they are worth (`Scores`).
+    """Gains with their `Scores`.
 
     Attributes:
         L: gain of x^ (n x p) [1/s].
@@ -335,19 +341,19 @@ class Candidate(NamedTuple):
     noise: float
 
 
-def candidate_of(task: Task, L: Floats, gamma: Floats) -> Candidate:
-    """What gains L (n x p), gamma (p) [1/s] are worth in a task."""
-    values = score(task, (L / task.units[:, None])[None], gamma[None])
+def score_candidate(task: Task, L: Floats, gamma: Floats) -> Candidate:
+    """Return gains L (n x p), gamma (p) [1/s] with their scores in a task."""
+    values = score_gains(task, (L / task.units[:, None])[None], gamma[None])
     return Candidate(L, gamma, *(float(value[0]) for value in values))
 
 
-def candidate_at(task: Task, point: Floats) -> Candidate:
-    """Return the gains at a point (d), and what they are worth."""
-    L, gamma = gains_at(task, point[None])
-    return candidate_of(task, task.units[:, None] * L[0], gamma[0])
+def score_point(task: Task, point: Floats) -> Candidate:
+    """Return the gains at a point (d), with their scores."""
+    L, gamma = to_certified_gains(task, point[None])
+    return score_candidate(task, task.units[:, None] * L[0], gamma[0])
 
 
-def gains_at(task: Task, points: Floats) -> tuple[Floats, Floats]:
+def to_certified_gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
     """Return the certified gains at points.
 
     Args:
@@ -359,26 +365,26 @@ def gains_at(task: Task, points: Floats) -> tuple[Floats, Floats]:
         L, balanced (b, n, p), and gamma (b, p).
     """
     n, p = task.n, task.p
-    L = task.poles.min() * np.sinh(points[:, : n * p].reshape(-1, n, p))
+    L = task.pole_sizes.min() * np.sinh(points[:, : n * p].reshape(-1, n, p))
     gamma = np.exp(points[:, n * p : n * p + p])
     W = np.exp(np.hstack([np.zeros((len(points), 1)), points[:, n * p + p :]]))  # storage weights
     return shrink_to_certified(task, L, gamma, W), gamma
 
 
-def point_of(task: Task, gains: Candidate) -> Floats:
-    """Return the point whose `gains_at` these are, as near as the box allows."""
+def to_search_point(task: Task, gains: Candidate) -> Floats:
+    """Return the point whose `to_certified_gains` are these gains, as near as the box allows."""
     L, gamma = gains.L / task.units[:, None], np.maximum(gains.gamma, 1e-300)
-    shares = np.arcsinh(L / task.poles.min()).ravel()
+    shares = np.arcsinh(L / task.pole_sizes.min()).ravel()
     point = np.concatenate([shares, np.log(gamma), np.zeros(task.p - 1)])
-    return np.clip(point, *box(task))
+    return np.clip(point, *search_box(task))
 
 
-def box(task: Task) -> tuple[Floats, Floats]:
+def search_box(task: Task) -> tuple[Floats, Floats]:
     """Return the least and greatest points of the search (d each).
 
     Steps of simulation and sampling bound the gains too.
     """
-    slow, quick = float(task.poles.min()), float(task.poles.max())
+    slow, quick = float(task.pole_sizes.min()), float(task.pole_sizes.max())
     step = task.step if task.Ts is None else task.Ts
     reach = float(np.arcsinh(min(REACH * quick, task.room / step) / slow))
     least, greatest = np.log([SPEED[0] * slow, min(SPEED[1] * quick, task.room / step)])
@@ -386,11 +392,13 @@ def box(task: Task) -> tuple[Floats, Floats]:
     return np.repeat([-reach, least, -WEIGHT], sizes), np.repeat([reach, greatest, WEIGHT], sizes)
 
 
-def gains_at_limit(task: Task, point: Floats) -> str:
-    """Which gains at a point (d) are the largest that the step allows to try; empty: none."""
-    _, greatest = box(task)
+def list_gains_at_limit(task: Task, point: Floats) -> str:
+    """Return the names of gains at a point (d) that are the largest that the step allows;
+    empty if none.
+    """
+    _, greatest = search_box(task)
     size = task.n * task.p
-    quick, step = float(task.poles.max()), task.step if task.Ts is None else task.Ts
+    quick, step = float(task.pole_sizes.max()), task.step if task.Ts is None else task.Ts
     at_bound = np.abs(point) > greatest - NEAR_BOUND * np.abs(greatest)
     names = []
     if at_bound[:size].any() and REACH * quick > task.room / step:

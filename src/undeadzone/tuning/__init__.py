@@ -1,1 +1,1 @@
-"""Numbers of observer and controller found by simulation."""
+"""Parameters of observer and controller, tuned by simulation."""

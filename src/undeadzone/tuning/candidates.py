@@ -1,4 +1,4 @@
-"""What candidates are worth: a statistic of a metric over runs, and their certificates' margin.
+"""Cost of candidates: a statistic of a metric over runs, and their certificates' margin.
 
 Candidates are lanes: options that differ in numbers alone share one kernel and the same runs. An
 observer that computes in Python is run one by one.
@@ -14,9 +14,9 @@ import numpy as np
 
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.batch import Batch, prepare
-from undeadzone.ensemble.binding import Lanes, bind
-from undeadzone.ensemble.metrics import EDGES, width_error, widths_in_turn
+from undeadzone.ensemble.batch import Batch, prepare_batch
+from undeadzone.ensemble.binding import Lanes, bind_ensemble
+from undeadzone.ensemble.metrics import EDGES, interleave_widths, width_error
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.interfaces import require_graph
 from undeadzone.results.run import last_samples
@@ -39,7 +39,8 @@ Problems = tuple[Problem, ...]
 
 
 class Frame(NamedTuple):
-    """The scale of a scenario's scores: scenarios of different units or difficulty weigh alike.
+    """Scale of a scenario's scores: scenarios of different units or difficulty have equal
+    weight.
 
     Attributes:
         zero: what counts as 0, in the unit of the metric
@@ -51,7 +52,7 @@ class Frame(NamedTuple):
 
 
 class TestRuns(NamedTuple):
-    """Runs on which candidates for the options of one scenario are tried.
+    """Runs to evaluate candidates for the options of a scenario.
 
     Attributes:
         batch: the runs of the first candidate, ready to be computed
@@ -71,28 +72,30 @@ class TestRuns(NamedTuple):
         return self.batch.problem
 
     @property
-    def varied_values(self) -> dict[str, Floats]:
-        """What [ensemble] varies: its values in the runs, by name."""
-        return dict(zip(self.batch.binding.names, self.values.T, strict=True))
+    def values_by_name(self) -> dict[str, Floats]:
+        """Return the values in the runs of the entries that [ensemble] varies, by name."""
+        return dict(zip(self.batch.binding.names_of_columns, self.values.T, strict=True))
 
-    def redrawn(self, runs: int, seed: int) -> TestRuns:
-        """Return the same on other runs: the first `runs` of a seed; one if nothing differs among
-        them.
+    def redraw_runs(self, runs: int, seed: int) -> TestRuns:
+        """Return the same candidates on the first `runs` runs of a seed, or on one if all
+        runs are equal.
         """
         binding, own = self.batch.binding._replace(seed=seed), self.batch.own._replace(seed=seed)
         count = runs if binding.columns or own.entries else 1
-        values = binding.draw(0, count, runs)
+        values = binding.draw_columns(0, count, runs)
         batch = self.batch._replace(binding=binding, own=own)
         return self._replace(batch=batch, runs=np.arange(count), values=values)
 
-    def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
+    def simulate_candidates(
+        self, candidates: Sequence[Problem], threads: int | None = None
+    ) -> Floats:
         """Return the metrics (candidates x runs x columns) of candidates.
 
         Those that the kernel does not serve get one of their own. Raises InputError.
         """
         groups: dict[str | None, list[int]] = {}
         for k, candidate in enumerate(candidates):
-            groups.setdefault(self._other_graph(candidate), []).append(k)
+            groups.setdefault(self._find_other_graph(candidate), []).append(k)
         columns = len(self.batch.layout.columns) - self.values.shape[1]
         rows = np.empty((len(candidates), self.runs.size, columns))
         for other, chosen in groups.items():
@@ -100,11 +103,13 @@ class TestRuns(NamedTuple):
             if other is not None:
                 seed = self.batch.binding.seed
                 runs = prepare_test_runs(group[0].scenario, group, self.runs.size, seed)
-            rows[chosen] = runs._rows(group, threads).reshape(len(chosen), *rows.shape[1:])
+            rows[chosen] = runs._simulate_on_kernel(group, threads).reshape(
+                len(chosen), *rows.shape[1:]
+            )
         return rows
 
-    def _other_graph(self, candidate: Problem) -> str | None:
-        """None for a candidate that the kernel serves, else its graph."""
+    def _find_other_graph(self, candidate: Problem) -> str | None:
+        """Return None for a candidate that the kernel can compute, else its graph."""
         form, binding = graph(candidate), self.batch.binding
         if form == self.graph:
             shared = np.delete(np.arange(binding.params.size), binding.indices)
@@ -113,23 +118,23 @@ class TestRuns(NamedTuple):
                 return None
         return form
 
-    def _rows(self, candidates: list[Problem], threads: int | None) -> Floats:
-        """Return the metrics of candidates that the kernel serves: candidate by candidate, run by
-        run.
+    def _simulate_on_kernel(self, candidates: list[Problem], threads: int | None) -> Floats:
+        """Return the metrics of candidates that the kernel can compute: candidate by
+        candidate, run by run.
         """
         parts = []
         for candidate in candidates:
             state, params = pack_problem(candidate, self.batch.loop)
             binding = self.batch.binding._replace(state=state, params=params)
-            parts.append(binding.lanes(self.values))
+            parts.append(binding.to_lanes(self.values))
         lanes = Lanes(*map(np.concatenate, zip(*parts, strict=True)))
-        return self.batch.measure(np.tile(self.runs, len(candidates)), lanes, threads)
+        return self.batch.measure_lanes(np.tile(self.runs, len(candidates)), lanes, threads)
 
 
 def prepare_test_runs(
     scenario: Scenario, probes: Sequence[Problem], runs: int, seed: int
 ) -> TestRuns:
-    """Test runs for a scenario whose candidates move the numbers that the probes move.
+    """Prepare runs for a scenario whose candidates change the same numbers as the probes.
 
     Saltelli's design is not taken: its runs are not independent.
 
@@ -150,14 +155,14 @@ def prepare_test_runs(
     form, loop = graph(problem), close_problem(problem)
     alike = [pack_problem(probe, loop)[1] for probe in probes if graph(probe) == form]
     slots = set(changed_params(loop, alike).tolist())
-    for column in bind(problem, loop).columns:
+    for column in bind_ensemble(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
                 f"tune: [ensemble] varies {column.name}, which what is tuned decides; "
                 "keep one of them"
             )
-    none_yet = TestRuns(prepare(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
-    return none_yet.redrawn(runs, seed)
+    none_yet = TestRuns(prepare_batch(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
+    return none_yet.redraw_runs(runs, seed)
 
 
 class OneByOne(NamedTuple):
@@ -167,36 +172,40 @@ class OneByOne(NamedTuple):
         problem: of the first candidate
         runs: how many: the first ones of the seed
         seed: of noise and disturbance
-        varied_values: nothing, see `TestRuns.varied_values`
+        values_by_name: nothing, see `TestRuns.values_by_name`
     """
 
     problem: Problem
     runs: int = 0
     seed: int = 0
-    varied_values: Mapping[str, Floats] = {}
+    values_by_name: Mapping[str, Floats] = {}
 
-    def redrawn(self, runs: int, seed: int) -> OneByOne:
-        """Return other runs: the first `runs` of a seed; one if nothing differs between them."""
+    def redraw_runs(self, runs: int, seed: int) -> OneByOne:
+        """Return the first `runs` runs of a seed, or one if all runs are equal."""
         sensor = self.problem.sensor
         noisy = sensor.noise.any() or sensor.noise_before.any()
         differ = noisy or random_disturbance(self.problem)
         return OneByOne(self.problem, runs if differ else 1, seed)
 
-    def rows(self, candidates: Sequence[Problem], threads: int | None = None) -> Floats:
-        """Return the metrics (candidates x runs x columns) of candidates; threads: not used."""
-        return np.stack([self._rows_of(candidate) for candidate in candidates])
+    def simulate_candidates(
+        self, candidates: Sequence[Problem], threads: int | None = None
+    ) -> Floats:
+        """Return the metrics (candidates x runs x columns) of candidates; threads: not
+        used.
+        """
+        return np.stack([self._simulate_candidate(candidate) for candidate in candidates])
 
-    def _rows_of(self, candidate: Problem) -> Floats:
+    def _simulate_candidate(self, candidate: Problem) -> Floats:
         """Return the metrics (runs x columns) of one candidate."""
         rows = []
         for run in range(self.runs):
             inputs = exogenous(candidate, run=run, seed=self.seed)
-            rows.append(row(candidate, run_sample_by_sample(candidate, inputs)))
+            rows.append(metrics_from_outputs(candidate, run_sample_by_sample(candidate, inputs)))
         return np.concatenate(rows)
 
 
-def row(problem: Problem, out: Outputs) -> Floats:
-    """Return the metrics (1 x columns) of one run, as `metrics.measured` accumulates them in the
+def metrics_from_outputs(problem: Problem, out: Outputs) -> Floats:
+    """Return the metrics (1 x columns) of a run, as `metrics.add_metrics` accumulates in the
     loop.
     """
     t = np.arange(len(out.z)) * problem.scenario.simulation.step
@@ -208,6 +217,7 @@ def row(problem: Problem, out: Outputs) -> Floats:
     poses = tips(problem, out.x, out.estimate.x, t)
 
     def one_number(value: Any) -> Floats:
+        """Return a number as an array (1 x 1)."""
         return np.array([[value]])
 
     tally = metrics.Tally(
@@ -226,11 +236,11 @@ def row(problem: Problem, out: Outputs) -> Floats:
         tally = tally._replace(tip=one_number(((poses["tip"] - poses["tip_r"])[tail] ** 2).sum()))
     states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
     scales, length = plant_scales(problem), t.size - tail.start
-    return metrics.rows(tally, states, scales, t.size, length, len(problem.tracked))
+    return metrics.metric_rows(tally, states, scales, t.size, length, len(problem.tracked))
 
 
 class Objective(NamedTuple):
-    """Scenarios to be done well at once.
+    """Scenarios to be tuned together.
 
     Attributes:
         what: the table [tune]
@@ -259,16 +269,18 @@ class Objective(NamedTuple):
             InputError or a subclass
         """
         scenarios = range(len(self.scenarios))
-        return self._replace(test_runs=tuple(self._test_runs(k, probes, seed) for k in scenarios))
+        return self._replace(
+            test_runs=tuple(self._build_test_runs(k, probes, seed) for k in scenarios)
+        )
 
-    def _test_runs(self, index: int, probes: Floats, seed: int) -> TestRuns | OneByOne:
-        """Return the test runs of a scenario: on the lanes, unless its observer computes in
-        Python.
+    def _build_test_runs(self, index: int, probes: Floats, seed: int) -> TestRuns | OneByOne:
+        """Return the test runs of a scenario: on the lanes, unless its observer computes
+        in Python.
         """
-        first = resolve_scenario(self.scenario(index, probes[0]))
-        _check_metric(self.what.metric, first)
+        first = resolve_scenario(self.candidate_scenario(index, probes[0]))
+        _require_metric(self.what.metric, first)
         if first.observer.python is None:
-            others = [self.problem(index, probe) for probe in probes[1:]]
+            others = [self.candidate_problem(index, probe) for probe in probes[1:]]
             near = [problem for problem in others if problem is not None]
             return prepare_test_runs(first.scenario, near, self.what.runs, seed)
         vary = first.scenario.ensemble
@@ -276,34 +288,35 @@ class Objective(NamedTuple):
             require_graph(
                 first.observer
             )  # no more than noise and disturbance can vary without a graph
-        return OneByOne(first).redrawn(self.what.runs, seed)
+        return OneByOne(first).redraw_runs(self.what.runs, seed)
 
-    def scenario(self, index: int, point: Floats) -> Scenario:
+    def candidate_scenario(self, index: int, point: Floats) -> Scenario:
         """Return a scenario with the numbers of a candidate."""
         values = dict(zip(self.names, point.tolist(), strict=True))
         return with_numbers(self.scenarios[index], values)
 
-    def problem(self, index: int, point: Floats) -> Problem | None:
-        """Return the problem of a candidate in a scenario; None where it is refused."""
+    def candidate_problem(self, index: int, point: Floats) -> Problem | None:
+        """Return the problem of a candidate in a scenario, or None if refused."""
         try:
-            return resolve_scenario(self.scenario(index, point))
+            return resolve_scenario(self.candidate_scenario(index, point))
         except (UndeadzoneError, np.linalg.LinAlgError):
             return None
 
-    def problems(self, points: Floats) -> list[Problems | None]:
-        """Return the problems of each candidate, one per scenario; None where one is refused.
+    def candidate_problems(self, points: Floats) -> list[Problems | None]:
+        """Return the problems of each candidate, one per scenario, or None for a refused
+        candidate.
 
         Args:
             points: candidates x numbers
         """
         candidates: list[Problems | None] = []
         for point in points:
-            each = [self.problem(k, point) for k in range(len(self.scenarios))]
+            each = [self.candidate_problem(k, point) for k in range(len(self.scenarios))]
             possible = tuple(problem for problem in each if problem is not None)
             candidates.append(possible if len(possible) == len(each) else None)
         return candidates
 
-    def margins(self, candidates: Sequence[Problems | None]) -> Floats:
+    def candidate_margins(self, candidates: Sequence[Problems | None]) -> Floats:
         """Return the least margin of each candidate's certificates.
 
         It is inf if no certificate is asked for, -inf for a candidate that is refused.
@@ -316,17 +329,23 @@ class Objective(NamedTuple):
                 margins[k] = min(map(certificate_margin, problems))
         return margins
 
-    def costs(self, candidates: Sequence[Problems]) -> Floats:
-        """What candidates (one or more) cost."""
+    def candidate_costs(self, candidates: Sequence[Problems]) -> Floats:
+        """Return the costs of candidates."""
         of_each = zip(*candidates, strict=True)
-        return self.scores([self.losses(k, problems) for k, problems in enumerate(of_each)])
+        return self.mean_scores(
+            [self.candidate_losses(k, problems) for k, problems in enumerate(of_each)]
+        )
 
-    def losses(self, index: int, candidates: Sequence[Problem]) -> Floats:
-        """What each candidate loses in each run of a scenario (candidates x runs)."""
+    def candidate_losses(self, index: int, candidates: Sequence[Problem]) -> Floats:
+        """Return the losses of each candidate in each run of a scenario (candidates x
+        runs).
+        """
         runs = self.test_runs[index]
-        return losses(self.what.metric, runs, runs.rows(candidates, self.threads))
+        return metric_losses(
+            self.what.metric, runs, runs.simulate_candidates(candidates, self.threads)
+        )
 
-    def scores(self, lost: Sequence[Floats]) -> Floats:
+    def mean_scores(self, lost: Sequence[Floats]) -> Floats:
         """Return the mean over the scenarios of framed statistics.
 
         Args:
@@ -334,18 +353,20 @@ class Objective(NamedTuple):
         """
         framed = []
         for each, frame in zip(lost, self.frames, strict=True):
-            value = statistic(self.what.statistic, each)
+            value = loss_statistic(self.what.statistic, each)
             framed.append((value - frame.zero) / (frame.one - frame.zero))
         return np.mean(framed, axis=0)
 
-    def redrawn(self, runs: int, seed: int) -> Objective:
-        """Return the same on other runs: the first `runs` of a seed."""
-        return self._replace(test_runs=tuple(each.redrawn(runs, seed) for each in self.test_runs))
+    def redraw_test_runs(self, runs: int, seed: int) -> Objective:
+        """Return the same objective on the first `runs` runs of a different seed."""
+        return self._replace(
+            test_runs=tuple(each.redraw_runs(runs, seed) for each in self.test_runs)
+        )
 
 
-def _check_metric(metric: str, problem: Problem) -> None:
+def _require_metric(metric: str, problem: Problem) -> None:
     """Raise InputError for a metric that the runs of a problem do not have."""
-    columns = metrics.columns(problem.plant, problem.sensor.kind)
+    columns = metrics.metric_names(problem.plant, problem.sensor.kind)
     known = [name for name in columns if name != "diverged" and not name.startswith("d_")]
     for i in range(problem.plant.p):
         known += [f"d_{edge}_error[{i}]" for edge in EDGES]
@@ -353,7 +374,7 @@ def _check_metric(metric: str, problem: Problem) -> None:
         raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")
 
 
-def statistic(name: str, lost: Floats) -> Floats:
+def loss_statistic(name: str, lost: Floats) -> Floats:
     """Return the mean, or the loss of one of the runs, along the last axis."""
     if name == "mean":
         return lost.mean(axis=-1)
@@ -361,9 +382,9 @@ def statistic(name: str, lost: Floats) -> Floats:
     return np.sort(lost, axis=-1)[..., int(np.ceil(lost.shape[-1] * share)) - 1]
 
 
-def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
-    """Return the size of a metric; above LIMIT, but finite, for runs that diverged: the faster, the
-    more.
+def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
+    """Return the size of a metric; above LIMIT, but finite, for runs that diverged: the
+    faster, the more.
 
     Args:
         metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
@@ -371,14 +392,14 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
         rows: of metrics (... x columns)
     """
     problem, sensor = runs.problem, runs.problem.sensor
-    names = metrics.columns(problem.plant, sensor.kind)
+    names = metrics.metric_names(problem.plant, sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:
         size = columns[metric]
     else:
-        widths, geared = widths_in_turn(sensor), sensor.kind == "gears"
-        size = np.abs(width_error(metric, columns, widths, runs.varied_values, geared))
-    rate = _rate_of_divergence(columns, problem.scenario.simulation.step)
+        widths, geared = interleave_widths(sensor), sensor.kind == "gears"
+        size = np.abs(width_error(metric, columns, widths, runs.values_by_name, geared))
+    rate = _divergence_rate(columns, problem.scenario.simulation.step)
     return np.where(
         columns["diverged"] != 0,
         LIMIT * (1 + rate / (1 + rate)),
@@ -386,15 +407,17 @@ def losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
     )
 
 
-def _rate_of_divergence(columns: Mapping[str, Floats], step: float) -> Floats:
-    """How fast |z - r| has grown: the logarithm of its peak over the time that this took [1/s]."""
+def _divergence_rate(columns: Mapping[str, Floats], step: float) -> Floats:
+    """Return the growth rate of |z - r|: the logarithm of its peak over the time of growth
+    [1/s].
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         growth = np.log1p(np.nan_to_num(columns["peak_tracking"], nan=0.0))
         return np.asarray(growth / np.maximum(columns["settling_time"], step))
 
 
 def certificate_margin(problem: Problem) -> float:
-    """Return the margin of the certificate; below 0 where the gains have none.
+    """Return the margin of the certificate; below 0 for gains without a certificate.
 
     Raises InputError.
     """

@@ -1,4 +1,4 @@
-"""What is tuned: numbers of observer and controller by address, their ranges, where they start."""
+"""Tuned numbers of observer and controller by address, with their ranges and starts."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GAINS: Final = "observer.L"  # the one array that an observer has by default
 
 
 class Parameter(NamedTuple):
-    """A number that is tuned.
+    """Number that is tuned.
 
     Attributes:
         name: its address
@@ -47,7 +47,7 @@ class Parameter(NamedTuple):
     whole: bool
     start: float
 
-    def value(self, u: Floats) -> Floats:
+    def value_at_share(self, u: Floats) -> Floats:
         """Return the number at the share u, 0 to 1, of the range."""
         if self.log:
             value = self.low * (self.high / self.low) ** u
@@ -55,8 +55,8 @@ class Parameter(NamedTuple):
             value = self.low + u * (self.high - self.low)
         return np.clip(np.round(value) if self.whole else value, self.low, self.high)
 
-    def share(self, value: float) -> float:
-        """Return the share of the range at which a number lies."""
+    def share_of_range(self, value: float) -> float:
+        """Return the share of the range at which a number lies [1]."""
         if self.log:
             return float(np.log(value / self.low) / np.log(self.high / self.low))
         return (value - self.low) / (self.high - self.low)
@@ -79,11 +79,11 @@ def numbers_of_address(address: str, known: Mapping[str, Number]) -> list[str]:
     for form in (address, as_list, as_number):
         if names := matching(form, known):
             return names
-    raise InputError(f"{TABLE.entry_name(address)}: {_why_unknown(address, known)}")
+    raise InputError(f"{TABLE.entry_name(address)}: {_explain_unknown_address(address, known)}")
 
 
-def _why_unknown(address: str, known: Mapping[str, Number]) -> str:
-    """Why no number has an address, and what to do."""
+def _explain_unknown_address(address: str, known: Mapping[str, Number]) -> str:
+    """Return the reason why no number has an address, with a remedy."""
     key = stem(address)
     extent = entries_there(address, known)
     if not extent:
@@ -95,8 +95,8 @@ def _why_unknown(address: str, known: Mapping[str, Number]) -> str:
     return f"no such entry; there is {extent}"
 
 
-def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:
-    """What is tuned.
+def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parameter, ...]:
+    """Return the tuned numbers of the entries.
 
     Args:
         entries: of the table [tune]: ranges by address
@@ -117,11 +117,11 @@ def parameters(entries: Mapping[str, Range], scenario: Scenario) -> tuple[Parame
             if name in tuned:
                 place = TABLE.entry_name(name)
                 raise InputError(f"{place}: tuned twice; keep one entry that names it")
-            tuned[name] = _parameter(address, name, bounds, known[name])
+            tuned[name] = _build_parameter(address, name, bounds, known[name])
     return tuple(tuned.values())
 
 
-def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
+def _build_parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
     """Return a number with its checked bounds and its start; address: of its entry.
 
     Raises InputError.
@@ -148,13 +148,13 @@ def _parameter(address: str, name: str, bounds: Range, number: Number) -> Parame
     return Parameter(name, low, high, bounds.log, number.whole, first)
 
 
-def values_at(tuned: Sequence[Parameter], u: Floats) -> Floats:
+def values_at_shares(tuned: Sequence[Parameter], u: Floats) -> Floats:
     """Return the numbers of candidates at shares u of the ranges (candidates x numbers)."""
-    return np.stack([p.value(u[:, i]) for i, p in enumerate(tuned)], axis=1)
+    return np.stack([p.value_at_share(u[:, i]) for i, p in enumerate(tuned)], axis=1)
 
 
-def with_gains(scenario: Scenario, what: Tune) -> Scenario:
-    """Return the scenario with its observer's default L, where L is tuned but left to the method.
+def fill_default_gains(scenario: Scenario, what: Tune) -> Scenario:
+    """Return the scenario with its observer's default L, if L is tuned but left to the method.
 
     What is tuned of it is moved into its bounds.
     """
@@ -178,11 +178,11 @@ def with_gains(scenario: Scenario, what: Tune) -> Scenario:
 
 
 def require_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Parameter, ...]:
-    """What is tuned, in every scenario, from a start that can be run.
+    """Return the tuned numbers, present in every scenario, with a start that can be run.
 
     Raises InputError or a subclass.
     """
-    tuned = parameters(what.entries, scenarios[0])
+    tuned = resolve_parameters(what.entries, scenarios[0])
     start = {p.name: p.start for p in tuned}
     for scenario in scenarios:
         resolve_scenario(scenario)
@@ -196,12 +196,12 @@ def require_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Par
             words = ", ".join(f"{name} = {value:g}" for name, value in start.items())
             raise InputError(f"tune: cannot start from {words}: {error}") from None
         if what.certified:
-            _require_certificates(problem)
+            _require_certifiable(problem)
     return tuned
 
 
-def _require_certificates(problem: Problem) -> None:
-    """Raise InputError or StructureError where no gains of a problem's observer are certified."""
+def _require_certifiable(problem: Problem) -> None:
+    """Raise InputError or StructureError if no gains of a problem's observer can be certified."""
     certificate_margin(problem)
     model = problem.model
     proof = certify(model.linear, np.zeros((model.n, model.p)), np.ones(model.p), model.Ts)

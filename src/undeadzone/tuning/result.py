@@ -1,4 +1,4 @@
-"""The result of tuning: the numbers, how they were found, and what they are worth on other runs."""
+"""Result of tuning: the numbers, the search, and their cost on held-out runs."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import numpy as np
 
 import undeadzone
 from undeadzone.results.scales import LIMIT
-from undeadzone.results.sheet import number
+from undeadzone.results.sheet import format_number
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import anchor_files
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
 from undeadzone.statistics import intervals as statistics
 from undeadzone.statistics.intervals import LEVEL, QUANTILES, Interval
-from undeadzone.tuning.candidates import Objective, statistic
+from undeadzone.tuning.candidates import Objective, loss_statistic
 from undeadzone.tuning.parameters import Parameter
 from undeadzone.util import shown, toml
-from undeadzone.util.arrays import Floats, finite
-from undeadzone.util.files import path_of, write_text
+from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.files import to_path, write_text
 from undeadzone.util.own_files import mark_toml
 
 RESAMPLES: Final = 2000  # of the held-out runs, for the interval of the change
@@ -30,7 +30,7 @@ EDGE: Final = 0.01  # share of a range within which a number lies at its end
 
 
 class SimulatedCandidate(NamedTuple):
-    """A candidate that was simulated.
+    """Candidate with its simulated cost.
 
     Attributes:
         values: its numbers
@@ -45,8 +45,8 @@ class SimulatedCandidate(NamedTuple):
     stage: str
 
 
-class Worth(NamedTuple):
-    """What numbers are worth in a scenario.
+class HeldOutCost(NamedTuple):
+    """Cost of numbers in a scenario.
 
     Attributes:
         value: the statistic over the runs that did not diverge
@@ -58,7 +58,7 @@ class Worth(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """What tuning did in one scenario on held-out runs.
+    """Effect of tuning in one scenario on held-out runs.
 
     Attributes:
         before: what the scenario as it is is worth
@@ -66,14 +66,14 @@ class HeldOut(NamedTuple):
         runs: how many; one if nothing differs between runs
     """
 
-    before: Worth
-    after: Worth
+    before: HeldOutCost
+    after: HeldOutCost
     runs: int
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tuned:
-    """Scenarios with tuned numbers, and how they were found.
+    """Scenarios with tuned numbers, and the record of the search.
 
     Attributes:
         scenarios: the tuned scenarios
@@ -108,7 +108,7 @@ class Tuned:
 
     @property
     def certified(self) -> bool:
-        """Return whether the certificate that was asked for holds; True if none was."""
+        """Return whether a required certificate holds; True if none was required."""
         return self.margin is None or self.margin >= self.what.margin
 
     @property
@@ -125,16 +125,18 @@ class Tuned:
 
     @property
     def at_edge(self) -> list[str]:
-        """Return the tuned numbers that lie at an end of their range: a wider one may do better."""
+        """Return the tuned numbers that lie at an end of their range: a wider range may do
+        better.
+        """
         pairs = zip(self.parameters, self.values, strict=True)
-        return [p.name for p, value in pairs if not EDGE < p.share(value) < 1 - EDGE]
+        return [p.name for p, value in pairs if not EDGE < p.share_of_range(value) < 1 - EDGE]
 
     def blocks(self) -> list[shown.Block]:
         """Return the tables that `undeadzone tune` prints."""
-        return [in_words(self)]
+        return [describe_tuning(self)]
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     plot = shown.plot
     """Draw it."""
@@ -154,7 +156,7 @@ class Tuned:
         Raises:
             FileError: where it cannot be written
         """
-        path = path_of(path)
+        path = to_path(path)
         before, after = (worth.value.value for worth in self.held_out[index][:2])
         head = (
             f"# Tuned by undeadzone {undeadzone.__version__}: "
@@ -164,11 +166,11 @@ class Tuned:
         )
         here = Path(os.path.relpath(Path(), path.parent))  # from the file's folder
         return write_text(
-            mark_toml(head + toml.dumps(anchor_files(self.scenarios[index], here))), path
+            mark_toml(head + toml.to_toml(anchor_files(self.scenarios[index], here))), path
         )
 
     def summary(self) -> dict[str, Any]:
-        """Return everything found, ready for JSON.
+        """Return all results, ready for JSON.
 
         Returns:
             What was tuned and how, costs, held-out runs and every candidate; null where there is no
@@ -201,11 +203,11 @@ class Tuned:
             "margin": self.margin,
             "history": self.trials,
         }
-        return dict(finite(summary))
+        return dict(to_json_value(summary))
 
 
-def in_words(found: Tuned) -> dict[str, Any]:
-    """What tuning found, by what it is about."""
+def describe_tuning(found: Tuned) -> dict[str, Any]:
+    """Return the result of tuning as text, by topic."""
     what = found.what
     shown: dict[str, Any] = {
         "scenario": found.scenario.title,
@@ -219,22 +221,23 @@ def in_words(found: Tuned) -> dict[str, Any]:
         if parameter.name in found.at_edge:
             words += ", at the end of its range: a wider one may do better"
         shown[parameter.name] = words
-    shown |= _improvement(found)
-    if finite(found.margin) is not None:
+    shown |= _describe_improvement(found)
+    if to_json_value(found.margin) is not None:
         yes_no = "yes" if found.certified else "NO"
         shown["certified"] = f"{yes_no}, margin {found.margin:.4g}"
     return shown
 
 
-def _improvement(found: Tuned) -> dict[str, str]:
-    """What tuning gained, on the runs tuned on and on those held out."""
+def _describe_improvement(found: Tuned) -> dict[str, str]:
+    """Return the gain by tuning, on the runs tuned on and on held-out runs."""
     before, after, runs = found.held_out[0]
     drawn = f"{runs} runs" if runs > 1 else "one run: nothing differs between them"
     verdict = "better" if found.improved else "NO improvement that chance could not explain"
     shown = {
-        "runs tuned on": " -> ".join(map(_number, found.cost)),
-        "held-out runs": f"{_interval(before.value)} -> {_interval(after.value)}, {drawn}",
-        "change": f"{_interval(found.change)}: {verdict}",
+        "runs tuned on": " -> ".join(map(_format_known_number, found.cost)),
+        "held-out runs": f"{_format_cost_interval(before.value)} -> "
+        f"{_format_cost_interval(after.value)}, {drawn}",
+        "change": f"{_format_cost_interval(found.change)}: {verdict}",
     }
     lost = before.diverged.value, after.diverged.value
     if any(lost):
@@ -242,18 +245,18 @@ def _improvement(found: Tuned) -> dict[str, str]:
     return shown
 
 
-def _interval(interval: Interval) -> str:
-    """Return a value and its interval, an end of which may be unknown."""
-    value, low, high = map(_number, interval)
+def _format_cost_interval(interval: Interval) -> str:
+    """Return a value and its interval, with an unknown end as "?"."""
+    value, low, high = map(_format_known_number, interval)
     return f"{value} [{low}, {high}]"
 
 
-def _number(value: float) -> str:
-    """Return a number, or that it is not known."""
-    return number(finite(value), none="?")
+def _format_known_number(value: float) -> str:
+    """Return a number as text, or "?" if it is not known."""
+    return format_number(to_json_value(value), none="?")
 
 
-def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCandidate:
+def choose_best(candidates: list[SimulatedCandidate], least: float) -> SimulatedCandidate:
     """Return the cheapest candidate with the certificate, else that of the largest margin.
 
     Args:
@@ -266,11 +269,11 @@ def best_of(candidates: list[SimulatedCandidate], least: float) -> SimulatedCand
     return max(candidates, key=lambda candidate: candidate.margin)
 
 
-def validate(
+def validate_best(
     on: Objective, tuned: tuple[Parameter, ...], candidates: list[SimulatedCandidate], seed: int
 ) -> Tuned:
-    """Return the result of tuning: the worth of the best candidate on held-out runs, of the next
-    seed.
+    """Return the result of tuning: the cost of the best candidate on held-out runs, of the
+    next seed.
 
     Args:
         on: the objective
@@ -278,13 +281,15 @@ def validate(
         candidates: those simulated, in order
         seed: of the runs tuned on
     """
-    best, name = best_of(candidates, on.what.margin), on.what.statistic
-    scenarios = tuple(on.scenario(k, np.array(best.values)) for k in range(len(on.scenarios)))
+    best, name = choose_best(candidates, on.what.margin), on.what.statistic
+    scenarios = tuple(
+        on.candidate_scenario(k, np.array(best.values)) for k in range(len(on.scenarios))
+    )
     before_and_after = zip(on.scenarios, scenarios, strict=True)
     pairs = [list(map(resolve_scenario, pair)) for pair in before_and_after]
-    lost_as_is = [on.losses(k, pair[:1]) for k, pair in enumerate(pairs)]
-    others = on.redrawn(on.what.held_out, seed + 1)
-    lost = [others.losses(k, pair) for k, pair in enumerate(pairs)]
+    lost_as_is = [on.candidate_losses(k, pair[:1]) for k, pair in enumerate(pairs)]
+    others = on.redraw_test_runs(on.what.held_out, seed + 1)
+    lost = [others.candidate_losses(k, pair) for k, pair in enumerate(pairs)]
     return Tuned(
         scenarios=scenarios,
         what=on.what,
@@ -293,14 +298,17 @@ def validate(
         values=best.values,
         trials=tuple(candidates),
         runs=len(candidates) * sum(each.shape[1] for each in lost_as_is),
-        cost=(float(on.scores(lost_as_is)[0]), best.cost),
-        held_out=tuple(HeldOut(worth(name, old), worth(name, new), old.size) for old, new in lost),
-        change=change(others, lost, seed),
+        cost=(float(on.mean_scores(lost_as_is)[0]), best.cost),
+        held_out=tuple(
+            HeldOut(estimate_cost(name, old), estimate_cost(name, new), old.size)
+            for old, new in lost
+        ),
+        change=estimate_change(others, lost, seed),
         margin=best.margin if on.what.certified else None,
     )
 
 
-def worth(name: str, lost: Floats) -> Worth:
+def estimate_cost(name: str, lost: Floats) -> HeldOutCost:
     """Return the statistic of losses (runs) with its interval.
 
     The largest of the runs bounds the worst of all runs from below only.
@@ -308,16 +316,16 @@ def worth(name: str, lost: Floats) -> Worth:
     kept = np.sort(lost[lost < LIMIT])
     diverged = statistics.proportion(lost.size - kept.size, lost.size)
     if not kept.size:
-        return Worth(Interval(np.nan, np.nan, np.nan), diverged)
+        return HeldOutCost(Interval(np.nan, np.nan, np.nan), diverged)
     if name == "worst":
-        return Worth(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
+        return HeldOutCost(Interval(float(kept[-1]), float(kept[-1]), np.inf), diverged)
     if name == "mean":
-        return Worth(statistics.mean_interval(kept), diverged)
-    return Worth(statistics.quantile_interval(kept, QUANTILES[name]), diverged)
+        return HeldOutCost(statistics.mean_interval(kept), diverged)
+    return HeldOutCost(statistics.quantile_interval(kept, QUANTILES[name]), diverged)
 
 
-def change(on: Objective, lost: list[Floats], seed: int) -> Interval:
-    """What tuning did to the cost, between the quantiles of resampled runs.
+def estimate_change(on: Objective, lost: list[Floats], seed: int) -> Interval:
+    """Return the change of the cost by tuning, between the quantiles of resampled runs.
 
     A run is drawn with both its losses. The interval is unbounded where resampling says nothing:
     for one run, or the worst of them.
@@ -327,7 +335,7 @@ def change(on: Objective, lost: list[Floats], seed: int) -> Interval:
         lost: losses before and after (2 x runs) in each scenario
         seed: of the resampling
     """
-    before, after = on.scores(lost)
+    before, after = on.mean_scores(lost)
     value = float(after - before)
     if on.what.statistic == "worst" or any(each.shape[1] == 1 for each in lost):
         alone = all(each.shape[1] == 1 for each in lost)
@@ -337,7 +345,7 @@ def change(on: Objective, lost: list[Floats], seed: int) -> Interval:
     for each, frame in zip(lost, on.frames, strict=True):
         runs = each.shape[1]
         resampled = each[:, rng.integers(0, runs, (RESAMPLES, runs))]
-        old, new = statistic(on.what.statistic, resampled)
+        old, new = loss_statistic(on.what.statistic, resampled)
         total += (new - old) / (frame.one - frame.zero) / len(lost)
     low, high = np.quantile(total, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(value, float(low), float(high))

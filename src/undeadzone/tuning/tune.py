@@ -1,4 +1,4 @@
-"""The numbers of observer and controller that make a metric small over many runs.
+"""Search of the numbers of observer and controller that minimise a metric over many runs.
 
 The search takes the whole box first, then goes down the slope, then around the best.
 """
@@ -25,16 +25,16 @@ from undeadzone.scenario.tune_table import Tune
 from undeadzone.tuning.candidates import Frame, Objective, Problems
 from undeadzone.tuning.parameters import (
     Parameter,
+    fill_default_gains,
     numbers_of_address,
     require_parameters,
-    values_at,
-    with_gains,
+    values_at_shares,
 )
-from undeadzone.tuning.result import SimulatedCandidate, Tuned, best_of, validate
+from undeadzone.tuning.result import SimulatedCandidate, Tuned, choose_best, validate_best
 from undeadzone.util import toml
 from undeadzone.util.answers import Answers
-from undeadzone.util.arrays import Floats, scalar, seed_of, series
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.arrays import Floats, require_number, require_seed, require_series
+from undeadzone.util.progress import notebook_progress
 
 PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are no accident
 # To either side, as a share of a range: wide enough that a reading which changes its side makes no
@@ -84,33 +84,38 @@ def tune(
         InputError or a subclass: by key of [tune]; FileError for `keep`
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
-    what = _require_task(scenarios, what)
-    scenarios = tuple([with_gains(scenario, what) for scenario in scenarios])
+    what = _require_tune(scenarios, what)
+    scenarios = tuple([fill_default_gains(scenario, what) for scenario in scenarios])
     frames = _require_frames(scenarios, frames)
-    seed = _seed(scenarios[0], what)
+    seed = _require_tuning_seed(scenarios[0], what)
     tuned = require_parameters(what, scenarios)
-    start = np.array([p.share(p.start) for p in tuned])
+    start = np.array([p.share_of_range(p.start) for p in tuned])
     together = [np.full(start.size, share) for share in PLACES]
-    probes = [start, *_single_moves(start, [PLACES] * start.size), *together]
-    points, names = values_at(tuned, np.stack(probes)), [p.name for p in tuned]
+    probes = [start, *_move_singly(start, [PLACES] * start.size), *together]
+    points, names = values_at_shares(tuned, np.stack(probes)), [p.name for p in tuned]
     on = Objective(what, names, scenarios, frames, threads).prepare_runs(points, seed)
     with (
-        in_notebook(progress, "tuning", what.budget, "candidates") as advance,
-        _answers(on, keep, resume, seed) as kept,
+        notebook_progress(progress, "tuning", what.budget, "candidates") as advance,
+        _open_answers(on, keep, resume, seed) as kept,
     ):
         search = Search(on, tuned, [], advance, kept)
-        search.run(start, seed)
-        return validate(on, tuned, search.candidates, seed)
+        search.spend_budget(start, seed)
+        return validate_best(on, tuned, search.candidates, seed)
 
 
 @contextlib.contextmanager
-def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Iterator[Answers | None]:
-    """What candidates cost, kept in a file; None without one. Arguments as of `tune`."""
+def _open_answers(
+    on: Objective, keep: Path | None, resume: bool, seed: int
+) -> Iterator[Answers | None]:
+    """Provide the costs of candidates, stored in a file, or None without a file.
+
+    Arguments as of `tune`.
+    """
     if keep is None:
         yield None
         return
     problem = {  # everything that the cost of a candidate depends on; the budget is none of it
-        "scenarios": [toml.dumps(scenario) for scenario in on.scenarios],
+        "scenarios": [toml.to_toml(scenario) for scenario in on.scenarios],
         "files": [digests(scenario) for scenario in on.scenarios],
         "tune": msgspec.to_builtins(msgspec.structs.replace(on.what, budget=0, held_out=0)),
         "frames": [list(frame) for frame in on.frames],
@@ -121,21 +126,21 @@ def _answers(on: Objective, keep: Path | None, resume: bool, seed: int) -> Itera
         yield kept
 
 
-def _single_moves(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
+def _move_singly(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
     """Return points that move each number of a start alone, to each of its places."""
     moves = chain.from_iterable(product([i], values) for i, values in enumerate(places))
     return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
 
-def _require_task(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
-    """What is wanted. Raises InputError."""
+def _require_tune(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
+    """Return the tuning options. Raises InputError."""
     if not scenarios:
         raise InputError("tune: expected at least one scenario, found none")
     what = what or scenarios[0].tune or Tune()
     for key, least in (("runs", 1), ("held_out", 1), ("budget", 4)):
         if getattr(what, key) < least:
             raise InputError(f"tune.{key}: expected {least} or more, found {getattr(what, key)}")
-    scalar("tune.margin", what.margin, least=0.0)
+    require_number("tune.margin", what.margin, least=0.0)
     return what
 
 
@@ -154,20 +159,20 @@ def _require_frames(
     return frames
 
 
-def _seed(scenario: Scenario, what: Tune) -> int:
+def _require_tuning_seed(scenario: Scenario, what: Tune) -> int:
     """Return the seed of the runs tuned on. Raises InputError.
 
     It is that of [tune], else of [ensemble], else of [simulation].
     """
     if what.seed is not None:
-        return seed_of("tune.seed", what.seed)
+        return require_seed("tune.seed", what.seed)
     if scenario.ensemble is not None and scenario.ensemble.seed is not None:
-        return seed_of("ensemble.seed", scenario.ensemble.seed)
-    return seed_of("simulation.seed", scenario.simulation.seed)
+        return require_seed("ensemble.seed", scenario.ensemble.seed)
+    return require_seed("simulation.seed", scenario.simulation.seed)
 
 
 class Evaluation(NamedTuple):
-    """What candidates are worth, or the slopes of it.
+    """Costs and margins of candidates, or their slopes.
 
     Attributes:
         cost: of each, inf where one was not simulated
@@ -182,11 +187,11 @@ Evaluate = Callable[[Floats], Evaluation]  # of shares of the ranges (candidates
 
 
 class BudgetSpentError(Exception):
-    """The budget is spent."""
+    """Error of a search without budget left."""
 
 
 class Search(NamedTuple):
-    """A search under way.
+    """State of a running search.
 
     Attributes:
         objective: what is to be made small
@@ -203,18 +208,20 @@ class Search(NamedTuple):
     kept: Answers | None
 
     @property
-    def best(self) -> SimulatedCandidate:
-        """Return the cheapest candidate with the certificate, else that of the largest margin."""
-        return best_of(self.candidates, self.objective.what.margin)
+    def cheapest_candidate(self) -> SimulatedCandidate:
+        """Return the cheapest candidate with the certificate, else that of the largest
+        margin.
+        """
+        return choose_best(self.candidates, self.objective.what.margin)
 
     @property
     def best_shares(self) -> Floats:
-        """Where the best candidate lies in the ranges."""
-        pairs = zip(self.parameters, self.best.values, strict=True)
-        return np.array([parameter.share(value) for parameter, value in pairs])
+        """Return the shares of the ranges at which the best candidate lies."""
+        pairs = zip(self.parameters, self.cheapest_candidate.values, strict=True)
+        return np.array([parameter.share_of_range(value) for parameter, value in pairs])
 
-    def evaluate(self, u: Floats, stage: Stage, until: float = 1.0) -> Evaluation:
-        """What candidates are worth; those that may be simulated are, and are kept.
+    def evaluate_candidates(self, u: Floats, stage: Stage, until: float = 1.0) -> Evaluation:
+        """Return the costs and margins of candidates, and record all simulated candidates.
 
         Args:
             u: shares of the ranges (candidates x numbers)
@@ -224,9 +231,9 @@ class Search(NamedTuple):
         Raises:
             BudgetSpentError: before anything is simulated
         """
-        what, points = self.objective.what, values_at(self.parameters, u)
-        problems = self.objective.problems(points)
-        margin = self.objective.margins(problems)
+        what, points = self.objective.what, values_at_shares(self.parameters, u)
+        problems = self.objective.candidate_problems(points)
+        margin = self.objective.candidate_margins(problems)
         cost = np.full(len(u), np.inf)
         chosen, possible = [], []
         for k, each in enumerate(problems):
@@ -237,46 +244,49 @@ class Search(NamedTuple):
         if len(self.candidates) + len(chosen) > max(until * what.budget, 1):
             raise BudgetSpentError
         if chosen:
-            cost[chosen] = self._costs(points[chosen], possible)
+            cost[chosen] = self._compute_costs(points[chosen], possible)
         for k in chosen:
             point, worth = tuple(points[k].tolist()), (float(cost[k]), float(margin[k]))
             self.candidates.append(SimulatedCandidate(point, *worth, stage))
         self.progress(len(chosen))
         return Evaluation(cost, margin)
 
-    def _costs(self, points: Floats, problems: list[Problems]) -> Floats:
-        """What candidates cost, computed or kept."""
+    def _compute_costs(self, points: Floats, problems: list[Problems]) -> Floats:
+        """Return the costs of candidates, computed or from the file."""
         if self.kept is None:
-            return self.objective.costs(problems)
+            return self.objective.candidate_costs(problems)
 
         def compute(missing: list[int]) -> Iterator[tuple[int, float]]:
-            costs = self.objective.costs([problems[k] for k in missing])
+            """Yield the missing costs by index."""
+            costs = self.objective.candidate_costs([problems[k] for k in missing])
             yield from zip(missing, costs.tolist(), strict=True)
 
-        return np.array(self.kept.of(points.tolist(), compute))
+        return np.array(self.kept.compute_missing(points.tolist(), compute))
 
-    def run(self, start: Floats, seed: int) -> None:
-        """Spend the budget from a start, given as shares of the ranges."""
+    def spend_budget(self, start: Floats, seed: int) -> None:
+        """Search from a start, given as shares of the ranges, until the budget is spent."""
         what = self.objective.what
-        self.evaluate(start[None], "start")
+        self.evaluate_candidates(start[None], "start")
         with contextlib.suppress(BudgetSpentError):
-            explore = functools.partial(self.evaluate, stage="global", until=GLOBAL)
+            explore = functools.partial(self.evaluate_candidates, stage="global", until=GLOBAL)
             if start.size == 1:
-                explore(np.linspace(0.0, 1.0, _cells(what) + 1)[:, None])
+                explore(np.linspace(0.0, 1.0, _count_grid_cells(what) + 1)[:, None])
             else:
-                _evolve(explore, what, start, seed, WIDE)
+                _evolve_candidates(explore, what, start, seed, WIDE)
         with contextlib.suppress(BudgetSpentError):
             if what.statistic == "mean" and not any(p.whole for p in self.parameters):
-                descend = functools.partial(self.evaluate, stage="gradient")
-                _descend(descend, what, self.best_shares, abs(self.best.cost) or 1.0)
+                descend = functools.partial(self.evaluate_candidates, stage="gradient")
+                _descend_slope(
+                    descend, what, self.best_shares, abs(self.cheapest_candidate.cost) or 1.0
+                )
         with contextlib.suppress(BudgetSpentError):
-            polish = functools.partial(self.evaluate, stage="local")
-            _polish(polish, what, self.best_shares, seed)
+            polish = functools.partial(self.evaluate_candidates, stage="local")
+            _search_near_best(polish, what, self.best_shares, seed)
 
 
-def gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
-    """Return (what u is worth, its slopes) by differences over REACH to either side within the box
-    [0, 1].
+def difference_gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
+    """Return (the evaluation of u, its slopes) by differences over REACH to either side within
+    the box [0, 1].
 
     All candidates are evaluated in one call. Where a neighbour is refused, u itself stands in for
     it.
@@ -288,32 +298,34 @@ def gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
     sides[refused] = u
     ahead, behind = np.split(sides[1:], 2)
     reach = np.diagonal(ahead - behind)
-    cost = _slopes(worth.cost, refused, reach)
-    margin = _slopes(worth.margin, refused, reach)
+    cost = _difference_slopes(worth.cost, refused, reach)
+    margin = _difference_slopes(worth.margin, refused, reach)
     return Evaluation(worth.cost[:1], worth.margin[:1]), Evaluation(cost, margin)
 
 
-def _slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
-    """Return the slopes of values at u, ahead of it and behind it (1 + 2 d); 0 where `reach` (d) is
-    0.
-    """
+def _difference_slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
+    """Return the slopes of values at u, ahead and behind (1 + 2 d); 0 where `reach` (d) is 0."""
     ahead, behind = np.split(np.where(refused, values[0], values)[1:], 2)
     with np.errstate(invalid="ignore"):
         slopes = (ahead - behind) / np.where(reach > 0, reach, np.inf)
         return np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
 
 
-def _descend(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None:
-    """Down the slope within the box and the certificate; size: of the cost, which it divides."""
+def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None:
+    """Minimise along the slope within the box and the certificate; size: of the cost, to
+    divide by.
+    """
     from scipy.optimize import minimize
 
     least = what.margin + 1e-6  # so that rounding does not cost the certificate
 
     @functools.cache
     def at(point: bytes) -> tuple[Evaluation, Evaluation]:
-        return gradient(evaluate, np.frombuffer(point))
+        """Return the evaluation of a point and its slopes."""
+        return difference_gradient(evaluate, np.frombuffer(point))
 
     def cost(u: Floats) -> tuple[float, Floats]:
+        """Return the scaled cost of a point and its slopes."""
         worth, slopes = at(u.tobytes())
         return min(float(worth.cost[0]) / size, FORBIDDEN), slopes.cost / size
 
@@ -329,31 +341,35 @@ def _descend(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None
     minimize(cost, start, jac=True, bounds=box, options={"ftol": 1e-5}, **method)
 
 
-def _polish(evaluate: Evaluate, what: Tune, best: Floats, seed: int) -> None:
-    """Around the best, without slopes: between its neighbours on the grid, or by evolution.
+def _search_near_best(evaluate: Evaluate, what: Tune, best: Floats, seed: int) -> None:
+    """Search around the best without slopes: between its neighbours on the grid, or by
+    evolution.
 
     The former is for one number, the latter takes narrow steps.
     """
     if best.size > 1:
-        _evolve(evaluate, what, best, seed + 1, NARROW)
+        _evolve_candidates(evaluate, what, best, seed + 1, NARROW)
         return
-    cells = _cells(what)
+    cells = _count_grid_cells(what)
     for u in best + np.linspace(-1.0, 1.0, cells // 2) / cells:
         evaluate(np.clip([[u]], 0.0, 1.0))
 
 
-def _cells(what: Tune) -> int:
-    """Return the cells of the grid over the range of a single number."""
+def _count_grid_cells(what: Tune) -> int:
+    """Return the number of grid cells over the range of a single number."""
     return max(int(GLOBAL * what.budget) - 2, 1)
 
 
-def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: float) -> None:
-    """Evolution until the budget of this stage is spent; spread: of its first steps.
+def _evolve_candidates(
+    evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: float
+) -> None:
+    """Search by evolution until the budget of this stage is spent; spread: of its first steps.
 
     Candidates without the certificate are not simulated, which costs nothing of the budget.
     """
 
     def cost(u: Floats) -> Floats:
+        """Return the penalised costs of candidates."""
         return _penalise_margin(evaluate(u), what.margin)
 
     size = 4 + int(3 * np.log(start.size))
@@ -362,15 +378,13 @@ def _evolve(evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: fl
 
 
 def _penalise_margin(worth: Evaluation, least: float) -> Floats:
-    """Return the cost of candidates; beyond FORBIDDEN by the lack of margin, for those that lack
-    it.
-    """
+    """Return the cost of candidates; a cost beyond FORBIDDEN grows with the lack of margin."""
     lack = np.clip(least - worth.margin, 0.0, 1e6)
     return np.where(worth.margin < least, FORBIDDEN * (1 + lack), worth.cost)
 
 
 class Sweep(NamedTuple):
-    """What a scenario costs over a grid.
+    """Costs of a scenario over a grid.
 
     Attributes:
         axes: values by address
@@ -391,7 +405,7 @@ def sweep(
     seed: int = 0,
     threads: int | None = None,
 ) -> Sweep:
-    """What a scenario costs at every point of a grid, on runs drawn as its [ensemble] says.
+    """Evaluate a scenario at every point of a grid, on runs drawn as its [ensemble] specifies.
 
     Args:
         scenario: with or without the tables [tune] and [ensemble]
@@ -409,22 +423,22 @@ def sweep(
         InputError: or a subclass, for what is wrong with the scenario.
     """
     what = what or scenario.tune or Tune()
-    axes = _axes(scenario, grid)
+    axes = _resolve_axes(scenario, grid)
     meshes = np.meshgrid(*axes.values(), indexing="ij")
     points = np.stack([mesh.ravel() for mesh in meshes], axis=1)
-    seed = seed_of("seed", seed if what.seed is None else what.seed)
+    seed = require_seed("seed", seed if what.seed is None else what.seed)
     places = [axis[[0, axis.size // 2, -1]] for axis in axes.values()]
-    probes = np.stack(_single_moves(points[0], places))
+    probes = np.stack(_move_singly(points[0], places))
     on = Objective(what, list(axes), [scenario], [Frame()], threads).prepare_runs(probes, seed)
-    candidates = on.problems(points)
+    candidates = on.candidate_problems(points)
     possible = {k: problems for k, problems in enumerate(candidates) if problems is not None}
     cost = np.full(len(points), np.inf)
-    cost[[*possible]] = on.costs([*possible.values()])
+    cost[[*possible]] = on.candidate_costs([*possible.values()])
     shape = meshes[0].shape
-    return Sweep(axes, cost.reshape(shape), on.margins(candidates).reshape(shape))
+    return Sweep(axes, cost.reshape(shape), on.candidate_margins(candidates).reshape(shape))
 
 
-def _axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
+def _resolve_axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Floats]:
     """Return the values of each number that the addresses of a grid stand for.
 
     Raises InputError.
@@ -432,7 +446,7 @@ def _axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict[str, Fl
     known = numbers(scenario)
     axes: dict[str, Floats] = {}
     for address, values in grid.items():
-        axes |= dict.fromkeys(numbers_of_address(address, known), series(address, values))
+        axes |= dict.fromkeys(numbers_of_address(address, known), require_series(address, values))
     if not axes:
         raise InputError(
             "sweep: nothing to sweep; give values by address, such as "

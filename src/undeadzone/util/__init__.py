@@ -1,1 +1,1 @@
-"""Numbers in, files out, trees of numbers."""
+"""Checked numbers, files, trees of numbers and text."""

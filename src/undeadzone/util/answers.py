@@ -1,4 +1,5 @@
-"""Answers of a long computation on disk, a line each: stopped at any moment, it can go on.
+"""Results of a long computation on disk, one per line, so that a stopped computation can be
+resumed.
 
 The first line says of what the answers are. Each line begins with a checksum of its rest, so
 nothing that was torn is believed, and ends where the next one begins.
@@ -16,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
-from undeadzone.util.files import LARGEST_TABLE, lock_file, write_all, writing
-from undeadzone.util.versions import versions
+from undeadzone.util.files import LARGEST_TABLE, convert_write_errors, lock_file, write_all_bytes
+from undeadzone.util.versions import package_versions
 
 
 @contextmanager
-def keeping(leave: Callable[[], str]) -> Iterator[None]:
-    """Provide say what is kept, if something stops what is done inside.
+def report_saved_on_stop(leave: Callable[[], str]) -> Iterator[None]:
+    """Provide a block whose interruption or error reports the saved results.
 
     Args:
         leave: closes the file and returns the sentence that says what it holds; empty: nothing.
@@ -43,10 +44,10 @@ def keeping(leave: Callable[[], str]) -> Iterator[None]:
         raise
 
 
-def problem_there(
+def load_saved_problem(
     path: Path, head: str | bytes, mark: str, words: tuple[str, str], resume: bool
 ) -> dict[str, Any]:
-    """Return the problem that a file says it is of.
+    """Return the problem description at the beginning of a file.
 
     Args:
         path: of the file.
@@ -77,7 +78,7 @@ SUM = 16  # hexadecimal digits of a checksum
 
 
 class Answers:
-    """An open file of answers, locked against other processes; made where there is none.
+    """Open file of results, locked against other processes; created if missing.
 
     Args:
         path: of the file.
@@ -98,13 +99,14 @@ class Answers:
         self._known: dict[str, Any] = {}
         self._is_first = not path.parent.exists()
         with lock_file(path, "a+", LARGEST_TABLE) as self._file:
-            self._open({"answers": unit, **problem, **versions()}, resume)
+            self._load_or_begin({"answers": unit, **problem, **package_versions()}, resume)
 
-    def of(
+    def compute_missing(
         self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
     ) -> list[Any]:
-        """Return the answers to questions; those that are missing are computed, and kept as they
-        come.
+        """Return the answers to questions.
+
+        Missing answers are computed, and saved as they arrive.
 
         Args:
             questions: values that JSON knows.
@@ -113,46 +115,49 @@ class Answers:
         texts = [json.dumps(question) for question in questions]
         missing = [k for k, text in enumerate(texts) if text not in self._known]
         for k, answer in compute(missing) if missing else ():
-            write_all(self._path, self._file, _line(json.dumps([texts[k], answer])))
+            write_all_bytes(
+                self._path, self._file, _to_checked_line(json.dumps([texts[k], answer]))
+            )
             self._known[texts[k]] = answer
         return [self._known[text] for text in texts]
 
     @contextmanager
     def hold_file(self) -> Iterator[None]:
-        """Close the file at the end; where something stops what is done inside, say what is kept.
+        """Provide the open file and close it at the end; report the saved answers after an
+        interruption.
 
         Then a file without answers is deleted. One that is complete stays, until what its answers
         are for is saved.
         """
-        with keeping(self._leave):
+        with report_saved_on_stop(self._close_and_describe):
             yield
         self._file.close()
 
-    def drop(self) -> None:
-        """Delete the file, and its folder where the file was the first thing in it."""
+    def delete_file(self) -> None:
+        """Delete the file, and its folder if the file was the first entry of the folder."""
         self._path.unlink(missing_ok=True)
         if self._is_first:
             with suppress(OSError):  # something else is there by now
                 self._path.parent.rmdir()
 
-    def _open(self, problem: Mapping[str, Any], resume: bool) -> None:
-        """Read the answers that are there, or begin the file. Raises FileError or InputError."""
-        with writing(self._path):
+    def _load_or_begin(self, problem: Mapping[str, Any], resume: bool) -> None:
+        """Read the saved answers, or begin the file. Raises FileError or InputError."""
+        with convert_write_errors(self._path):
             self._file.seek(0)
             content = self._file.read()
         head = json.dumps(problem)
-        if _line(head).startswith(content):  # empty, or torn in its first line
-            with writing(self._path):
+        if _to_checked_line(head).startswith(content):  # empty, or torn in its first line
+            with convert_write_errors(self._path):
                 self._file.truncate(0)
             try:
-                write_all(self._path, self._file, _line(head))
+                write_all_bytes(self._path, self._file, _to_checked_line(head))
             except FileError:  # disk full
-                self.drop()
+                self.delete_file()
                 raise
             return
         lines = [line for line in map(_parse_line, content.split(b"\n")) if line is not None]
         words = f"holds no kept {self._unit}", f"{self._unit} of a stopped run are there"
-        there = problem_there(self._path, lines[0] if lines else "", "answers", words, resume)
+        there = load_saved_problem(self._path, lines[0] if lines else "", "answers", words, resume)
         here = json.loads(head)
         other = sorted(key for key in here | there if here.get(key) != there.get(key))
         if other:
@@ -164,30 +169,30 @@ class Answers:
             question, answer = json.loads(line)
             self._known[question] = answer
         if not content.endswith(b"\n"):  # a torn line must not swallow the next one
-            with writing(self._path):
+            with convert_write_errors(self._path):
                 self._file.write(b"\n")
 
-    def _leave(self) -> str:
-        """Close the file, or remove one without answers, and say what it holds."""
+    def _close_and_describe(self) -> str:
+        """Close the file, or remove an empty one, and describe its content."""
         self._file.close()
         if not self._known:
-            self.drop()
+            self.delete_file()
             return ""
         return f"{len(self._known)} {self._unit} are kept in {self._path}; continue with --resume"
 
 
-def _line(text: str) -> bytes:
-    """Return a line of the file."""
+def _to_checked_line(text: str) -> bytes:
+    """Return a line of the file: checksum and text."""
     data = text.encode()
-    return _sum(data) + b" " + data + b"\n"
+    return _line_checksum(data) + b" " + data + b"\n"
 
 
-def _sum(data: bytes) -> bytes:
+def _line_checksum(data: bytes) -> bytes:
     """Return the checksum of a line."""
     return hashlib.blake2b(data, digest_size=SUM // 2).hexdigest().encode()
 
 
 def _parse_line(line: bytes) -> str | None:
-    """What a line says, if its checksum is right."""
+    """Return the text of a line if its checksum is right, else None."""
     begin, _, rest = line.partition(b" ")
-    return rest.decode() if begin == _sum(rest) else None
+    return rest.decode() if begin == _line_checksum(rest) else None

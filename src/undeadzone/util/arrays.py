@@ -1,4 +1,4 @@
-"""Numbers at the public surface: array-likes or nested TOML lists in, checked float arrays out."""
+"""Checked float arrays from array-likes or nested TOML lists, for the public interface."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ else:
     Array = np.ndarray  # what `decode` makes of the numbers in a scenario file
 
 
-def decode(kind: type, value: Any) -> Floats:
-    """Return a float array from what TOML has for a field of type `Array`.
+def decode_array(kind: type, value: Any) -> Floats:
+    """Return a float array from the TOML value of a field of type `Array`.
 
     Raises:
         ValueError: not numbers; msgspec says where.
@@ -32,19 +32,19 @@ def decode(kind: type, value: Any) -> Floats:
     """
     if kind is not np.ndarray:
         raise NotImplementedError(kind)
-    return numeric(value)
+    return to_float_array(value)
 
 
-def numeric(value: Any) -> Floats:
+def to_float_array(value: Any) -> Floats:
     """Return a float array from numbers, nested lists, or MATLAB's text "[0 1; -1 -2]".
 
     Raises:
         ValueError: other text, booleans, ragged lists, non-finite or huge entries.
     """
     if isinstance(value, str):
-        value = matlab(value)
+        value = parse_matlab_matrix(value)
     try:
-        array = np.asarray(unmask(value))
+        array = np.asarray(fill_masked(value))
     except ValueError:
         raise ValueError(
             "expected numbers in a rectangular list, found rows of different lengths"
@@ -62,16 +62,14 @@ def numeric(value: Any) -> Floats:
     return array
 
 
-def unmask(value: Any) -> Any:
-    """Return the value, NaN in place of what an array masks: what is under the mask is no
-    number.
-    """
+def fill_masked(value: Any) -> Any:
+    """Return the value with NaN in place of masked entries. Data under a mask are not numbers."""
     if not isinstance(value, np.ma.MaskedArray):
         return value
     return np.ma.filled(value.astype(float), np.nan)
 
 
-def matlab(text: str) -> list[list[float]]:
+def parse_matlab_matrix(text: str) -> list[list[float]]:
     """Return the rows of a matrix in MATLAB's notation: "[0 1; -1 -2]".
 
     Raises:
@@ -87,22 +85,22 @@ def matlab(text: str) -> list[list[float]]:
         raise ValueError(f"expected numbers, found {text!r:.60}") from None
 
 
-def array(key: str, value: Any) -> Floats:
-    """Return `numeric` with the key named in the error.
+def require_array(key: str, value: Any) -> Floats:
+    """Return the value as a float array; an error contains the key.
 
     Raises:
         InputError: not numbers.
     """
     try:
-        return numeric(value)
+        return to_float_array(value)
     except ValueError as error:
         raise InputError(f"{key}: {error}") from None
 
 
-def matrix(
+def require_matrix(
     key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = ""
 ) -> Floats:
-    """Return a 2-D float array of a given shape; one number is a 1 x 1 matrix.
+    """Return a 2-D float array of a given shape; a single number is a 1 x 1 matrix.
 
     Args:
         key: named in errors.
@@ -114,7 +112,7 @@ def matrix(
         InputError: not numbers.
         ShapeError: another shape.
     """
-    entries = array(key, value)
+    entries = require_array(key, value)
     if entries.ndim == 0:
         entries = entries.reshape(1, 1)
     shape = entries.shape
@@ -122,12 +120,13 @@ def matrix(
     if entries.ndim == 2 and 0 not in shape and as_wanted:
         return entries
     wanted = _matrix_text(rows, columns)
-    present = f"a list of {_count_text(shape[0])}" if entries.ndim == 1 else shape_text(shape)
-    raise ShapeError(f"{key}: expected {wanted}{_reason(why)}, found {present}")
+    present = f"a list of {_count_text(shape[0])}" if entries.ndim == 1 else describe_shape(shape)
+    raise ShapeError(f"{key}: expected {wanted}{_in_brackets(why)}, found {present}")
 
 
-def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """Return a 1-D float array; one number is repeated, an n x 1 or 1 x n matrix flattened.
+def require_vector(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """Return a 1-D float array; a single number is repeated, an n x 1 or 1 x n matrix
+    flattened.
 
     Args:
         key: named in errors.
@@ -139,46 +138,48 @@ def vector(key: str, value: Any, size: int, why: str = "") -> Floats:
         InputError: not numbers.
         ShapeError: another size.
     """
-    entries = array(key, value)
+    entries = require_array(key, value)
     if entries.ndim == 2 and 1 in entries.shape:
         entries = entries.ravel()
     if entries.ndim == 0:
         entries = np.full(size, float(entries))
     if entries.shape != (size,):
-        wanted, present = _count_text(size), shape_text(entries.shape)
-        raise ShapeError(f"{key}: expected {wanted}{_reason(why)}, found {present}")
+        wanted, present = _count_text(size), describe_shape(entries.shape)
+        raise ShapeError(f"{key}: expected {wanted}{_in_brackets(why)}, found {present}")
     return entries
 
 
-def series(key: str, value: Any) -> Floats:
-    """Return a 1-D float array of any size but 0.
+def require_series(key: str, value: Any) -> Floats:
+    """Return a 1-D float array with at least one entry.
 
     Raises:
         InputError: not numbers.
         ShapeError: no number, or a table of them.
     """
-    entries = array(key, value)
+    entries = require_array(key, value)
     if entries.size == 0:
         raise ShapeError(f"{key}: expected at least one number, found none")
     if entries.ndim > 2 or (entries.ndim == 2 and 1 not in entries.shape):
-        raise ShapeError(f"{key}: expected a list of numbers, found {shape_text(entries.shape)}")
+        raise ShapeError(
+            f"{key}: expected a list of numbers, found {describe_shape(entries.shape)}"
+        )
     return entries.ravel()
 
 
-def shape_text(shape: Iterable[int]) -> str:
+def describe_shape(shape: Iterable[int]) -> str:
     """Return the shape of an array as text: 2 x 3, or one number."""
     return " x ".join(map(str, shape)) or "one number"
 
 
 def list_numbers(numbers: Iterable[complex]) -> str:
-    """Return numbers, complex ones perhaps, as text: -1, -2+3j."""
-    return ", ".join(map(_number_text, numbers))
+    """Return real or complex numbers as text: -1, -2+3j."""
+    return ", ".join(map(_format_complex, numbers))
 
 
-def scalar(
+def require_number(
     key: str, value: Any, *, above: float | None = None, least: float | None = None
 ) -> float:
-    """Return one finite number within bounds.
+    """Return a finite number within bounds.
 
     Args:
         key: named in errors.
@@ -190,7 +191,7 @@ def scalar(
         InputError: not a number, or out of bounds.
         ShapeError: several numbers.
     """
-    entries = array(key, value)
+    entries = require_array(key, value)
     if entries.size != 1:
         raise ShapeError(f"{key}: expected one number, found {entries.size}")
     number = float(entries.reshape(()))
@@ -201,8 +202,8 @@ def scalar(
     return number
 
 
-def seed_of(key: str, value: Any) -> int:
-    """Return a seed of random numbers: a whole number that 63 bits hold, and the next one too.
+def require_seed(key: str, value: Any) -> int:
+    """Return a seed of random numbers: a whole number from 0 to 2^63 - 2.
 
     Raises:
         InputError: another value.
@@ -213,34 +214,34 @@ def seed_of(key: str, value: Any) -> int:
     return int(value)
 
 
-def nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """Return `vector` whose entries are >= 0.
+def require_nonnegative(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """Return a 1-D float array with entries >= 0.
 
     Raises:
         InputError: not numbers, or a negative one.
         ShapeError: another size.
     """
-    entries = vector(key, value, size, why)
+    entries = require_vector(key, value, size, why)
     if (entries < 0).any():
         raise InputError(f"{key}: must not be negative, found {entries.min():g}")
     return entries
 
 
-def positive(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """Return `vector` whose entries are > 0.
+def require_positive(key: str, value: Any, size: int, why: str = "") -> Floats:
+    """Return a 1-D float array with entries > 0.
 
     Raises:
         InputError: not numbers, or one that is not positive.
         ShapeError: another size.
     """
-    entries = vector(key, value, size, why)
+    entries = require_vector(key, value, size, why)
     if (entries <= 0).any():
         raise InputError(f"{key}: must be positive, found {entries.min():g}")
     return entries
 
 
-def runs(flags: Flags) -> tuple[Integers, Integers]:
-    """Return the first and the last place of each run of True.
+def bounds_of_runs(flags: Flags) -> tuple[Integers, Integers]:
+    """Return the first and the last index of each run of True.
 
     Args:
         flags: in a row (N).
@@ -249,7 +250,7 @@ def runs(flags: Flags) -> tuple[Integers, Integers]:
     return np.flatnonzero(ends > 0), np.flatnonzero(ends < 0) - 1
 
 
-def finite(value: Any) -> Any:
+def to_json_value(value: Any) -> Any:
     """Return a value for JSON, which has no nan or inf: None in their place.
 
     Dictionaries, lists and tuples are searched for them; named tuples become dictionaries.
@@ -257,23 +258,23 @@ def finite(value: Any) -> Any:
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, dict):
-        return {key: finite(child) for key, child in value.items()}
+        return {key: to_json_value(child) for key, child in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(child) for child in value]
+        return [to_json_value(child) for child in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
 
 
-def _number_text(number: complex) -> str:
-    """Return a number, with its imaginary part if it has one."""
+def _format_complex(number: complex) -> str:
+    """Return a number as text, with the imaginary part if not 0."""
     if number.imag:
         return f"{number.real:.4g}{number.imag:+.4g}j"
     return f"{number.real:.4g}"
 
 
-def since_start(start: Integers, size: int) -> Integers:
-    """How many rows of its own record are before each row (N).
+def rows_since_start(start: Integers, size: int) -> Integers:
+    """Return the number of earlier rows of the same record, for each row (N).
 
     Args:
         start: first row of each record (R).
@@ -283,8 +284,9 @@ def since_start(start: Integers, size: int) -> Integers:
     return at - start[np.searchsorted(start, at, side="right") - 1]
 
 
-def later(rows: Floats, samples: int, start: Integers) -> Floats:
-    """Return rows of records so many samples later; what is not known is held.
+def shift_rows(rows: Floats, samples: int, start: Integers) -> Floats:
+    """Return rows of records shifted by a number of samples; the end values of a record are
+    held.
 
     Args:
         rows: of all records, one after another (N or N x m).
@@ -296,8 +298,8 @@ def later(rows: Floats, samples: int, start: Integers) -> Floats:
     return rows[np.clip(np.arange(len(rows)) - samples, start[record], last[record])]
 
 
-def one_or_list(values: Sequence[Any] | Floats) -> Any:
-    """Return a plain value for each output, input or joint: itself where there is one, else a list.
+def to_scalar_or_list(values: Sequence[Any] | Floats) -> Any:
+    """Return the values per output, input or joint as a list, or a single value as itself.
 
     Args:
         values: one each.
@@ -307,12 +309,12 @@ def one_or_list(values: Sequence[Any] | Floats) -> Any:
 
 
 def _count_text(count: int) -> str:
-    """So many numbers, as text."""
+    """Return a count of numbers as text."""
     return "1 number" if count == 1 else f"{count} numbers"
 
 
 def _matrix_text(rows: int | None, columns: int | None) -> str:
-    """Return a matrix of that shape, as text."""
+    """Return the expected shape of a matrix as text."""
     if rows and columns:
         return f"a {rows} x {columns} matrix"
     if rows:
@@ -322,6 +324,6 @@ def _matrix_text(rows: int | None, columns: int | None) -> str:
     return "a matrix (a list of rows)"
 
 
-def _reason(why: str) -> str:
-    """What stands behind an expected shape."""
+def _in_brackets(why: str) -> str:
+    """Return the explanation of an expected shape in brackets; empty if the text is."""
     return f" ({why})" if why else ""

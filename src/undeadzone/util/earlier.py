@@ -1,4 +1,4 @@
-"""Files whose keys had another meaning in an earlier version.
+"""Translation of files whose keys had a different meaning in an earlier version.
 
 Up to schema 2 `centre` of an observer was d_r - d_l. It is (d_r - d_l)/2 since, the middle of the
 zone, as `plant.arm.gears.centre` always was.
@@ -16,11 +16,15 @@ from undeadzone.errors import EarlierMeaning, InputError
 
 SCHEMA: Final = 3  # number of the meanings that keys have, the same as that of --json
 BEFORE: Final = 2  # the one that is still understood
-CLAIMS: Final = ("observer", "compare", "declared")  # tables that may claim a centre of the zone
+ASSUMPTION_TABLES: Final = (
+    "observer",
+    "compare",
+    "declared",
+)  # tables that may claim a centre of the zone
 
 
-def translated(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a scenario in the meanings of today.
+def translate_scenario(data: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of a scenario with keys of the current schema.
 
     A warning names what an earlier version took for something else. A centre of 0 is the same in
     both.
@@ -39,26 +43,28 @@ def translated(data: dict[str, Any]) -> dict[str, Any]:
     if schema == SCHEMA:
         return data
     own = {key: value for key, value in data.items() if key != "schema"}
-    moved = [name for name in CLAIMS if claims_centre(own.get(name))]
+    moved = [name for name in ASSUMPTION_TABLES if assumes_centre(own.get(name))]
     if not moved:
         return own
     keys = " and ".join(f"{name}.centre" for name in moved)
     if schema is None:
-        _warn(
+        _warn_at_caller(
             f"{keys}: is taken for (d_r - d_l)/2, the middle of the zone; up to schema {BEFORE} it "
             f"was d_r - d_l. Write schema = {SCHEMA} above all tables if the middle is meant, "
             f"schema = {BEFORE} if the difference is"
         )
         return own
-    _warn(
+    _warn_at_caller(
         f"schema: {keys} of schema {BEFORE} is d_r - d_l; the next version does not read it. Halve "
         f"the numbers, and write schema = {SCHEMA}"
     )
-    return own | {name: own[name] | {"centre": _halved(own[name]["centre"])} for name in moved}
+    return own | {
+        name: own[name] | {"centre": _halve_numbers(own[name]["centre"])} for name in moved
+    }
 
 
-def translated_std(stds: Sequence[Any], schema: int | None, where: object) -> list[Any]:
-    """Return the deviations that a file of results keeps, in the meanings of today.
+def translate_stds(stds: Sequence[Any], schema: int | None, where: object) -> list[Any]:
+    """Return the standard deviations of a results file, translated to the current schema.
 
     Args:
         stds: deviations by name, of each output; what is no table stays as it is.
@@ -67,54 +73,59 @@ def translated_std(stds: Sequence[Any], schema: int | None, where: object) -> li
     """
     if schema is not None and schema >= SCHEMA:
         return list(stds)
-    if any(map(_has_centre, stds)):
-        _warn(
+    if any(map(_has_centre_std, stds)):
+        _warn_at_caller(
             f"{where}: std.centre of schema {BEFORE} is that of d_r - d_l, and is halved; the next "
             "version does not read it. Make the file anew"
         )
-    return list(map(_of_centre, stds))
+    return list(map(_halve_centre_std, stds))
 
 
-def _has_centre(std: Any) -> bool:
-    """Whether deviations by name have one of a centre."""
+def _has_centre_std(std: Any) -> bool:
+    """Return whether a table of standard deviations contains a centre."""
     return isinstance(std, dict) and isinstance(std.get("centre"), float)
 
 
-def _of_centre(std: Any) -> Any:
-    """The deviations with that of the centre in place of that of d_r - d_l."""
-    return std | {"centre": std["centre"] / 2} if _has_centre(std) else std
+def _halve_centre_std(std: Any) -> Any:
+    """Return the deviations with the centre's halved: d_r - d_l becomes the middle of the
+    zone.
+    """
+    return std | {"centre": std["centre"] / 2} if _has_centre_std(std) else std
 
 
-def claims_centre(table: Any) -> bool:
-    """Whether a table of claims has a centre of the zone that is not 0; `contact` has gears'."""
+def assumes_centre(table: Any) -> bool:
+    """Return whether a table assumes a centre of the zone other than 0.
+
+    `contact` has the gears' centre.
+    """
     if not isinstance(table, dict) or table.get("method") == "contact":
         return False
-    return _is_other_than_0(table.get("centre"))
+    return _has_nonzero(table.get("centre"))
 
 
-def _is_other_than_0(value: Any) -> bool:
-    """Whether a number, or one in nested lists, is not 0."""
+def _has_nonzero(value: Any) -> bool:
+    """Return whether a number, or an entry of nested lists, differs from 0."""
     if isinstance(value, list):
-        return any(map(_is_other_than_0, value))
+        return any(map(_has_nonzero, value))
     return isinstance(value, int | float) and value != 0
 
 
-def _halved(value: Any) -> Any:
-    """Half of a number, or of each in nested lists; all else is left to the check of types."""
+def _halve_numbers(value: Any) -> Any:
+    """Return half of a number, or of each entry in nested lists; values of other types stay."""
     if isinstance(value, list):
-        return [_halved(each) for each in value]
+        return [_halve_numbers(each) for each in value]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     return value / 2 if is_number else value
 
 
-def _warn(words: str) -> None:
+def _warn_at_caller(words: str) -> None:
     """Warn at the line outside of this package that reads the scenario."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and _is_own(frame):
+    while frame.f_back is not None and _is_own_frame(frame):
         frame, level = frame.f_back, level + 1
     warnings.warn(words, EarlierMeaning, stacklevel=level)
 
 
-def _is_own(frame: FrameType) -> bool:
-    """Whether a frame is of this package, or of one that comes with it."""
+def _is_own_frame(frame: FrameType) -> bool:
+    """Return whether a frame belongs to this package, or to a package that comes with it."""
     return str(frame.f_globals.get("__name__")).startswith("undeadzone")

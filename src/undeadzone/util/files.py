@@ -1,4 +1,4 @@
-"""Files: written ones are either complete or absent; read ones are plain files of some size."""
+"""Reading of plain files of limited size; writing of files that are complete or absent."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ LARGEST_RUN: Final = 4_000_000_000  # [bytes] of the signals of one run
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Provide failures to write at a path as FileError."""
+def convert_write_errors(path: Path) -> Iterator[None]:
+    """Provide a block whose failures to write at a path become FileError."""
     try:
         yield
     except FileError:
         raise
     except (OSError, OverflowError, ValueError) as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None
+        raise FileError(f"{path}: cannot write: {failure_reason(error)}") from None
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replace_file(path: Path) -> Iterator[Path]:
     """Provide a temporary path beside `path` that takes its name once written.
 
     Nothing is left half-written. A link of that name is replaced, not what it leads to; a device or
@@ -45,24 +45,27 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         FileError: the file cannot be written.
     """
-    with writing(path):
+    with convert_write_errors(path):
         if path.exists():  # a device or a pipe is never replaced
-            require_plain(path)
+            require_plain_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(path.suffix, f".{path.stem}-", path.parent)
         os.close(handle)
     try:
         yield Path(name)
-        os.chmod(name, 0o666 & ~_umask())
+        os.chmod(name, 0o666 & ~_process_umask())
         os.replace(name, path)
     except OSError as error:
-        raise FileError(f"{path}: cannot write: {reason(error)}") from None
+        raise FileError(f"{path}: cannot write: {failure_reason(error)}") from None
     finally:
         Path(name).unlink(missing_ok=True)
 
 
-def path_of(name: Any) -> Path:
-    """Return the path that a program names. Raises FileError for what is no name, such as None."""
+def to_path(name: Any) -> Path:
+    """Return the path that a program names.
+
+    Raises FileError for a value that is not a name, such as None.
+    """
     if not isinstance(name, str | os.PathLike):
         found = type(name).__name__
         raise FileError(f"expected the name of a file, such as 'mine.toml', found {found}")
@@ -70,7 +73,7 @@ def path_of(name: Any) -> Path:
 
 
 def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
-    """What a user's file holds.
+    """Return the content of a user's file.
 
     Args:
         path: the file.
@@ -79,40 +82,42 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
     Raises:
         OSError, ValueError: with the `reason`, also for what is no plain file.
     """
-    require_plain(path, largest)
+    require_plain_file(path, largest)
     # Not blocking: a named pipe may have taken the file's place.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     with open(os.open(path, flags), "rb") as file:
-        _require_plain(os.fstat(file.fileno()), largest)
+        _require_plain_status(os.fstat(file.fileno()), largest)
         most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # memory asked for
         content = file.read(most + 1)
     if len(content) > most:  # it grows, or the system does not know its size
-        raise OSError(_too_large(len(content), most))
+        raise OSError(_describe_excess_size(len(content), most))
     return content
 
 
 def read_text(path: Name, largest: int = LARGEST_TEXT) -> str:
-    """What a user's file of UTF-8 text holds, without the mark that some editors put in front.
+    """Return the text of a user's UTF-8 file, without a byte-order mark.
 
     Arguments and errors as of `read_bytes`.
     """
     return read_bytes(path, largest).decode("utf-8-sig")
 
 
-def require_plain(path: Name, largest: int | None = None) -> None:
-    """Raise OSError for what is no plain file (a device would never end), or one too large.
+def require_plain_file(path: Name, largest: int | None = None) -> None:
+    """Raise OSError unless the path is a plain file of an allowed size.
+
+    A device would never end.
 
     Args:
         path: of the file, which is not opened.
         largest: number of bytes that it may have; None: any.
     """
-    _require_plain(os.stat(path_of(path)), largest)
+    _require_plain_status(os.stat(to_path(path)), largest)
 
 
 @contextmanager
 def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
-    """Provide a file that a computation keeps its results in, made where there is none, open and
-    locked.
+    """Provide the open, locked file in which a computation saves its results; created if
+    missing.
 
     Nobody else may read it, and nothing is written through a link that someone put in its place.
     It is closed if what is done inside fails, else it stays open.
@@ -126,20 +131,20 @@ def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.
         FileError: it cannot be written, is no plain file, has another name besides, or another
             process has it.
     """
-    with writing(path):
+    with convert_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_symlink():
-            raise OSError(_other_name("it is a symbolic link"))
+            raise OSError(_describe_alias("it is a symbolic link"))
         if path.exists():
-            require_plain(path, largest)
+            require_plain_file(path, largest)
         file = io.FileIO(path, mode, opener=_open_or_create)
     try:
-        with writing(path):
+        with convert_write_errors(path):
             status = os.fstat(file.fileno())
-            _require_plain(status, largest)
+            _require_plain_status(status, largest)
             if status.st_nlink > 1:
-                raise OSError(_other_name(f"it is one of {status.st_nlink} names of a file"))
-        _lock(path, file)
+                raise OSError(_describe_alias(f"it is one of {status.st_nlink} names of a file"))
+        _lock_exclusively(path, file)
         yield file
     except BaseException:
         file.close()
@@ -147,14 +152,14 @@ def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.
 
 
 def _open_or_create(name: str, flags: int) -> int:
-    """Open a file, which is made where there is none; nothing is cut off, no link is followed."""
+    """Open a file, or create a missing one; the content stays, links are not followed."""
     for flag in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
         flags |= getattr(os, flag, 0)
     return os.open(name, flags | os.O_CREAT, 0o600)
 
 
-def _lock(path: Path, file: io.FileIO) -> None:
-    """Keep other processes out until the file is closed, where the system has locks.
+def _lock_exclusively(path: Path, file: io.FileIO) -> None:
+    """Lock a file against further processes until it is closed, if the system has locks.
 
     Raises:
         FileError: another process has it.
@@ -177,8 +182,8 @@ def _lock(path: Path, file: io.FileIO) -> None:
         )
 
 
-def write_all(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
-    """Write all of some bytes, in as many calls as the system asks for.
+def write_all_bytes(path: Path, file: io.FileIO, data: bytes, offset: int | None = None) -> None:
+    """Write all bytes, in as many calls as the system needs.
 
     Args:
         path: of the file.
@@ -191,7 +196,7 @@ def write_all(path: Path, file: io.FileIO, data: bytes, offset: int | None = Non
     """
     if not os.fstat(file.fileno()).st_nlink:
         raise FileError(f"{path}: cannot write: it was removed")
-    with writing(path):
+    with convert_write_errors(path):
         if offset is not None:
             file.seek(offset)
         view = memoryview(data)
@@ -199,12 +204,12 @@ def write_all(path: Path, file: io.FileIO, data: bytes, offset: int | None = Non
             view = view[file.write(view) :]
 
 
-def _other_name(found: str) -> str:
-    """Why a file that has other names is refused."""
+def _describe_alias(found: str) -> str:
+    """Return the reason to refuse a file that has further names."""
     return f"{found}, and what it leads to would be overwritten; delete it, or choose another name"
 
 
-def arrays_of(path: Path, largest: int) -> dict[str, Any]:
+def load_arrays(path: Path, largest: int) -> dict[str, Any]:
     """Return the arrays of an `.npz`, by name.
 
     Args:
@@ -216,7 +221,7 @@ def arrays_of(path: Path, largest: int) -> dict[str, Any]:
     """
     import numpy as np
 
-    require_plain(path, largest)
+    require_plain_file(path, largest)
     with zipfile.ZipFile(path) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > largest:
@@ -225,23 +230,23 @@ def arrays_of(path: Path, largest: int) -> dict[str, Any]:
         return {name: file[name] for name in file.files}
 
 
-def _require_plain(status: os.stat_result, largest: int | None) -> None:
-    """Raise OSError for what is no plain file, or one too large."""
+def _require_plain_status(status: os.stat_result, largest: int | None) -> None:
+    """Raise OSError unless the status is that of a plain file of an allowed size."""
     if stat.S_ISDIR(status.st_mode):
         raise OSError("it is a directory")
     if not stat.S_ISREG(status.st_mode):
         raise OSError("it is a device, a pipe or a socket, no plain file")
     if largest is not None and status.st_size > largest:
-        raise OSError(_too_large(status.st_size, largest))
+        raise OSError(_describe_excess_size(status.st_size, largest))
 
 
-def _too_large(size: int, largest: int) -> str:
-    """Why a file is refused."""
+def _describe_excess_size(size: int, largest: int) -> str:
+    """Return the reason to refuse a file that is too large."""
     return f"it has {size / 1e6:,.0f} MB, and files of this kind may have {largest / 1e6:,.0f}"
 
 
 def require_folder(folder: Path) -> None:
-    """Raise FileError unless files can be written in a folder; nothing is left behind.
+    """Raise FileError unless files can be written in a folder; the test leaves no file behind.
 
     Called before a long computation, whose results would be lost otherwise. The folder itself is
     not made for it: another process might count on it, or fail to make its own.
@@ -249,26 +254,26 @@ def require_folder(folder: Path) -> None:
     Args:
         folder: it need not exist; then it must be possible to make it.
     """
-    with writing(folder):
+    with convert_write_errors(folder):
         there = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
         with tempfile.TemporaryDirectory(dir=there, prefix=".undeadzone-") as attempt:
             Path(attempt, folder.relative_to(there)).mkdir(parents=True, exist_ok=True)
 
 
 def write_text(text: str, path: Name) -> Path:
-    """Write a text file in UTF-8; nothing is left half-written.
+    """Write a text file in UTF-8, complete or not at all. Return its path.
 
     Raises:
         FileError: it cannot be written.
     """
-    target = path_of(path)
-    with replacing(target) as temporary:
+    target = to_path(path)
+    with replace_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return target
 
 
-def reason(error: Exception) -> str:
-    """Why a file could not be read or written, without its path.
+def failure_reason(error: Exception) -> str:
+    """Return the reason that a file could not be read or written, without its path.
 
     In the system's words where there are any.
     """
@@ -277,7 +282,7 @@ def reason(error: Exception) -> str:
     return str(error)
 
 
-def _umask() -> int:
+def _process_umask() -> int:
     """Return the permissions that the system withholds from new files."""
     mask = os.umask(0)
     os.umask(mask)

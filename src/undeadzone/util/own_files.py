@@ -1,4 +1,4 @@
-"""What a command may replace: texts and folders that undeadzone wrote and nobody edited since.
+"""Protection of edited files: a command replaces only texts and folders as undeadzone wrote them.
 
 A text of its own holds a remark with a digest of all the rest. A folder of its own has a
 manifest that holds a digest of every file. All else is the user's: it stays, unless --force is set.
@@ -21,7 +21,7 @@ _SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 
 
 def mark_toml(text: str) -> str:
-    """Return a text under a remark that says whose it is, in TOML.
+    """Return a TOML text under a signed remark that undeadzone wrote the file.
 
     Args:
         text: of the file.
@@ -30,17 +30,17 @@ def mark_toml(text: str) -> str:
 
 
 def sign_text(text: str) -> str:
-    """Return a text that holds REMARK, with its digest behind that.
+    """Return a text with its digest behind the remark REMARK in it.
 
     Args:
         text: of the file.
     """
     before, after = text.split(REMARK, 1)
-    return f"{before}{REMARK}{digest(text.encode())}{after}"
+    return f"{before}{REMARK}{content_digest(text.encode())}{after}"
 
 
-def require_own(path: Path, force: bool = False) -> None:
-    """Raise FileError for a file that is not as undeadzone wrote it (`signed`).
+def require_own_file(path: Path, force: bool = False) -> None:
+    """Raise FileError for a file that was edited since undeadzone wrote it (`sign_text`).
 
     Called before a long computation, whose result would be lost otherwise.
 
@@ -48,41 +48,44 @@ def require_own(path: Path, force: bool = False) -> None:
         path: of the file, which need not exist.
         force: whether it may be replaced all the same.
     """
-    if not force and (path.exists() or path.is_symlink()) and not is_own(path):
+    if not force and (path.exists() or path.is_symlink()) and not is_own_file(path):
         raise FileError(
             f"{path}: exists already, and may hold work of your own: not replaced; {CURE}"
         )
 
 
-def write_own(text: str, path: Path, force: bool = False) -> Path:
-    """Write a text that undeadzone may replace later. Raises FileError, also as `require_own`.
+def write_own_file(text: str, path: Path, force: bool = False) -> Path:
+    """Write a text that undeadzone may replace later.
+
+    Raises FileError, also as `require_own_file`.
 
     Args:
         text: of the file, TOML.
         path: of the file.
         force: whether a file of someone else is replaced.
     """
-    require_own(path, force)
+    require_own_file(path, force)
     return write_text(mark_toml(text), path)
 
 
-def edited_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
-    """Return the files in a folder that are not as undeadzone wrote them; those that are gone are
-    none.
+def list_edited_files(folder: Path, digests: Mapping[str, str]) -> list[str]:
+    """Return the files in a folder that were edited since undeadzone wrote them.
+
+    Missing files do not count.
 
     Args:
         folder: of the files.
         digests: of each as it was written, by its path there.
     """
-    return [path for path in digests if not _is_as_written(folder / path, digests[path])]
+    return [path for path in digests if not _is_unedited(folder / path, digests[path])]
 
 
-def digest(content: bytes) -> str:
-    """Return the digest of what a file holds."""
+def content_digest(content: bytes) -> str:
+    """Return the SHA-256 digest of the content of a file, hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 
 
-def is_own(path: Path) -> bool:
+def is_own_file(path: Path) -> bool:
     """Return whether a text is as undeadzone wrote it; line ends do not count."""
     try:
         text = read_bytes(path).decode().replace("\r\n", "\n")
@@ -92,10 +95,10 @@ def is_own(path: Path) -> bool:
     return found is not None and sign_text(text.replace(found[1], "", 1)) == text
 
 
-def _is_as_written(path: Path, written: str) -> bool:
-    """Return whether a file has a digest, or is gone."""
+def _is_unedited(path: Path, written: str) -> bool:
+    """Return whether a file has a digest, or is missing."""
     try:
-        return digest(read_bytes(path, LARGEST_RUN)) == written
+        return content_digest(read_bytes(path, LARGEST_RUN)) == written
     except FileNotFoundError:
         return True
     except OSError:

@@ -1,4 +1,4 @@
-"""Bars that show how far a computation is: on a terminal, or in a notebook.
+"""Progress bars of a computation, on a terminal or in a notebook.
 
 A notebook shows what is displayed by number, and each update takes the place of the one before:
 nothing is printed twice, and nothing is left once the computation is done.
@@ -25,15 +25,15 @@ PAUSE: Final = 0.2  # [s] at least between two updates of a notebook
 OF_KERNEL: Final = "JPY_PARENT_PID"  # what a kernel's own commands inherit
 
 
-def silent(done: int) -> None:
-    """Nothing is shown."""
+def ignore_progress(done: int) -> None:
+    """Ignore the steps: without a bar."""
 
 
 @contextmanager
-def in_notebook(
+def notebook_progress(
     progress: Advance | None, what: str, total: int | None, unit: str | None = None
 ) -> Iterator[Advance]:
-    """What a function calls with the steps just done: a bar in a notebook, unless one is given.
+    """Provide the function that counts the steps just done: a bar in a notebook, unless given.
 
     Args:
         progress: what the caller gave; None: a bar in a notebook, nothing elsewhere.
@@ -43,50 +43,54 @@ def in_notebook(
     """
     if progress is not None:
         yield progress
-    elif _kernel():
-        with _show_bar(_Page(), what, total, unit) as advance:
+    elif _is_notebook_kernel():
+        with _show_bar(_NotebookBar(), what, total, unit) as advance:
             yield advance
     else:
-        yield silent
+        yield ignore_progress
 
 
 @contextmanager
-def on_terminal(what: str, total: int | None, unit: str = "", of: Any = None) -> Iterator[Advance]:
-    """Provide the same for a command: a bar on stderr, if that is a terminal and not a notebook's.
+def terminal_progress(
+    what: str, total: int | None, unit: str = "", of: Any = None
+) -> Iterator[Advance]:
+    """Provide the function that counts steps for a command: a bar on stderr if it is a
+    terminal.
 
     Arguments as of `in_notebook`; of: the observer that is set up first.
     """
     if not sys.stderr.isatty() or OF_KERNEL in os.environ:
-        yield silent
+        yield ignore_progress
         return
     first = SETTING_UP if of is None else f"{SETTING_UP} {of.__struct_config__.tag}"
-    with _show_bar(_Terminal(), what, total, unit, first) as advance:
+    with _show_bar(_TerminalBar(), what, total, unit, first) as advance:
         yield advance
 
 
-def _kernel() -> bool:
-    """Return whether this is the kernel of a notebook."""
+def _is_notebook_kernel() -> bool:
+    """Return whether this process is the kernel of a notebook."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return type(shell).__name__ == "ZMQInteractiveShell"
 
 
-class _Place(Protocol):
-    """Where a bar is drawn."""
+class _BarDisplay(Protocol):
+    """Display of a bar."""
 
     def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
-        """Draw the bar, or draw it anew."""
+        """Draw the bar, or update it."""
 
     def clear(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
 
 
 @contextmanager
 def _show_bar(
-    place: _Place, what: str, total: int | None, unit: str | None, first: str = SETTING_UP
+    place: _BarDisplay, what: str, total: int | None, unit: str | None, first: str = SETTING_UP
 ) -> Iterator[Advance]:
-    """Provide a bar that appears once PATIENCE has passed; steps may be counted from several
-    threads.
+    """Provide a bar that appears once PATIENCE has passed.
+
+    Steps may be counted from several threads.
 
     Until the first step it says what is set up.
     """
@@ -95,11 +99,13 @@ def _show_bar(
     settled = False  # drawn by a step, or over
 
     def begin() -> None:
+        """Draw the bar after PATIENCE, unless a step did."""
         with lock:
             if not settled:
                 place.draw(what if seen else first, seen, total, "")
 
     def advance(done: int) -> None:
+        """Count steps just done, and draw the bar once PATIENCE has passed."""
         nonlocal seen, settled
         with lock:
             seen += done
@@ -121,29 +127,29 @@ def _show_bar(
             place.clear()
 
 
-class _Terminal:
-    """A bar of rich on stderr."""
+class _TerminalBar:
+    """Bar of rich on stderr."""
 
     def __init__(self) -> None:
         self._bar: Progress | None = None
 
     def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
-        """Draw the bar, or draw it anew."""
+        """Draw the bar, or update it."""
         if self._bar is None:
-            self._bar = _bar()
+            self._bar = _build_bar()
             self._bar.start()
             self._bar.add_task(what, total=total, rate="")
         (task,) = self._bar.task_ids
         self._bar.update(task, description=what, completed=done, rate=rate)
 
     def clear(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.stop()
 
 
-def _bar() -> Progress:
-    """Return a bar of rich on stderr, that is not drawn yet."""
+def _build_bar() -> Progress:
+    """Return a bar of rich on stderr, not drawn yet."""
     from rich import progress
     from rich.console import Console
 
@@ -157,15 +163,15 @@ def _bar() -> Progress:
     return progress.Progress(*columns, console=Console(stderr=True), transient=True)
 
 
-class _Page:
-    """A bar of HTML in a notebook, beside which the same stands as text."""
+class _NotebookBar:
+    """Bar of HTML in a notebook, with the same as text."""
 
     def __init__(self) -> None:
         self._handle: Any = None
         self._last = 0.0
 
     def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
-        """Draw the bar, or draw it anew if the last time is a while ago.
+        """Draw the bar, or update it if the last time is at least PAUSE ago.
 
         Other threads than the main one cannot tell to which cell they belong.
         """
@@ -177,15 +183,15 @@ class _Page:
         count = f"{done:,}" if total is None else f"{min(done, total):,} of {total:,}"
         words = " ".join(filter(None, (what, count, rate)))
         html = f"{escape(what)} <progress{share}></progress> {escape(f'{count} {rate}'.strip())}"
-        self._show({"text/plain": words, "text/html": html})
+        self._display_bar({"text/plain": words, "text/html": html})
 
     def clear(self) -> None:
-        """Take it away."""
+        """Remove the bar."""
         if self._handle is not None:
-            self._show({"text/plain": "", "text/html": ""})
+            self._display_bar({"text/plain": "", "text/html": ""})
 
-    def _show(self, shown: dict[str, str]) -> None:
-        """Display, in the place of what was displayed before."""
+    def _display_bar(self, shown: dict[str, str]) -> None:
+        """Display the bar, in place of the earlier display."""
         from IPython import display
 
         show: Any = display.display

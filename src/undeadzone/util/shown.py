@@ -1,4 +1,4 @@
-"""Results as people look at them: aligned text in a terminal, tables and a figure in a notebook.
+"""Display of results: aligned text in a terminal, tables and a figure in a notebook.
 
 A result is a list of blocks: text, pairs of name and value, or rows of cells whose first row is
 the head.
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import undeadzone as uz
 from undeadzone.errors import InputError
-from undeadzone.util.text import printable
+from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,30 +30,30 @@ NARROWEST = 24  # characters of a value, however narrow the terminal
 DOTS = 110  # per inch, of figures in a notebook
 
 
-def text(blocks: Sequence[Block], width: int | None = None) -> str:
-    """Return blocks as text, an empty line between them.
+def format_blocks(blocks: Sequence[Block], width: int | None = None) -> str:
+    """Return blocks as text, separated by empty lines.
 
     Args:
         blocks: what is shown.
         width: characters that a line may have: longer ones are folded, and tables that are wider
             have a line for each cell; None: any.
     """
-    return "\n\n".join("\n".join(_lines(block, width)) for block in blocks)
+    return "\n\n".join("\n".join(_format_block(block, width)) for block in blocks)
 
 
-def html(blocks: Sequence[Block]) -> str:
-    """Return blocks as HTML for a notebook; everything in them is escaped."""
-    return "\n".join(map(_html, blocks))
+def blocks_to_html(blocks: Sequence[Block]) -> str:
+    """Return blocks as escaped HTML for a notebook."""
+    return "\n".join(map(_block_to_html, blocks))
 
 
-def source(words: str) -> str:
-    """Return a text with its lines as they are, such as a scenario, as HTML for a notebook."""
+def source_to_html(words: str) -> str:
+    """Return a text with its lines kept, such as a scenario, as HTML for a notebook."""
     lines = [_escape_html(line) for line in words.split("\n")]
     return f'<pre style="line-height:1.35">{chr(10).join(lines)}</pre>'
 
 
 def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-    """Return the figure that `uz.plot` draws of a result; a method of every result.
+    """Return the figure that `uz.plot` draws for a result; a method of every result.
 
     Args:
         result: what `uz.plot` takes.
@@ -63,16 +63,16 @@ def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | Non
     return uz.plot(result, path, ax)
 
 
-def in_text(result: Any) -> str:
+def format_result(result: Any) -> str:
     """Return the tables that a result's command prints; `__repr__` of results with `blocks`."""
-    return text(result.blocks())
+    return format_blocks(result.blocks())
 
 
-def in_notebook(result: Any) -> str:
-    """Return the same and the figure that `uz.plot` draws; `_repr_html_` of results with
+def result_to_html(result: Any) -> str:
+    """Return the tables and the figure of a result as HTML; `_repr_html_` of results with
     `blocks`.
     """
-    shown = html(result.blocks())
+    shown = blocks_to_html(result.blocks())
     try:
         figure = uz.plot(result)
     except InputError:  # nothing in it can be drawn
@@ -83,22 +83,24 @@ def in_notebook(result: Any) -> str:
     return f'{shown}\n<img alt="figure" src="data:image/png;base64,{image}" width="100%">'
 
 
-def _lines(block: Block, width: int | None) -> list[str]:
-    """Return one block as lines."""
+def _format_block(block: Block, width: int | None) -> list[str]:
+    """Return a block as lines."""
     if isinstance(block, str):
-        first, *others = _fold_line(printable(block), width)
+        first, *others = _fold_line(escape_controls(block), width)
         return [first, *(f"  {line}" for line in others)]  # no line begins with words of others
-    return _align_lines(block, width) if isinstance(block, Mapping) else _columns(block, width)
+    return (
+        _align_lines(block, width) if isinstance(block, Mapping) else _align_columns(block, width)
+    )
 
 
 def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
     """Return lines `name  value`; a list takes a line for each of its entries."""
-    longest = max(len(printable(name)) for name in pairs)
+    longest = max(len(escape_controls(name)) for name in pairs)
     lines = []
     for name, value in pairs.items():
-        head = printable(name)
-        for entry in _entries(value):
-            words = printable(_cell(entry))
+        head = escape_controls(name)
+        for entry in _value_entries(value):
+            words = escape_controls(_format_cell(entry))
             room = None if width is None else max(width - longest - 2, NARROWEST)
             for part in _fold_line(words, room):
                 lines.append(f"{head:<{longest}}  {part}".rstrip())
@@ -106,12 +108,12 @@ def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
     return lines
 
 
-def _columns(rows: Rows, width: int | None) -> list[str]:
-    """Return lines of aligned columns; where they do not fit, a line for each cell."""
-    shown = [[printable(cell) for cell in row] for row in rows]
+def _align_columns(rows: Rows, width: int | None) -> list[str]:
+    """Return lines of aligned columns; a line for each cell if the table is too wide."""
+    shown = [[escape_controls(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
-        return _records(shown, width)
+        return _list_records(shown, width)
     lines = []
     for row in shown:
         cells = [f"{cell:<{size}}" for cell, size in zip(row, widths, strict=True)]
@@ -119,10 +121,8 @@ def _columns(rows: Rows, width: int | None) -> list[str]:
     return lines
 
 
-def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
-    """Return the rows of a table one below the other, a line `head cell` for each cell that is
-    filled.
-    """
+def _list_records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """Return the rows of a table below each other, a line `head cell` for each filled cell."""
     heads, *others = rows
     lines: list[str] = []
     for row in others:
@@ -132,46 +132,46 @@ def _records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
 
 
 def _fold_line(words: str, width: int | None) -> list[str]:
-    """Return a line as lines of so many characters; words that are longer stay whole."""
+    """Return a line as lines of limited width; longer words stay whole."""
     if width is None or len(words) <= width:
         return [words]
     return textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False)
 
 
-def _html(block: Block) -> str:
-    """Return one block as HTML."""
+def _block_to_html(block: Block) -> str:
+    """Return a block as HTML."""
     if isinstance(block, str):
         return f"<p>{_escape_html(block)}</p>"
     if isinstance(block, Mapping):
-        rows = [_pair(name, value) for name, value in block.items()]
+        rows = [_pair_to_html(name, value) for name, value in block.items()]
         return f"<table>{''.join(rows)}</table>"
     head = "".join(f"<th>{_escape_html(cell)}</th>" for cell in block[0])
-    body = "".join(f"<tr>{''.join(map(_td, row))}</tr>" for row in block[1:])
+    body = "".join(f"<tr>{''.join(map(_cell_to_html, row))}</tr>" for row in block[1:])
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _pair(name: str, value: Any) -> str:
-    """Return a row of a table of pairs."""
-    cell = "<br>".join(_escape_html(_cell(entry)) for entry in _entries(value))
+def _pair_to_html(name: str, value: Any) -> str:
+    """Return a row of a table of pairs as HTML."""
+    cell = "<br>".join(_escape_html(_format_cell(entry)) for entry in _value_entries(value))
     style = ' style="text-align:left"'
     return f"<tr><th{style}>{_escape_html(name)}</th><td{style}>{cell}</td></tr>"
 
 
-def _td(cell: str) -> str:
-    """Return a cell of a table of rows."""
+def _cell_to_html(cell: str) -> str:
+    """Return a cell of a table of rows as HTML."""
     return f"<td>{_escape_html(cell)}</td>"
 
 
-def _entries(value: Any) -> list[Any]:
+def _value_entries(value: Any) -> list[Any]:
     """Return the lines of a value."""
     return value if isinstance(value, list) else [value]
 
 
-def _cell(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     """Return a value as text."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _escape_html(words: str) -> str:
-    """Return text of others in HTML."""
-    return escape(printable(words))
+    """Return foreign text, escaped for HTML."""
+    return escape(escape_controls(words))

@@ -1,4 +1,6 @@
-"""Standard streams that wait: a descriptor that does not block loses and ends nothing."""
+"""Standard streams that wait: a non-blocking descriptor loses no byte and does not end the
+input.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class WaitingFile(io.FileIO):
-    """A file that waits where its descriptor would block (O_NONBLOCK, by whoever set it)."""
+    """File of a descriptor whose reads and writes wait until they are possible."""
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Return how many bytes were written, as soon as some can be.
+        """Write as many bytes as fit and return the number; wait if none fit.
 
         Args:
             data: bytes.
@@ -27,7 +29,8 @@ class WaitingFile(io.FileIO):
             select.select([], [self], [])
 
     def readinto(self, room: WriteableBuffer, /) -> int:
-        """Return how many bytes were read, as soon as there are some; 0: the end.
+        """Read bytes into a buffer and return the number: 0 at the end; wait for the first
+        byte.
 
         Args:
             room: where they go.

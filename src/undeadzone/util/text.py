@@ -1,4 +1,4 @@
-"""Text of others, made fit to be printed: nothing in it steers a terminal or begins a line."""
+"""Foreign text made safe to print: it cannot steer a terminal or begin a line."""
 
 from __future__ import annotations
 
@@ -17,28 +17,30 @@ _ASKED: Final = re.compile(r"^@\?([a-z_]+)@(.*\n)", re.MULTILINE)
 _WORD: Final = re.compile("@([a-z_]+)@")
 
 
-def printable(text: str) -> str:
-    """Return a text in which every control character stands as its escape, such as \\x1b or \\n."""
-    return text if text.isprintable() else "".join(map(_printable, text))
+def escape_controls(text: str) -> str:
+    r"""Return a text with every control character replaced by its escape, such as \\x1b or
+    \\n.
+    """
+    return text if text.isprintable() else "".join(map(_escape_control, text))
 
 
-def one_line(text: str) -> str:
-    """Return a text that is `printable`, its line ends and runs of blanks as single blanks."""
-    return printable(" ".join(text.split()))
+def to_one_line(text: str) -> str:
+    """Return a printable text on one line; line ends and runs of blanks become single blanks."""
+    return escape_controls(" ".join(text.split()))
 
 
-def label(words: str, unit: str) -> str:
-    """Return words and unit, the unit left out where it is 1."""
+def label_with_unit(words: str, unit: str) -> str:
+    """Return words and unit in brackets; the unit 1 is left out."""
     return words if unit == "1" else f"{words} [{unit}]"
 
 
-def with_unit(words: str, unit: str) -> str:
-    """Return words and unit behind them, the unit left out where it is 1."""
+def append_unit(words: str, unit: str) -> str:
+    """Return words followed by the unit; the unit 1 is left out."""
     return words if unit == "1" else f"{words} {unit}"
 
 
 def count_noun(number: int, what: str) -> str:
-    """Return a number of things: "1 run", "2 runs"."""
+    """Return a count with its noun: "1 run", "2 runs"."""
     return f"{number:,} {what}{'s' * (number != 1)}"
 
 
@@ -79,10 +81,10 @@ def interval_95(
     return max(least, min(low, inside)), min(most, max(high, inside))
 
 
-def with_interval(
+def format_with_interval(
     value: float | None, std: float | None, least: float = -math.inf, most: float = math.inf
 ) -> str:
-    """Return a value and its 95 % interval, to the place of the second digit of its deviation.
+    """Return a value and its 95 % interval as text, to the second digit of the deviation.
 
     Args:
         value: the number; None: there is none.
@@ -90,9 +92,9 @@ def with_interval(
         least, most: ends of the range in which it is known to lie.
     """
     if value is None or std is None or not math.isfinite(value):
-        return f"{_short(value)} (no interval)"
+        return f"{_format_4_digits(value)} (no interval)"
     if std == 0.0:
-        return _short(value)
+        return _format_4_digits(value)
     place = 1 - math.floor(math.log10(std)) if std < math.inf else -1
     form = ".4g" if place < 0 or abs(value) < 1e-4 or place > 12 else f".{place}f"
     return bracket_interval(value, *interval_95(value, std, least, most), form)
@@ -103,21 +105,22 @@ def bracket_interval(value: float, low: float, high: float, form: str) -> str:
     return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
-def _short(value: float | None) -> str:
-    """Return a number to four digits; nan where there is none."""
+def _format_4_digits(value: float | None) -> str:
+    """Return a number to four digits as text; nan for None."""
     return "nan" if value is None else f"{value:.4g}"
 
 
-def json_line(text: str) -> str:
-    """Return a JSON text in which every control character stands as its JSON escape.
+def escape_json_controls(text: str) -> str:
+    """Return a JSON text with every control character replaced by its JSON escape.
 
     JSON itself demands that below 0x20 only; terminals obey others too.
     """
-    return text if text.isprintable() else "".join(map(_in_json, text))
+    return text if text.isprintable() else "".join(map(_escape_json_control, text))
 
 
 def fill_words(text: str, words: Mapping[str, Any]) -> str:
-    """Return a text: each `@word@` is filled in, a line that begins with `@?word@` needs its truth.
+    """Return a text with each `@word@` filled in; a line `@?word@` stays only if the word is
+    true.
 
     Args:
         text: of lines.
@@ -127,14 +130,14 @@ def fill_words(text: str, words: Mapping[str, Any]) -> str:
     return _WORD.sub(lambda word: str(words[word[1]]), lines)
 
 
-def _printable(character: str) -> str:
+def _escape_control(character: str) -> str:
     """Return a character, or its escape in Python."""
     hidden = unicodedata.category(character) in UNPRINTABLE
     return character.encode("unicode_escape").decode() if hidden else character
 
 
-def _in_json(character: str) -> str:
-    """Return a character, or its escape in JSON (two of them beyond 0xffff)."""
+def _escape_json_control(character: str) -> str:
+    """Return a character, or its escape in JSON (two escapes beyond 0xffff)."""
     if unicodedata.category(character) not in UNPRINTABLE:
         return character
     units = character.encode("utf-16-be", "surrogatepass")

@@ -1,4 +1,4 @@
-"""Structs as TOML text, every number exactly; fields that are None are left out."""
+"""Structs as TOML text, with exact numbers; fields that are None are left out."""
 
 from __future__ import annotations
 
@@ -33,38 +33,39 @@ def require_short_keys(text: str) -> str:
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
-    """A table of a scenario, of which there are several kinds."""
+    """Table of a scenario with several kinds, chosen by the key `kind`."""
 
 
-def dumps(value: msgspec.Struct) -> str:
+def to_toml(value: msgspec.Struct) -> str:
     """Return the TOML text of a struct.
 
     Raises:
         InputError: something in it that no text can hold.
     """
-    return tomli_w.dumps(tables(value))
+    return tomli_w.dumps(to_tables(value))
 
 
-def tables(value: msgspec.Struct) -> dict[str, Any]:
-    """Return a struct as dictionaries, lists and numbers, its tag among them, without what is None.
+def to_tables(value: msgspec.Struct) -> dict[str, Any]:
+    """Return a struct as dictionaries, lists and numbers with its tag; fields that are None
+    are left out.
 
     Raises:
         InputError: something in it that no text can hold.
     """
-    return dict(_without_none(msgspec.to_builtins(value, enc_hook=_plain)))
+    return dict(_drop_none(msgspec.to_builtins(value, enc_hook=_to_python_value)))
 
 
-def _plain(value: Any) -> Any:
-    """Return NumPy's numbers and arrays as lists of Python's."""
+def _to_python_value(value: Any) -> Any:
+    """Return NumPy numbers and arrays as numbers and lists of Python."""
     if isinstance(value, np.ndarray | np.number):
         return value.tolist()
     raise InputError(f"{value!r:.60} cannot be written as TOML; give formulas as text")
 
 
-def _without_none(value: Any) -> Any:
-    """Return a tree of dictionaries and lists without the keys that hold None."""
+def _drop_none(value: Any) -> Any:
+    """Return a tree of dictionaries and lists without the keys whose value is None."""
     if isinstance(value, dict):
-        return {key: _without_none(entry) for key, entry in value.items() if entry is not None}
+        return {key: _drop_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):
-        return [_without_none(entry) for entry in value]
+        return [_drop_none(entry) for entry in value]
     return value

@@ -20,7 +20,13 @@ from undeadzone.nonlinearities.actuator import Actuator as Plain
 from undeadzone.nonlinearities.actuator import Belief, Drive, resolve_actuator
 from undeadzone.nonlinearities.sensor import present
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, Floats, nonnegative, positive, scalar
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_nonnegative,
+    require_number,
+    require_positive,
+)
 
 GAIN = 30.0  # of the normalised gradient [1/s] where none is given
 
@@ -61,11 +67,11 @@ class AdaptiveZoneInverse(
             )
         m, n = model.m, model.n
         numbers, first = start_coasting(self, model)
-        start = nonnegative("compensator.widths0", self.widths0, m, "one per input")
+        start = require_nonnegative("compensator.widths0", self.widths0, m, "one per input")
         most = np.full(m, np.inf)
         if self.width_max is not None:
-            most = positive("compensator.width_max", self.width_max, m, "one per input")
-        gain = scalar("compensator.gain", self.gain, above=0.0) * model.Ts
+            most = require_positive("compensator.width_max", self.width_max, m, "one per input")
+        gain = require_number("compensator.gain", self.gain, above=0.0) * model.Ts
         drive = resolve_actuator(Plain(), m) if belief is None else belief.drive
         params = ZoneInverseParams(
             A=model.linear.A,

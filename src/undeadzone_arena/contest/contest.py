@@ -19,9 +19,9 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.util import shown
 from undeadzone.util.answers import Answers
-from undeadzone.util.arrays import finite
+from undeadzone.util.arrays import to_json_value
 from undeadzone.util.files import write_text
-from undeadzone.util.progress import in_notebook
+from undeadzone.util.progress import notebook_progress
 from undeadzone.util.shown import Block
 from undeadzone_arena.contest.entry import enter_method, read_knob_numbers
 from undeadzone_arena.contest.leaderboard import (
@@ -123,7 +123,7 @@ class Contest(NamedTuple):
         """Return all numbers, ready for JSON, with null for a missing number."""
         titles = {name: scenario.title for name, scenario in self.scenarios.items()}
         return dict(
-            finite(
+            to_json_value(
                 {
                     "version": undeadzone.__version__,
                     "scenarios": titles,
@@ -158,11 +158,11 @@ class Contest(NamedTuple):
 
     def __repr__(self) -> str:
         """Return the leaderboard that `undeadzone arena` prints."""
-        return shown.in_text(self)
+        return shown.format_result(self)
 
     def _repr_html_(self) -> str:
         """Return leaderboard and figure for a notebook."""
-        return shown.in_notebook(self)
+        return shown.result_to_html(self)
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone arena` prints."""
@@ -266,7 +266,7 @@ def run_contest(
     Raises:
         InputError: or a subclass.
     """
-    with in_notebook(progress, "arena", None) as advance:
+    with notebook_progress(progress, "arena", None) as advance:
         compete = functools.partial(
             score_methods,
             methods,

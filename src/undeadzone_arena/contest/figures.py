@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from undeadzone.report import ink
-from undeadzone.report.style import finish, plain, shade_zone, sheet
+from undeadzone.report.style import create_panels, escape_formulas, finish_panel, shade_zone
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, Row
 from undeadzone_arena.contest.traces import Trace
@@ -24,7 +24,7 @@ COLOURS: Final = (ink.ESTIMATE, ink.READING, ink.PRINTED, ink.OTHER)
 
 def plot_ranking(rows: Sequence[Row], title: str) -> Figure:
     """Plot median and worst regret of every method with their intervals, the best on top."""
-    figure, panels = sheet([["all"]], title, height=0.24 * len(rows) + 1.2)
+    figure, panels = create_panels([["all"]], title, height=0.24 * len(rows) + 1.2)
     plot_leaderboard(panels["all"], rows)
     return figure
 
@@ -49,7 +49,7 @@ def plot_leaderboard(axes: Axes, rows: Sequence[Row]) -> None:
         tick.set_color(ink.ZONE if row.reference else ink.TRUTH)
     left_edge = f"{LEAST:g} and below at the left edge"
     regret = f"regret of the rms of z − r, with 95 % intervals; {left_edge}"
-    finish(axes, "", "", regret, legend=0)
+    finish_panel(axes, "", "", regret, legend=0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
 
@@ -83,7 +83,7 @@ def plot_regret_map(
     from matplotlib.colors import LogNorm
 
     width, height = max(6.4, 2.6 + 0.52 * len(scenarios)), 0.25 * len(rows) + 1.6
-    figure, panels = sheet([["all"]], "Regret by scenario", width=width, height=height)
+    figure, panels = create_panels([["all"]], "Regret by scenario", width=width, height=height)
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])
     shown = np.clip(table, 0.01, CAP)
@@ -96,7 +96,7 @@ def plot_regret_map(
         )
     axes.set_xticks(
         range(len(scenarios)),
-        [plain(title) for title in scenarios],
+        [escape_formulas(title) for title in scenarios],
         rotation=60,
         ha="right",
         rotation_mode="anchor",
@@ -105,7 +105,7 @@ def plot_regret_map(
     axes.grid(False)
     axes.spines[:].set_visible(False)
     scale = "0: all is known, 1: half a zone"
-    finish(axes, scale, "", "", legend=0)
+    finish_panel(axes, scale, "", "", legend=0)
     return figure
 
 
@@ -123,7 +123,7 @@ def regret_cell_text(value: float) -> str:
 def plot_traces(runs: Sequence[Trace]) -> Figure:
     """Plot the hidden output in the last seconds for each method, and |z - r| over the run."""
     rows = [[trace.method] * 2 for trace in runs] + [["errors"] * 2]
-    figure, panels = sheet(rows, f"{runs[0].scenario}: the hidden output", height=2.1)
+    figure, panels = create_panels(rows, f"{runs[0].scenario}: the hidden output", height=2.1)
     for trace in runs:
         _plot_trace(panels[trace.method], trace)
     axes = panels["errors"]
@@ -132,7 +132,7 @@ def plot_traces(runs: Sequence[Trace]) -> Figure:
         size = span_envelope(np.abs(trace.z - trace.r))
         axes.plot(trace.t, size, color=colour, label=trace.method)
     axes.set_ylim(top=min(axes.get_ylim()[1], 20 * np.abs(runs[0].r).max()))
-    finish(axes, "|z − r|, the largest within half a second", "|z − r|", legend=4)
+    finish_panel(axes, "|z − r|, the largest within half a second", "|z − r|", legend=4)
     return figure
 
 
@@ -147,7 +147,7 @@ def _plot_trace(axes: Axes, trace: Trace) -> None:
     largest = 2.5 * np.abs(trace.r).max()
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -largest), min(high, largest))
-    finish(axes, trace.method, "z", "", legend=4)
+    finish_panel(axes, trace.method, "z", "", legend=4)
 
 
 def span_envelope(size: Floats, parts: int = 40) -> Floats:
@@ -159,7 +159,7 @@ def span_envelope(size: Floats, parts: int = 40) -> Floats:
 def plot_costs(rows: Sequence[Row]) -> Figure:
     """Plot median regret against the cost of a step. The methods are numbered by their ranks."""
     height = max(4.6, 0.155 * len(rows) + 0.6)
-    figure, panels = sheet([["all"] * 3 + ["names"]], "Cost against error", height=height)
+    figure, panels = create_panels([["all"] * 3 + ["names"]], "Cost against error", height=height)
     axes, names = panels["all"], panels["names"]
     for place, row in enumerate(rows, 1):
         if row.cost is None:
@@ -174,5 +174,7 @@ def plot_costs(rows: Sequence[Row]) -> Figure:
     axes.set_yscale("log")
     axes.margins(0.06)
     names.set_axis_off()
-    finish(axes, "", "median regret", "cost of a step, in those of the naive observer", legend=0)
+    finish_panel(
+        axes, "", "median regret", "cost of a step, in those of the naive observer", legend=0
+    )
     return figure

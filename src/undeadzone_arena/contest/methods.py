@@ -289,7 +289,7 @@ def method_registry() -> dict[str, Method]:
     """
     used = {method.observer for method in METHODS.values()}
     every = dict(METHODS)
-    for observer in OBSERVERS.every():
+    for observer in OBSERVERS.list_options():
         if observer not in used:
             every[str(observer.__struct_config__.tag)] = Method(observer)
     return every

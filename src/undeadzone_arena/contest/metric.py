@@ -9,7 +9,7 @@ import numpy as np
 
 from undeadzone.analysis.branch_schedule import schedule_of_record
 from undeadzone.analysis.identifiability.linear import width_identifiability
-from undeadzone.results.scales import LIMIT, plant_scales, shares
+from undeadzone.results.scales import LIMIT, largest_scaled_signals, plant_scales
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.identifiability import (
     actuator_unknown,
@@ -115,7 +115,7 @@ def _has_diverged(problem: Problem, out: Outputs) -> bool:
     """Return whether a signal left `LIMIT` times its scale or was not a number."""
     estimate = out.estimate
     outputs = [out.z, estimate.z, estimate.right, estimate.left]
-    worst = shares(plant_scales(problem), [out.x, estimate.x], outputs, out.u)
+    worst = largest_scaled_signals(plant_scales(problem), [out.x, estimate.x], outputs, out.u)
     return not bool((worst < LIMIT).all())
 
 

@@ -10,13 +10,13 @@ from undeadzone.report.html import (
     MOST,
     Html,
     Origin,
+    build_page,
+    build_paragraph,
+    build_section,
+    build_table,
+    encode_pictures,
     fold_section,
-    page,
-    paragraph,
-    pick,
-    pictures,
-    section,
-    table,
+    pick_pictures,
     write_page,
 )
 from undeadzone.util.text import count_noun
@@ -132,20 +132,24 @@ def panel(axes: Axes, contest: Contest) -> None:
 
 def arena_page(contest: Contest, images: Mapping[str, bytes], origin: Origin | None = None) -> str:
     """Return the HTML of the page. `images` are SVGs by the names of `arena_figures`."""
-    shown = pictures(images, CAPTIONS)
+    shown = encode_pictures(images, CAPTIONS)
     every = fold_section(
-        "All numbers", table(HEAD, map(_html_cells, contest.rows)), paragraph(NOTE, "note")
+        "All numbers",
+        build_table(HEAD, map(_html_cells, contest.rows)),
+        build_paragraph(NOTE, "note"),
     )
-    ranked = [_top_table(contest), *pick(shown, "leaderboard"), every]
-    rules = [*map(paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
-    return page(
+    ranked = [_top_table(contest), *pick_pictures(shown, "leaderboard"), every]
+    rules = [*map(build_paragraph, RULES), _refusal_table(contest), _knob_table(contest)]
+    return build_page(
         "The arena",
         _leader_text(contest),
-        section("Leaderboard", *ranked),
-        section("Scenario by scenario", *pick(shown, "scenarios"), _scenario_table(contest)),
-        section("What it looks like", *pick(shown, "trajectories")),
-        section("What it costs", *pick(shown, "cost")),
-        section("Rules", *rules),
+        build_section("Leaderboard", *ranked),
+        build_section(
+            "Scenario by scenario", *pick_pictures(shown, "scenarios"), _scenario_table(contest)
+        ),
+        build_section("What it looks like", *pick_pictures(shown, "trajectories")),
+        build_section("What it costs", *pick_pictures(shown, "cost")),
+        build_section("Rules", *rules),
         origin=origin,
     )
 
@@ -156,7 +160,7 @@ def _top_table(contest: Contest) -> Html:
     for row in contest.contestants[:MOST]:
         regret = f"{row.median_regret:.3f} {_interval_text(row.median_interval)}"
         rows.append((row.method, regret, f"{row.worst_regret:.3f}, {row.worst_scenario}"))
-    return table(("method", "median regret", "worst, where"), rows)
+    return build_table(("method", "median regret", "worst, where"), rows)
 
 
 def _html_cells(row: Row) -> tuple[Any, ...]:
@@ -206,7 +210,7 @@ def contest_size_text(contest: Contest) -> str:
 def _leader_text(contest: Contest) -> Html:
     """Describe the leader, its margin, and the method of least worst regret."""
     if not contest.contestants:
-        return paragraph("Lines to compare with only.")
+        return build_paragraph("Lines to compare with only.")
     first, *rest = contest.contestants
     regret = f"{first.median_regret:.3f} {_interval_text(first.median_interval)}"
     text = f"{contest_size_text(contest)}. Least median regret: {first.method}, {regret}"
@@ -220,7 +224,7 @@ def _leader_text(contest: Contest) -> Html:
         text += f" Next: {second.method}, {second.median_regret:.3f}"
         text += f"; on the same scenario it is {behind}."
         text += f" Least worst regret: {steady.method}, {steady.worst_regret:.3f}."
-    return paragraph(text)
+    return build_paragraph(text)
 
 
 def _scenario_table(contest: Contest) -> Html:
@@ -231,7 +235,7 @@ def _scenario_table(contest: Contest) -> Html:
         widths = (str(sensor.right), str(sensor.left))
         step = f"{scenario.simulation.step:g} s"
         rows.append((name, scenario.title, *widths, str(sensor.noise), step))
-    return fold_section("The scenarios", table(("", "", "d_r", "d_l", "noise", "step"), rows))
+    return fold_section("The scenarios", build_table(("", "", "d_r", "d_l", "noise", "step"), rows))
 
 
 def _refusal_table(contest: Contest) -> Html:
@@ -240,7 +244,7 @@ def _refusal_table(contest: Contest) -> Html:
     reasons = [(result.method, result.scenario, result.reason) for result in refused]
     rows = list(dict.fromkeys(reasons))
     title = f"Not applicable: {len(rows)} of {len(contest.rows) * len(contest.scenarios)}"
-    return fold_section(title, table(("method", "scenario", "why"), rows))
+    return fold_section(title, build_table(("method", "scenario", "why"), rows))
 
 
 def _knob_table(contest: Contest) -> Html:
@@ -251,4 +255,4 @@ def _knob_table(contest: Contest) -> Html:
         if knobs:
             words = [f"{address} {value:.4g}" for address, value in knobs.items()]
             rows.append((row.method, ", ".join(words)))
-    return fold_section("Tuned numbers", table(("method", "knobs"), rows))
+    return fold_section("Tuned numbers", build_table(("method", "knobs"), rows))

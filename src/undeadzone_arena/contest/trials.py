@@ -112,8 +112,8 @@ def _with_seed(problem: Problem, seed: int) -> Problem:
 
 def _run_interpreted(loop: Loop, problem: Problem, exogenous: Floats) -> Outputs:
     """Run a loop on CasADi's virtual machine and return its outputs."""
-    state = tree.pack(loop.state._replace(plant=problem.x0))
-    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
+    state = tree.pack_tree(loop.state._replace(plant=problem.x0))
+    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
     return name_outputs(loop, outputs)
 
 
@@ -183,7 +183,7 @@ def score_methods(
         by_number = dict(compute(list(range(len(jobs)))))
         plain = [by_number[k] for k in range(len(jobs))]
     else:
-        plain = kept.of([[job.title, job.name] for job in jobs], compute)
+        plain = kept.compute_missing([[job.title, job.name] for job in jobs], compute)
     every: list[Result] = []
     for results in plain:
         every += msgspec.convert(results, list[Result])
@@ -195,7 +195,7 @@ def result_dependencies(
 ) -> dict[str, Any]:
     """Return all inputs on which the results of registered methods depend."""
     return {
-        "scenarios": {title: toml.dumps(scenario) for title, scenario in scenarios.items()},
+        "scenarios": {title: toml.to_toml(scenario) for title, scenario in scenarios.items()},
         "files": {title: digests(scenario) for title, scenario in scenarios.items()},
         "seeds": list(seeds),
         "numbers": {name: dict(knobs) for name, knobs in numbers.items()},

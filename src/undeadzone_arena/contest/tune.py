@@ -75,7 +75,7 @@ def tune_methods(
         problem = result_dependencies(grounds, seeds, {}) | {"budget": budget, "search": search}
         kept = Answers(keep, problem, "methods", resume)
         with kept.hold_file():
-            plain = kept.of(adjustable, compute)
+            plain = kept.compute_missing(adjustable, compute)
     methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, TunedMethod])
     return Tuned(
         budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods

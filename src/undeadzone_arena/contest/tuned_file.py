@@ -8,8 +8,8 @@ import msgspec
 
 from undeadzone.errors import FileError
 from undeadzone.util import toml
-from undeadzone.util.files import read_bytes, reason, write_text
-from undeadzone.util.own_files import is_own, mark_toml
+from undeadzone.util.files import failure_reason, read_bytes, write_text
+from undeadzone.util.own_files import is_own_file, mark_toml
 
 HEAD = (
     "# Written by undeadzone arena --tune. Knobs are counted in the units that "
@@ -56,9 +56,9 @@ def save_tuned(tuned: Tuned, path: Path) -> Path:
 
     Of methods that were not tuned now, those already in the file stay, unless someone edited it.
     """
-    kept = load_tuned(path).methods if is_own(path) else {}
+    kept = load_tuned(path).methods if is_own_file(path) else {}
     methods = dict(sorted((kept | tuned.methods).items()))
-    text = HEAD + toml.dumps(msgspec.structs.replace(tuned, methods=methods))
+    text = HEAD + toml.to_toml(msgspec.structs.replace(tuned, methods=methods))
     return write_text(mark_toml(text), path)
 
 
@@ -67,6 +67,6 @@ def load_tuned(path: Path) -> Tuned:
     try:
         return msgspec.toml.decode(read_bytes(path), type=Tuned)
     except OSError as error:
-        raise FileError(f"{path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except msgspec.DecodeError as error:
         raise FileError(f"{path}: not written by undeadzone arena --tune ({error})") from None

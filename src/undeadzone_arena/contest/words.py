@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from undeadzone.results.sheet import number
+from undeadzone.results.sheet import format_number
 from undeadzone.util.shown import Block
 from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.leaderboard import Row, select_contestants
@@ -63,8 +63,8 @@ def _text_cells(place: str, row: Row) -> tuple[str, ...]:
         row.worst_scenario,
         _percent_text(row.diverged),
         _percent_text(row.not_applicable),
-        number(row.tracking, ".3g", ""),
-        number(row.coverage, ".2f", ""),
+        format_number(row.tracking, ".3g", ""),
+        format_number(row.coverage, ".2f", ""),
     )
 
 

@@ -12,7 +12,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, positive
+from undeadzone.util.arrays import Array, Floats, require_positive
 
 
 class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
@@ -62,8 +62,8 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         """
         m, half = model.m, model.n // 2
         K = np.zeros((m, model.n))
-        k_p = positive("controller.k_p", self.k_p, m, "one per joint")
-        k_d = positive("controller.k_d", self.k_d, m, "one per joint")
+        k_p = require_positive("controller.k_p", self.k_p, m, "one per joint")
+        k_d = require_positive("controller.k_d", self.k_d, m, "one per joint")
         K[:, :m] = np.diag(k_p)
         K[:, half : half + m] = np.diag(k_d)
         return K

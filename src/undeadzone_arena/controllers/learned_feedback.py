@@ -20,7 +20,7 @@ from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.linalg.poles import observer_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, list_numbers, positive
+from undeadzone.util.arrays import Array, Floats, list_numbers, require_positive
 from undeadzone_arena.approximators import Basis
 from undeadzone_arena.gain_defaults import rate_or_default
 
@@ -116,7 +116,7 @@ def build_learned_feedback(
     r = relative_degree(flow)
     rates = _rates_or_defaults(model, options)
     derivatives = f"|z| and its derivatives up to order {r - 1}"
-    basis = basis_on(positive("controller.reach", options.reach, r, derivatives))
+    basis = basis_on(require_positive("controller.reach", options.reach, r, derivatives))
     params = _feedback_params(flow, model.Ts, r, rates, basis.params)
 
     def init(p: FeedbackParams) -> FeedbackState:

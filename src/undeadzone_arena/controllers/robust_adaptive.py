@@ -14,7 +14,7 @@ from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, positive, scalar
+from undeadzone.util.arrays import Array, Floats, require_number, require_positive
 from undeadzone_arena.controllers.sliding_mode import sliding_surface
 
 STEADY = 0.5  # k in layers per step, up to which s does not chatter
@@ -50,22 +50,26 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
         """Build the controller for a model, continuous or sampled."""
         n, m, Ts = model.n, model.m, model.Ts
         usual = USUAL * fastest_pole(model)
-        rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
+        rate = (
+            usual if self.rate is None else require_number("controller.rate", self.rate, above=0.0)
+        )
         poles = -rate * np.linspace(0.8, 1.2, max(n - m, 0)) if self.poles is None else self.poles
         layer = 1 / rate if self.layer is None else self.layer
         learning = rate**2 / 5 if self.learning is None else self.learning
         most = 1e50 if self.most is None else self.most
         per_step = model.per_step
-        width = positive("controller.layer", layer, m, "one per input") / per_step
-        bound = positive("controller.most", most, m, "one per input")
+        width = require_positive("controller.layer", layer, m, "one per input") / per_step
+        bound = require_positive("controller.most", most, m, "one per input")
         params = RobustAdaptiveParams(
             model=model.params,
             G=sliding_surface(model, poles),
             keep=np.float64(-rate if Ts is None else np.exp(-rate * Ts)),
             layer=width,
-            learning=positive("controller.learning", learning, m, "one per input") * per_step**2,
+            learning=require_positive("controller.learning", learning, m, "one per input")
+            * per_step**2,
             slope=np.float64(
-                scalar("controller.slope_learning", self.slope_learning, least=0.0) * per_step**2
+                require_number("controller.slope_learning", self.slope_learning, least=0.0)
+                * per_step**2
             ),
             most=bound if Ts is None else np.minimum(bound, STEADY * width),
         )

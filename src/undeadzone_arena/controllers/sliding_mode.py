@@ -17,7 +17,13 @@ from undeadzone.linalg.matrices import Matrices, state_response_sizes
 from undeadzone.linalg.poles import state_gain
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_nonnegative,
+    require_number,
+    require_vector,
+)
 
 
 class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
@@ -47,7 +53,9 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         usual = 10 * fastest_pole(model)
         spread = np.linspace(0.8, 1.2, max(n - m, 0))
         poles = -usual * spread if self.poles is None else self.poles
-        rate = usual if self.rate is None else scalar("controller.rate", self.rate, above=0.0)
+        rate = (
+            usual if self.rate is None else require_number("controller.rate", self.rate, above=0.0)
+        )
         gain, boundary = self._gain_and_boundary(m, rate)
         if Ts is not None and (gain * Ts > boundary).any():
             raise StepError(
@@ -74,13 +82,13 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
 
     def _gain_and_boundary(self, m: int, rate: float) -> tuple[Floats, Floats]:
         """Return gain and boundary (m each). Raises InputError, ShapeError."""
-        gain = nonnegative("controller.gain", self.gain, m, "one per input")
+        gain = require_nonnegative("controller.gain", self.gain, m, "one per input")
         if not gain.all():
             raise InputError(
                 "controller.gain: must be positive, found 0; without it the law is a state feedback"
             )
         width = gain / (2 * rate) if self.boundary is None else self.boundary
-        boundary = vector("controller.boundary", width, m, "one per input")
+        boundary = require_vector("controller.boundary", width, m, "one per input")
         if (boundary <= 0).any():
             raise InputError(f"controller.boundary: must be positive, found {boundary.min():g}")
         return gain, boundary

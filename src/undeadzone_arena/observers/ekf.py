@@ -22,7 +22,7 @@ from undeadzone.numerics.gaussian import (
 )
 from undeadzone.observers.filtering.augmented_state import power_of_two_units
 from undeadzone.observers.filtering.gaussian_filter import Params
-from undeadzone.plants.system import System, in_units
+from undeadzone.plants.system import System, scale_states
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
     JointDefaults,
@@ -59,7 +59,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted
         if self.mode == "measured":
-            counted = in_units(model, power_of_two_units(model))
+            counted = scale_states(model, power_of_two_units(model))
             correct = partial(correct_measured, counted, sensor, self.pseudo)
         return build_joint_filter(model, sensor, prior, self.glitches, correct, predict)
 

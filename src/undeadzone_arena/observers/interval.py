@@ -14,7 +14,7 @@ from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.filtering.prior import FLOOR, read_width_ranges
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 from undeadzone_arena.gain_defaults import injection_gain
 from undeadzone_arena.observers.parts.boxes import FAR, Bounds, Boxes
 from undeadzone_arena.observers.parts.interval_step import IntervalParams, build_interval_observer
@@ -68,11 +68,11 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         n, p = model.n, model.p
         ranges = read_width_ranges(self.right, self.left, p)
         after, before = self._noise_bounds(sensor, p)
-        disturbance = nonnegative(
+        disturbance = require_nonnegative(
             "observer.disturbance", self.disturbance, model.m, "one per input"
         )
         x_max = 5 * ranges.max() if self.x_max is None else self.x_max
-        start = nonnegative("observer.x_max", x_max, n, "one per state")
+        start = require_nonnegative("observer.x_max", x_max, n, "one per state")
         flow = model.continuous
         L = self._gain_or_zero(model, flow)
         form = build_modes(
@@ -104,9 +104,11 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         """Return the bounds of the noise after (p) [y] and before the sensor (p) [z]."""
         after, before = NOISE * sensor.noise, NOISE * sensor.noise_before
         if self.noise is not None:
-            after = nonnegative("observer.noise", self.noise, p, "one per output")
+            after = require_nonnegative("observer.noise", self.noise, p, "one per output")
         if self.noise_before is not None:
-            before = nonnegative("observer.noise_before", self.noise_before, p, "one per output")
+            before = require_nonnegative(
+                "observer.noise_before", self.noise_before, p, "one per output"
+            )
         return after, before
 
     def _gain_or_zero(self, model: System, flow: Matrices) -> Floats:
@@ -125,4 +127,4 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
             return 1.0
         if self.contraction is None:
             return 10 * fastest_pole(model)
-        return scalar("observer.contraction", self.contraction, least=0.0)
+        return require_number("observer.contraction", self.contraction, least=0.0)

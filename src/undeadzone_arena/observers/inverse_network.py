@@ -9,7 +9,7 @@ import casadi as ca
 from undeadzone.interfaces import Observer
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, positive
+from undeadzone.util.arrays import Array, require_positive
 from undeadzone_arena.approximators import build_jump_functions
 from undeadzone_arena.observers.parts.learned_residual import (
     LearnedOptions,
@@ -34,7 +34,7 @@ class InverseNetwork(LearnedOptions, frozen=True, kw_only=True, tag="inverse_net
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Build the observer for a model, continuous or sampled."""
-        scale = positive("observer.scale", self.scale, model.p, "one per output")
+        scale = require_positive("observer.scale", self.scale, model.p, "one per output")
         basis = build_jump_functions("observer.functions", self.functions)
 
         def psi(params: Any, y: Any, side: Any, z: Any) -> Any:

@@ -31,7 +31,7 @@ from undeadzone.observers.filtering.prior import (
 )
 from undeadzone.observers.filtering.recovery import LIMIT, TOO_MANY
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 from undeadzone_arena.observers.parts import window as horizon
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
@@ -86,7 +86,7 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
         rms = np.sqrt(prior.prior.R)
         slack = rms
         if self.slack is not None:
-            slack = nonnegative("observer.slack", self.slack, model.p, "one per output")
+            slack = require_nonnegative("observer.slack", self.slack, model.p, "one per output")
         if not slack.all():
             raise InputError(
                 "observer.slack: must be positive, found 0: noise alone would leave no solution"
@@ -106,11 +106,11 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
         if self.horizon is None:
             length = quarter_period(model)
         else:
-            length = scalar("observer.horizon", self.horizon, above=0.0)
+            length = require_number("observer.horizon", self.horizon, above=0.0)
         if self.period is None:
             period = length / NODES
         else:
-            period = scalar("observer.period", self.period, above=0.0)
+            period = require_number("observer.period", self.period, above=0.0)
         stride = max(1, round(period / Ts))
         nodes = max(1, round(length / (stride * Ts)))
         if nodes > 500:

@@ -20,7 +20,7 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, scalar
+from undeadzone.util.arrays import Array, Floats, require_number
 from undeadzone_arena.gain_defaults import injection_gain, width_hiding_speed
 
 
@@ -64,9 +64,9 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
         widths = read_adapted_widths(gamma, self.widths0, self.width_max, model, sensor)
         L = injection_gain(model, self.L, self.poles, self.speed, width_hiding_speed(model, 8.0))
-        rho = scalar("observer.rho", self.rho, least=0.0)
-        width = scalar("observer.width", self.width, above=0.0)
-        sharpness = scalar("observer.sharpness", self.sharpness, above=0.0)
+        rho = require_number("observer.rho", self.rho, least=0.0)
+        width = require_number("observer.width", self.width, above=0.0)
+        sharpness = require_number("observer.sharpness", self.sharpness, above=0.0)
         robust = rho * steady_input(model, L) if rho else np.zeros((model.n, model.p))
         law = RobustLaw(robust, np.float64(width), np.float64(sharpness))
         return build_output_error_observer(

@@ -21,7 +21,7 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, vector
+from undeadzone.util.arrays import Array, Floats, require_vector
 from undeadzone_arena.gain_defaults import injection_gain
 
 # Gains of the recursive differentiator, from the last derivative up.
@@ -96,7 +96,7 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         """
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
         chosen = default if self.lipschitz is None else self.lipschitz
-        bound = vector("observer.lipschitz", chosen, model.p, "one per output")
+        bound = require_vector("observer.lipschitz", chosen, model.p, "one per output")
         if (bound <= 0).any():
             raise InputError(f"observer.lipschitz: must be positive, found {bound.min():g}")
         return bound

@@ -15,7 +15,7 @@ from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.numerics.gaussian import Gaussian, RobustUpdate, update_with_gain
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import scalar
+from undeadzone.util.arrays import require_number
 from undeadzone_arena import unscented
 from undeadzone_arena.observers.parts.joint_claims import (
     JointAssumptions,
@@ -64,9 +64,9 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
 
     def _point_weights(self, size: int) -> unscented.SigmaWeights:
         """Return the weights of the points of `size` variables. Raises InputError."""
-        alpha = scalar("observer.alpha", self.alpha)
-        beta = scalar("observer.beta", self.beta)
-        kappa = scalar("observer.kappa", self.kappa)
+        alpha = require_number("observer.alpha", self.alpha)
+        beta = require_number("observer.beta", self.beta)
+        kappa = require_number("observer.kappa", self.kappa)
         if not (0 < alpha <= 1 and size + kappa > 0):
             raise InputError(
                 f"observer.alpha: expected 0 < alpha <= 1 and kappa > -{size}, "

@@ -18,7 +18,7 @@ from undeadzone.observers.adaptive.output_error import (
 )
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, list_numbers, nonnegative, vector
+from undeadzone.util.arrays import Array, Floats, list_numbers, require_nonnegative, require_vector
 from undeadzone_arena.gain_defaults import injection_gain
 
 
@@ -74,8 +74,8 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
         p = model.p
         default = 5 * fastest_pole(model)
         chosen = default if self.rho is None else self.rho
-        rho = nonnegative("observer.rho", chosen, p, "one per output")
-        boundary = vector("observer.boundary", self.boundary, p, "one per output")
+        rho = require_nonnegative("observer.rho", chosen, p, "one per output")
+        boundary = require_vector("observer.boundary", self.boundary, p, "one per output")
         if (boundary <= 0).any():
             raise InputError(f"observer.boundary: must be positive, found {boundary.min():g}")
         if model.Ts is not None:

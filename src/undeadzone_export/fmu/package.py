@@ -15,9 +15,9 @@ from xml.etree.ElementTree import Element, SubElement
 
 from undeadzone.errors import InputError
 from undeadzone.interfaces import COLUMNS, QUANTITIES, Estimate
-from undeadzone.results.signals import of_kind
+from undeadzone.results.signals import quantity_unit
 from undeadzone.scenario.schema import Units
-from undeadzone.util.text import one_line
+from undeadzone.util.text import to_one_line
 from undeadzone_export import compiler
 from undeadzone_export.code import Code
 from undeadzone_export.exported_step import ExportedStep, Field, field_entries, total_size
@@ -92,7 +92,7 @@ def _entry_variable(
     if causality == "output":
         name = RENAMED.get(name, name)
     kind = "1" if causality == "parameter" else KINDS.get(field.name, "1")
-    unit = of_kind(kind, k, units)
+    unit = quantity_unit(kind, k, units)
     meaning = field.meaning.split(" [")[0]
     return FmuVariable(f"{name}[{k}]", causality, meaning, "" if unit == "1" else unit, start)
 
@@ -202,7 +202,7 @@ def _add_structure(root: Element, listed: list[FmuVariable], version: int) -> No
 
 def _to_xml_line(text: str) -> str:
     """Return a text on one line without characters that XML forbids."""
-    return one_line(text).translate(_NO_XML)
+    return to_one_line(text).translate(_NO_XML)
 
 
 def build_description(name: str, sources: list[str]) -> str:

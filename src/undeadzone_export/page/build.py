@@ -31,8 +31,8 @@ from undeadzone.simulation.simulate import close_problem
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import write_text
-from undeadzone.util.own_files import REMARK, require_own, sign_text
-from undeadzone.util.text import printable
+from undeadzone.util.own_files import REMARK, require_own_file, sign_text
+from undeadzone.util.text import escape_controls
 from undeadzone_export.code import count_operations
 from undeadzone_export.exported_step import name_entries
 from undeadzone_export.page import sliders
@@ -181,7 +181,7 @@ def write_live_page(scenario: Scenario, out: Path, force: bool = False) -> dict[
         InputError: a scenario that the page cannot show.
         FileError: the file is something else, or cannot be written.
     """
-    require_own(out, force)
+    require_own_file(out, force)
     page = build_live_page(scenario)
     write_text(page.text, out)
     return page.report
@@ -294,7 +294,7 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
     A, B, C = model.linear
     if model.Ts is not None:  # as `feedforward.targets.steady_state` has it: per second
         A, B = (A - np.eye(model.n)) / model.Ts, B / model.Ts
-    outputs, recorded = dict(tree.leaves(tree.slices(loop.outputs))), {}
+    outputs, recorded = dict(tree.iterate_leaves(tree.leaf_slices(loop.outputs))), {}
     for name, address in RECORDED.items():
         place = outputs[address]
         if place.stop > place.start:
@@ -303,7 +303,7 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
     lead = texts["lead"][kind]
     if problem.sensor.limits is not None:
         lead = f"{lead} {texts['lead']['range']}"
-    instant = tree.slices(loop.instant)
+    instant = tree.leaf_slices(loop.instant)
     made = sliders.build_sliders(problem, loop, _output_sizes(problem))
     return {
         "kind": kind,
@@ -311,7 +311,7 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
         "words": texts["gap" if kind == "play" else "zone"],
         "note": _prior_information_note(problem),
         "quantity": _motion_label(scenario.units.output),
-        "unit": printable(scenario.units.output),
+        "unit": escape_controls(scenario.units.output),
         "rows": problem.steps + 1,
         "step": scenario.simulation.step,
         "sampled": model.Ts is not None,
@@ -324,13 +324,13 @@ def _page_data(problem: Problem, loop: Loop, memory: dict[str, int]) -> dict[str
         "rare": loop.parts is not None,
         "recorded": recorded,
         "instant": {
-            "size": tree.size(loop.instant),
+            "size": tree.count_numbers(loop.instant),
             "w": instant.w.start,
             "before": instant.before.start,
             "after": instant.after.start,
         },
-        "start": tree.pack(loop.state._replace(plant=problem.x0)).tolist(),
-        "params": np.clip(tree.pack(loop.params), -_LARGEST, _LARGEST).tolist(),
+        "start": tree.pack_tree(loop.state._replace(plant=problem.x0)).tolist(),
+        "params": np.clip(tree.pack_tree(loop.params), -_LARGEST, _LARGEST).tolist(),
         "reference": reference_data(problem),
         "disturbance": disturbance_data(problem),
         "sliders": [slider._asdict() for slider in made],
@@ -352,7 +352,7 @@ def _output_sizes(problem: Problem) -> Floats:
 
 def _motion_label(unit: str) -> str:
     """Return the label of the axis that shows the motion."""
-    return "the motion" if unit == "1" else f"the motion [{printable(unit)}]"
+    return "the motion" if unit == "1" else f"the motion [{escape_controls(unit)}]"
 
 
 def _prior_information_note(problem: Problem) -> str:
@@ -389,7 +389,7 @@ def render_page(title: str, data: dict[str, Any]) -> str:
     content = json.dumps(data, separators=(",", ":"), allow_nan=False)
     words = {
         "policy": policy,
-        "title": escape(printable(title)),
+        "title": escape(escape_controls(title)),
         "style": style,
         "script": script,
         "headline": data["words"]["headline"],

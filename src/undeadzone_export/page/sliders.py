@@ -184,8 +184,8 @@ def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
 def _mismatch_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     """Return the slider that makes the plant's input act more strongly than in the model."""
     moves = []
-    names = tree.names(loop.params)
-    values = tree.pack(loop.params)
+    names = tree.number_addresses(loop.params)
+    values = tree.pack_tree(loop.params)
     for place, name in enumerate(names):
         if name.startswith("plant.B[") and values[place]:
             moves.append((place, float(values[place]) / 100, 0.0))
@@ -244,7 +244,7 @@ def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> 
     if not same or len(others) < len(points) or wanted.most <= wanted.value:
         return None
     own, known = (
-        tree.pack(loop.params),
+        tree.pack_tree(loop.params),
         np.stack([pack_problem(other, loop)[1] for other in others]),
     )
     moves = []
@@ -261,7 +261,7 @@ def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> 
 
 def _param_index(loop: Loop, name: str) -> int:
     """Return the index of a number in the loop's packed params."""
-    return tree.names(loop.params).index(name)
+    return tree.number_addresses(loop.params).index(name)
 
 
 def _drop_overlapping(made: list[Slider]) -> list[Slider]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.logs.range_ends import RangeEnds, range_ends
-from undeadzone.util.arrays import Flags, Floats, Integers, runs
+from undeadzone.util.arrays import Flags, Floats, Integers, bounds_of_runs
 from undeadzone_identify.logs.grid import SPIKE, Grid, find_spikes
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models.likelihood import zone_offset
@@ -49,7 +49,7 @@ def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     ok &= ~_flag_stuck(grid, ok, remarks)
     ends = range_ends(grid.y, ok, grid.quantum)
     at = ends.at(grid.y, ok)
-    visits = [runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
+    visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
     if not ends.has_ends or max(visits) < VISITS:
         return ok, RangeEnds(-np.inf, np.inf, 0)
     remarks.append(
@@ -89,7 +89,7 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     nearest = np.minimum(*(np.where(s > 0, s, np.inf) for s in (step[:-1], step[1:])))
     beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
-    for first, last in zip(*runs(ok & ~speaks), strict=True):
+    for first, last in zip(*bounds_of_runs(ok & ~speaks), strict=True):
         before, after = max(first - 1, 0), min(last + 1, y.size - 1)
         moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
         loud = min(beyond[before], beyond[after]) > LOUD * moved
@@ -110,7 +110,7 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
 def _flag_stuck(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     """Return the flags of a long constant reading, not 0, while the input moves (N)."""
     held = np.append(False, (np.diff(grid.y) == 0) & ok[1:] & ok[:-1]) & (grid.y != 0)
-    first, last = runs(held)
+    first, last = bounds_of_runs(held)
     stuck = np.zeros_like(ok)
     if not first.size:
         return stuck
@@ -239,7 +239,7 @@ def _require_silence_at_zero(grid: Grid) -> None:
     most, next_most = int(order[-1]), int(order[-2])
     value, count = float(values[most]), int(counts[most])
     low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
-    returns = low < value < high and runs(grid.ok & (grid.y == value))[0].size > 1
+    returns = low < value < high and bounds_of_runs(grid.ok & (grid.y == value))[0].size > 1
     if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
         raise InputError(
             f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
@@ -453,6 +453,6 @@ def _least_by_passage(data: RecordData, sign: int) -> Floats:
     passages.
     """
     beyond = data.ok & (data.side == sign)
-    first, last = runs(beyond)
+    first, last = bounds_of_runs(beyond)
     size = np.abs(data.y)
     return np.sort(np.concatenate([size[first], size[last[last > first]]]))

@@ -105,7 +105,7 @@ class CachedMaxima:
             top = compute()
             yield 0, [top.theta.tolist(), float(top.value)]
 
-        theta, value = self._answers.of([question], answer)[0]
+        theta, value = self._answers.compute_missing([question], answer)[0]
         return Maximum(np.array(theta), value)
 
 

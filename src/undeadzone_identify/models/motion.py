@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.play import detect_tick
-from undeadzone.util.arrays import Flags, Floats, Integers, since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.kalman import WHITE, observer_form_matrices
 from undeadzone_identify.models.plant import PlantSimulator, input_noise_gain
 
@@ -118,7 +118,7 @@ def preceding_move(y: Floats, ok: Flags, start: Integers, window: int) -> Floats
     weights *= window / (weights @ weights)
     slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
     whole = np.convolve(1.0 * ok, np.ones(window))[: y.size] > window - 0.5
-    own = since_start(start, y.size) >= window - 1
+    own = rows_since_start(start, y.size) >= window - 1
     moved = np.zeros(y.size)
     moved[1:] = (slope * (whole & own))[:-1]
     moved[start] = 0.0
@@ -132,7 +132,7 @@ def white_noise_rms(y: Floats, ok: Flags, start: Integers) -> float:
     for _ in range(3):
         difference = np.append(0.0, np.diff(difference))
         known = known & np.append(False, known[:-1])
-    known = known & (since_start(start, y.size) >= 3)
+    known = known & (rows_since_start(start, y.size) >= 3)
     if not known.any():
         return 0.0
     return float(np.median(np.abs(difference[known])) / 0.6745 / np.sqrt(20))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeev
 from scipy.signal import lfilter
 
-from undeadzone.util.arrays import Flags, Floats, Integers, later
+from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import CachedMaxima, cache_latest
 from undeadzone_identify.models.likelihood import Readings, dead_zone
 
@@ -82,7 +82,7 @@ def delay_inputs(data: RecordData, samples: int) -> RecordData:
         data: the records.
         samples: by how many; negative: earlier.
     """
-    return data._replace(u=later(data.u, samples, data.start))
+    return data._replace(u=shift_rows(data.u, samples, data.start))
 
 
 def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from undeadzone.util.arrays import Flags, Floats, Integers, since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models.estimates import Maximum, best_maximum, maximise_likelihood
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.plant import (
@@ -318,7 +318,7 @@ def fit_arx(
         whole &= np.roll(good, i)
         if side is not None:
             whole &= np.roll(side, i) == side
-    whole &= since_start(data.start, y.size) >= n
+    whole &= rows_since_start(data.start, y.size) >= n
     columns = [-past, simulator.lagged]
     if side is not None:
         right, left = whole & (side > 0), whole & (side < 0)

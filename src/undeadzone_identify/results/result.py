@@ -14,7 +14,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util import shown
-from undeadzone.util.arrays import Floats, finite
+from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.files import write_text
 from undeadzone.util.shown import Block
 from undeadzone_identify.models.estimates import Interval
@@ -184,7 +184,7 @@ class Identified:
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
-        return dict(finite(answer_numbers(self.answer)))
+        return dict(to_json_value(answer_numbers(self.answer)))
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
@@ -194,8 +194,8 @@ class Identified:
         """Return the table that `undeadzone identify` prints."""
         return [self.summary()]
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     drawn = ("undeadzone_identify.figures", "overview", "signals")
     plot = shown.plot
@@ -267,7 +267,7 @@ class IdentifiedOutputs:
         each = {}
         for name, one in zip(self.names, self.outputs, strict=True):
             each[name] = one.numbers()
-        return dict(finite({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
+        return dict(to_json_value({"zone": self.zone, "verdict": self.verdict, "outputs": each}))
 
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone identify` prints, one for each output."""
@@ -276,8 +276,8 @@ class IdentifiedOutputs:
             blocks += [{"output": name, **one.summary()}]
         return blocks
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     drawn = ("undeadzone_identify.figures", "of_outputs", "first")
     plot = shown.plot

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
-from undeadzone.util.text import fill_words, printable
+from undeadzone.util.text import escape_controls, fill_words
 from undeadzone_identify.logs.grid import rounding_step
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman import AT_OUTPUT
@@ -77,7 +77,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     remarks = list(dict.fromkeys(itertools.chain(*[answer.remarks for answer in answers])))
     if not driven:
         remarks.append("fewer inputs than outputs: no controller follows references; for logs only")
-    words["cautions"] = "".join(f"# {printable(remark)}\n" for remark in remarks)
+    words["cautions"] = "".join(f"# {escape_controls(remark)}\n" for remark in remarks)
     template = files("undeadzone_identify.results").joinpath("scenario.toml")
     return fill_words(template.read_text(encoding="utf-8"), words)
 
@@ -352,4 +352,4 @@ def _toml_number(value: float) -> str:
 
 def _toml_text(value: str) -> str:
     """Return a text in TOML."""
-    return json.dumps(printable(value), ensure_ascii=False)
+    return json.dumps(escape_controls(value), ensure_ascii=False)

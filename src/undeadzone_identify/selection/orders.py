@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from undeadzone.util.arrays import Flags, Floats, Integers, since_start
+from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models import zone_fit
 from undeadzone_identify.models.least_squares import (
     CHANCE,
@@ -271,7 +271,7 @@ def has_input_residual(fit: zone_fit.ZoneFit) -> bool:
     """Return whether past inputs explain one-step residuals: a delay, or too few poles."""
     value, use = one_step_residuals(fit, fit.objective.data.ok)
     lagged = _lag_columns(fit.objective.data.u)
-    use = use & (since_start(fit.objective.data.start, use.size) >= PAST_INPUTS)
+    use = use & (rows_since_start(fit.objective.data.start, use.size) >= PAST_INPUTS)
     if use.sum() < 20 * PAST_INPUTS:
         return False
     _, _, share, chance = regress_residual(lagged[use], value[use])
@@ -290,7 +290,7 @@ def loop_p_value(fit: zone_fit.ZoneFit, u: Floats) -> float:
     """
     value, use = one_step_residuals(fit, fit.objective.data.ok)
     heard = _lag_columns(np.where(use, value, 0.0)[:, None], range(FEEDBACK_LAGS))
-    inside = since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
+    inside = rows_since_start(fit.objective.data.start, value.size) >= PAST_INPUTS
     left = [
         regression_residual(_lag_columns(column[:, None])[inside], column[inside]) for column in u.T
     ]
@@ -320,7 +320,7 @@ def feedback_share(
     own = np.hstack([np.ones((y.size, 1)), _lag_columns(moved), wanted])
     known = np.isfinite(np.hstack([own, moved])).all(axis=1)
     known &= _lag_columns(1.0 * ok[:, None], range(FEEDBACK_LAGS)).all(axis=1)
-    known &= since_start(start, y.size) >= PAST_INPUTS
+    known &= rows_since_start(start, y.size) >= PAST_INPUTS
     found = [(0.0, 1.0)]
     for column in moved[known].T:
         left, said = (

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats, later
+from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
@@ -83,7 +83,7 @@ def to_observations(grid: Grid, options: Options) -> Observations | None:
         return None
     if options.place != "auto" or options.right or options.left:
         return None
-    u = later(grid.u[:, 0], total_delay(options), grid.start)
+    u = shift_rows(grid.u[:, 0], total_delay(options), grid.start)
     log = build_observations(u, grid.y, grid.ok, grid.start, grid.step)
     return None if log is not None and log.ticks and _rests_at_zero(grid) else log
 
@@ -364,7 +364,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         servo: with its gap.
     """
     grid, data, one = case.grid, case.data, servo.servo
-    u = later(grid.u[:, 0], total_delay(case.options, servo), grid.start)
+    u = shift_rows(grid.u[:, 0], total_delay(case.options, servo), grid.start)
     own = data._replace(
         u=u[:, None] / data.u_scale,
         y=np.where(grid.ok, grid.y / data.y_scale, 0.0),

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
-from undeadzone.util.arrays import Floats, runs
+from undeadzone.util.arrays import Floats, bounds_of_runs
 from undeadzone_identify.models.estimates import Interval, maximise_likelihood
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.likelihood import Readings, ZoneNoise, single_densities
@@ -319,7 +319,7 @@ def measure_excitation(
     side = np.where(readings.ok, side, 0)
     silent = readings.ok & (side == 0)
     samples = (int((side > 0).sum()), int((side < 0).sum()))
-    visits = (runs(side > 0)[0].size, runs(side < 0)[0].size)
-    first, last = runs(silent)
+    visits = (bounds_of_runs(side > 0)[0].size, bounds_of_runs(side < 0)[0].size)
+    first, last = bounds_of_runs(silent)
     longest = int((last - first + 1).max(initial=0))
     return Excitation(samples, visits, float(silent.sum() / readings.ok.sum()), longest)

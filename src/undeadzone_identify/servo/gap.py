@@ -26,7 +26,7 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from undeadzone.compile import lanes
-from undeadzone.util.arrays import Flags, Floats, Integers, later
+from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import Interval, sandwich_covariance, student_quantile
 from undeadzone_identify.models.plant import mean_lag_products
 from undeadzone_identify.servo import predictor
@@ -225,7 +225,7 @@ class ServoGap(NamedTuple):
         log = self.log
         z = ServoLikelihood(log).run_predictor(one.theta[None], one.structure.lag)[0][:, 2]
         half = float(one.theta[At.GAP]) / 2
-        before = later(log.y, 1, log.start)
+        before = shift_rows(log.y, 1, log.start)
         readings = np.maximum(np.minimum(before, z + half), z - half)
         if log.quantum:
             readings = log.quantum * np.round(readings / log.quantum)
@@ -429,7 +429,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
         reasons.append("errors follow from errors before them: the motor is not fully held")
     used = np.flatnonzero(log.error_samples(False))
-    past = np.column_stack([later(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
+    past = np.column_stack([shift_rows(log.u, 1 + j, log.start)[used] for j in range(LAGS)])
     past = past - past.mean(axis=0)
     explained = past @ np.linalg.lstsq(past, r, rcond=1e-8)[0]
     if float(explained @ explained) > INPUT_SHARE * power:

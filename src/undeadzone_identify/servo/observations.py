@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import f as fisher
 
-from undeadzone.util.arrays import Flags, Floats, Integers, later
+from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.logs.grid import common_spacing
 from undeadzone_identify.models.least_squares import regression_residual
 from undeadzone_identify.models.motion import reading_changes, white_noise_rms
@@ -138,7 +138,7 @@ class Observations(NamedTuple):
         """
         starts = np.zeros(self.u.size)
         starts[self.start] = 1.0
-        late = np.column_stack([later(self.u, j, self.start) for j in range(LATEST + 1)])
+        late = np.column_stack([shift_rows(self.u, j, self.start) for j in range(LATEST + 1)])
         if not self.ticks:
             return np.column_stack([late, self.y, self.ok, starts, counted])
         ticks = [self.side, self.boundary, self.reversal_ticks, self.first_ticks]

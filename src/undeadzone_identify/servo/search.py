@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from undeadzone.util.arrays import Floats, later
+from undeadzone.util.arrays import Floats, shift_rows
 from undeadzone_identify.servo.crossings import find_crossings
 from undeadzone_identify.servo.likelihood import (
     PARTS,
@@ -143,7 +143,7 @@ def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     """Return z of a servo without friction (N)."""
     A, B, _ = discretise_servo(theta[None], log.step, lag)
     F, b = A[0, :2, :2], B[0, :2, 0]
-    late = later(log.u, 1 + round(theta[At.DELAY]), log.start)
+    late = shift_rows(log.u, 1 + round(theta[At.DELAY]), log.start)
     denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
     numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])
     return np.asarray(lfilter(numerator, denominator, late))

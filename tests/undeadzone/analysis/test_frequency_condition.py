@@ -15,7 +15,7 @@ from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import companion_form
-from undeadzone.plants.build import matrices
+from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant
 
 seeds = st.integers(0, 2**32 - 1)
@@ -75,7 +75,7 @@ def test_default_gain_is_certified_for_every_stable_plant(
 
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_chains_of_integrators_have_no_certificate(order: int) -> None:
-    chain = matrices(Plant(integrators=order))
+    chain = linear_matrices(Plant(integrators=order))
     gain = np.poly(-np.ones(order))[1:, None]
     assert not certify(chain, gain, np.array([1.0])).certified
     with pytest.raises(StructureError, match="default only for a stable model"):

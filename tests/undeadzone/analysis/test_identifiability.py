@@ -33,7 +33,7 @@ from undeadzone.analysis.identifiability.linear import (
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone
-from undeadzone.plants.build import matrices
+from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -43,7 +43,7 @@ from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
-CHAIN = matrices(Plant(integrators=2))
+CHAIN = linear_matrices(Plant(integrators=2))
 WIDTHS = np.array([1.0, 0.7])
 
 
@@ -95,7 +95,9 @@ def test_the_centre_is_known_exactly_when_A_is_nonsingular(
     assert ("A is singular (an integrator), only the width" in " ".join(found.reasons)) == singular
 
 
-@pytest.mark.parametrize("plant", [CHAIN, matrices(Plant(integrators=1)), PAPER_PLANT.linear])
+@pytest.mark.parametrize(
+    "plant", [CHAIN, linear_matrices(Plant(integrators=1)), PAPER_PLANT.linear]
+)
 @pytest.mark.parametrize(("right", "left"), list(product([True, False], repeat=2)))
 def test_verdict_of_each_visit(plant: Matrices, right: bool, left: bool) -> None:
     integrator = np.linalg.matrix_rank(plant.A) < len(plant.A)
@@ -120,7 +122,7 @@ def test_an_unknown_bias_hides_the_centre_unless_the_output_does_not_feel_it(
     for plant, felt in (
         (PAPER_PLANT.linear, True),
         (
-            matrices(
+            linear_matrices(
                 Plant(
                     transfer_function=TransferFunction(
                         numerator=[1.0, 0.0], denominator=[1.0, 2.0, 1.0]

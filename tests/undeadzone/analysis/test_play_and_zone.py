@@ -23,7 +23,7 @@ from undeadzone.analysis.identifiability.play_and_zone import (
     gap_and_width_information,
 )
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
+from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -537,7 +537,7 @@ def test_exported_c_passes_its_self_test(tmp_path: Path) -> None:
 def test_an_ensemble_varies_the_gaps(model: Any) -> None:
     vary = {"runs": 6, "sensor.play[0]": {"uniform": [0.1, 0.9]}}
     result = run_ensemble(both({"noise": 0.02}, KALMAN, model=model, ensemble=vary))
-    assert deviation(result, 2) == 0
+    assert replay_deviation(result, 2) == 0
     assert np.median(result.column("rms_estimation")) < 0.05
 
 

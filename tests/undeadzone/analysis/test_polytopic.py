@@ -27,7 +27,7 @@ from undeadzone.compile.interval import Interval, build_enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
-from undeadzone.plants.region import Box, Region, box
+from undeadzone.plants.region import Box, Region, build_box
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.synthesis.check import check
@@ -379,24 +379,24 @@ def test_what_is_not_smooth_or_bends_the_output_is_refused() -> None:
 
 def test_regions_are_checked_by_key() -> None:
     model = pendulum(1.0)
-    assert box(Region(x=[[-1, 1], [-2, 2]], u=[-3, 3]), model).high.tolist() == [1, 2, 3]
-    assert box(
+    assert build_box(Region(x=[[-1, 1], [-2, 2]], u=[-3, 3]), model).high.tolist() == [1, 2, 3]
+    assert build_box(
         Region(x=[[-1, 1], [-2, 2]]), model._replace(limit=np.array([4.0]))
     ).low.tolist() == [-1, -2, -4]
     with pytest.raises(InputError, match="region: the model is linear"):
         resolve_scenario(scene(region={"x": [[-1, 1], [-2, 2]], "u": [-3, 3]}))
     with pytest.raises(InputError, match=r"region\.u: missing"):
-        box(Region(x=[[-1, 1], [-2, 2]]), model)
+        build_box(Region(x=[[-1, 1], [-2, 2]]), model)
     with pytest.raises(
         ShapeError,
         match=r"region\.x: expected 2 x 2 numbers \(one \[lo, hi\] per state\), found 1 x 2",
     ):
-        box(Region(x=[[-1, 1]], u=[-3, 3]), model)
+        build_box(Region(x=[[-1, 1]], u=[-3, 3]), model)
     with pytest.raises(
         InputError,
         match=r"region\.x\[1\]: a range \[lo, hi\] must have lo < hi, found \[2.0, -2.0\]",
     ):
-        box(Region(x=[[-1, 1], [2, -2]], u=[-3, 3]), model)
+        build_box(Region(x=[[-1, 1], [2, -2]], u=[-3, 3]), model)
 
 
 def test_check_judges_a_nonlinear_scenario_on_its_region() -> None:

@@ -11,7 +11,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from undeadzone.errors import InputError
-from undeadzone.plants.robots.survey import survey
+from undeadzone.plants.robots.survey import survey_urdf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
 from undeadzone.scenario.urdf_start import starting_scenario
@@ -58,7 +58,7 @@ def two(folder: Path, **limit: float) -> Path:
 
 
 def test_an_arm_that_is_known_by_hand(tmp_path: Path) -> None:
-    found = survey(two(tmp_path), at=[np.pi / 2, 0.0])
+    found = survey_urdf(two(tmp_path), at=[np.pi / 2, 0.0])
     assert (found.base, found.tip, found.fixed) == ("base", "tip", [])
     np.testing.assert_allclose(np.abs(found.place), [0.7, 0.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(found.reach, 0.7, rtol=1e-9)
@@ -74,7 +74,7 @@ def test_limits_shorten_the_reach_and_move_the_posture(tmp_path: Path) -> None:
         joint("elbow", "upper", "lower", low=1.0, high=2.0),
         joint("hand", "lower", "tip", -0.3, "fixed"),
     )
-    found = survey(file)
+    found = survey_urdf(file)
     np.testing.assert_allclose(found.q, [0.0, 1.5])
     expected = np.sqrt(0.4**2 + 0.3**2 + 2 * 0.4 * 0.3 * np.cos(1.0))
     np.testing.assert_allclose(found.reach, expected, rtol=1e-7)
@@ -85,10 +85,10 @@ def test_a_sliding_joint_without_limits_has_no_reach(tmp_path: Path) -> None:
     slide = joint("elbow", "upper", "lower", kind="prismatic")
     text = file.read_text().replace(joint("elbow", "upper", "lower"), slide)
     file.write_text(text)
-    assert survey(file).reach == pytest.approx(np.hypot(0.7, 3.0))
+    assert survey_urdf(file).reach == pytest.approx(np.hypot(0.7, 3.0))
     bare = slide.replace(LIMIT.format(low=-3.0, high=3.0, effort=60.0, velocity=5.0), "")
     file.write_text(text.replace(slide, bare))
-    assert survey(file).reach is None
+    assert survey_urdf(file).reach is None
     done = undeadzone("arm", file)
     assert done.returncode == 0, done.stderr
     assert "no limit: a sliding joint has none" in done.stdout
@@ -128,7 +128,7 @@ def test_a_started_scenario_runs_and_beats_blindness(tmp_path: Path) -> None:
 
 def test_a_started_scenario_of_one_joint_is_as_told() -> None:
     """With one level of its default disturbance the filter erred by .0056 rad and blamed a lag."""
-    text = starting_scenario(survey(UR5, joints=["elbow_joint"], at=[1.57]), str(UR5))
+    text = starting_scenario(survey_urdf(UR5, joints=["elbow_joint"], at=[1.57]), str(UR5))
     run = uz.simulate(parse(text))
     assert "NOT as told" not in str(run)
     assert run.rms_estimation < 0.002
@@ -139,7 +139,7 @@ def test_a_started_scenario_of_a_light_arm_is_as_told(tmp_path: Path) -> None:
     hand = joint("hand", "upper", "tip", -0.4, "fixed")
     file = written(tmp_path, joint("shoulder", "base", "upper", 0.0), hand, links="upper")
     file.write_text(file.read_text().replace("0 0 -0.2", "0.29 0 0").replace("0.03", "0.07"))
-    text = starting_scenario(survey(file), str(file))
+    text = starting_scenario(survey_urdf(file), str(file))
     run = uz.simulate(parse(text))
     assert "NOT as told" not in str(run)
     assert run.rms_estimation < 0.002
@@ -159,7 +159,7 @@ def test_the_reach_of_an_arm_on_a_slide_counts_the_slide(tmp_path: Path) -> None
     rail = joint("shoulder", "base", "upper", 0.0, kind="prismatic", low=0.0, high=0.5)
     hand = joint("hand", "lower", "tip", -0.3, "fixed")
     file = written(tmp_path, rail, joint("elbow", "upper", "lower"), hand)
-    assert survey(file).reach == pytest.approx(max_reach(0.5))
+    assert survey_urdf(file).reach == pytest.approx(max_reach(0.5))
 
 
 def max_reach(slide: float) -> float:
@@ -170,7 +170,7 @@ def max_reach(slide: float) -> float:
 
 @pytest.mark.parametrize("at", [None, [0.4, -1.57, 1.57, 0.0, 0.5, 0.0]])
 def test_a_started_scenario_of_a_large_arm_is_accepted(at: list[float] | None) -> None:
-    text = starting_scenario(survey(UR5, at=at), str(UR5))
+    text = starting_scenario(survey_urdf(UR5, at=at), str(UR5))
     assert resolve_scenario(parse(text)).plant.n == 12
 
 
@@ -190,7 +190,7 @@ def test_an_upright_lift_is_drawn(tmp_path: Path) -> None:
     """Seen from above it is a point, and the page's grid had no spacing."""
     rail = joint("shoulder", "base", "upper", 0.0, kind="prismatic").replace("1 0 0", "0 0 1")
     hand = joint("hand", "upper", "tip", 0.0, "fixed")
-    text = starting_scenario(survey(written(tmp_path, rail, hand, links="upper")), "two.urdf")
+    text = starting_scenario(survey_urdf(written(tmp_path, rail, hand, links="upper")), "two.urdf")
     (tmp_path / "lift.toml").write_text(text.replace("duration = 8.0", "duration = 1.0"))
     done = undeadzone("run", "lift.toml", "--out", "seen", cwd=tmp_path)
     assert "report.html" in done.stdout, done.stderr
@@ -217,7 +217,7 @@ def test_a_gripper_is_left_out_by_naming_where_it_begins(tmp_path: Path) -> None
     done = undeadzone("arm", gripper)
     assert done.returncode == 2
     assert "the movable joints branch at 'palm'" in done.stderr
-    found = survey(gripper, tip="palm")
+    found = survey_urdf(gripper, tip="palm")
     assert found.fixed == ["left_finger", "right_finger"]
     assert found.masses.tolist() == [8.0]
 
@@ -242,4 +242,4 @@ def test_wrong_options_are_explained(tmp_path: Path, words: list[str], told: str
 
 def test_a_posture_must_lie_within_the_limits(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="shoulder moves from -3 to 3"):
-        survey(two(tmp_path), at=[4.0, 0.0])
+        survey_urdf(two(tmp_path), at=[4.0, 0.0])

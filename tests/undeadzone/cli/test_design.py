@@ -32,13 +32,13 @@ from undeadzone.analysis.convergence.trajectories import (
 from undeadzone.analysis.error_dynamics import branch_pattern
 from undeadzone.cli import group
 from undeadzone.errors import UndeadzoneError
-from undeadzone.report.gain_figures import ellipses, root_locus
-from undeadzone.report.gains_page import figures, gains_page
-from undeadzone.report.proof_figures import courses as courses_figure
-from undeadzone.report.proof_figures import positive_realness
-from undeadzone.report.style import image, sheet
+from undeadzone.report.gain_figures import plot_ellipses, root_locus
+from undeadzone.report.gains_page import draw_gain_figures, gains_page
+from undeadzone.report.proof_figures import plot_courses as courses_figure
+from undeadzone.report.proof_figures import plot_positive_realness
+from undeadzone.report.style import create_panels, figure_to_bytes
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.synthesis.assessment import Assessment, assess, attack
+from undeadzone.synthesis.assessment import Assessment, assess_problem, attack_gains
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}
@@ -446,7 +446,7 @@ JUMP = {"sensor": {"kind": "jump"}}
 
 
 def counted(**changes: Any) -> Assessment:
-    return assess(resolve_scenario(scene(**changes)))
+    return assess_problem(resolve_scenario(scene(**changes)))
 
 
 def by_kind(drawn: list[Trajectory]) -> dict[str, Trajectory]:
@@ -457,7 +457,7 @@ def by_kind(drawn: list[Trajectory]) -> dict[str, Trajectory]:
 def test_v_never_rises_on_any_course_of_certified_gains(changes: dict[str, Any]) -> None:
     of = counted(**changes)
     assert of.gains is not None
-    tried = attack(of)
+    tried = attack_gains(of)
     assert tried is not None
     assert not tried.attack.broken
     assert tried.cycle is None
@@ -499,14 +499,14 @@ def test_settling_is_the_first_pass_that_suffices() -> None:
 
 def test_an_attack_and_a_cycle_are_drawn_where_there_are_any() -> None:
     of = counted(observer=POLES)
-    tried = attack(of)
+    tried = attack_gains(of)
     assert of.gains is not None
     assert tried is not None
     assert by_kind(tried.courses)["attack"].V[-1] == pytest.approx(1 + tried.attack.rise, rel=1e-9)
     chain = counted(
         plant={"integrators": 2}, observer={"method": "certified", "L": [4.0, 4.0], "gamma": 1.0}
     )
-    grown = attack(chain)
+    grown = attack_gains(chain)
     assert chain.gains is not None
     assert grown is not None
     assert grown.cycle is not None
@@ -520,14 +520,14 @@ def test_an_attack_and_a_cycle_are_drawn_where_there_are_any() -> None:
 def test_nyquist_marks_the_worst_point_and_enlarges_it() -> None:
     of = counted(observer=POLES)
     assert of.gains is not None
-    figure = positive_realness(of.gains.certificate)
+    figure = plot_positive_realness(of.gains.certificate)
     assert len(figure.axes) == 3
     marked = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "o"]
     assert [float(np.asarray(line.get_xdata())[0]) for line in marked] == pytest.approx(
         [-1 / 24, -1 / 24, np.sqrt(6.2)]
     )
-    assert len(positive_realness(counted().gains.certificate).axes) == 2  # type: ignore[arg-type]
-    assert len(positive_realness(counted(**COUPLED).gains.certificate).axes) == 1  # type: ignore[arg-type]
+    assert len(plot_positive_realness(counted().gains.certificate).axes) == 2  # type: ignore[arg-type]
+    assert len(plot_positive_realness(counted(**COUPLED).gains.certificate).axes) == 1  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("changes", [{}, SAMPLED])
@@ -546,15 +546,15 @@ def test_root_locus_goes_through_the_chosen_poles(changes: dict[str, Any]) -> No
 
 def test_ellipse_or_strip() -> None:
     noisy = counted(sensor={"noise": 0.01}, **SAMPLED)
-    axes = ellipses(noisy).axes[0]
+    axes = plot_ellipses(noisy).axes[0]
     outline = next(line for line in axes.lines if line.get_label() == "95 %")
     assert np.max(outline.get_xdata()) == pytest.approx(
         2.447747 * noisy.known[0].std["right"], rel=1e-3
     )
-    strip = ellipses(counted(**RIGHT)).axes[0]
+    strip = plot_ellipses(counted(**RIGHT)).axes[0]
     assert "never reached" in strip.get_title(loc="left").replace("\n", " ")
     assert any("right ±" in str(line.get_label()) for line in strip.lines)
-    nothing = ellipses(
+    nothing = plot_ellipses(
         counted(reference={"kind": "sine", "amplitude": 0.5, "frequency": 1.0})
     ).axes[0]
     assert any("only d_r > 0.5" in str(line.get_label()) for line in nothing.lines)
@@ -577,9 +577,9 @@ def test_ellipse_or_strip() -> None:
 )
 def test_a_page_of_every_kind(changes: dict[str, Any], names: list[str]) -> None:
     of = counted(title="<b>&", **changes)
-    tried = attack(of)
-    assert [*figures(of, tried)] == names
-    blank = image(sheet([["a"]], "t")[0], "svg")
+    tried = attack_gains(of)
+    assert [*draw_gain_figures(of, tried)] == names
+    blank = figure_to_bytes(create_panels([["a"]], "t")[0], "svg")
     page = check_page(gains_page(of, tried, dict.fromkeys(names, blank)))
     assert page.tags.count("img") == len(names)
     assert "<b>&" in page.text

@@ -93,9 +93,11 @@ def test_what_is_painted() -> None:
 
 def test_tables_fold_to_records() -> None:
     rows = [("output", "value"), ("q1", "right yes"), ("q2", "")]
-    assert shown.text([rows], 80).splitlines()[0] == "output  value"
-    assert shown.text([rows], 12) == "output  q1\nvalue   right yes\n\noutput  q2"
-    folded = shown.text([{"a": "one two three four five six seven eight"}], 30).splitlines()
+    assert shown.format_blocks([rows], 80).splitlines()[0] == "output  value"
+    assert shown.format_blocks([rows], 12) == "output  q1\nvalue   right yes\n\noutput  q2"
+    folded = shown.format_blocks(
+        [{"a": "one two three four five six seven eight"}], 30
+    ).splitlines()
     assert folded == ["a  one two three four five six", "   seven eight"]
 
 

@@ -92,8 +92,8 @@ TWO_OUTPUTS = {
 }
 
 
-PAIRS = [(observer, "state_feedback") for observer in registry.OBSERVERS.tags()] + [
-    ("certified", controller) for controller in registry.CONTROLLERS.tags()
+PAIRS = [(observer, "state_feedback") for observer in registry.OBSERVERS.list_tags()] + [
+    ("certified", controller) for controller in registry.CONTROLLERS.list_tags()
 ]
 
 
@@ -124,7 +124,13 @@ def small(time: str = "continuous", **changes: Any) -> Scenario:
 def parts(scenario: Scenario) -> tuple[ca.Function, Floats, Floats, Floats, list[str]]:
     """(step, states, exogenous, params, names of the params)."""
     loop, state, exogenous = prepare(resolve_scenario(scenario))
-    return loop.step, state, exogenous, tree.pack(loop.params), tree.names(loop.params)
+    return (
+        loop.step,
+        state,
+        exogenous,
+        tree.pack_tree(loop.params),
+        tree.number_addresses(loop.params),
+    )
 
 
 def compiled(

@@ -181,7 +181,7 @@ def test_a_loop_with_rare_parts_has_the_same_bits_in_every_form(name: str, fused
     assert loop.parts is not None
     states = np.tile(state, (19, 1))
     states[:7, 0] += np.linspace(0.2, 1.0, 7)
-    run = (states, exogenous[:150], tree.pack(loop.params))
+    run = (states, exogenous[:150], tree.pack_tree(loop.params))
     usual = lanes.run_lanes(lanes.build_kernel(*loop.parts, width=1, fused=fused), *run)
     found = lanes.run_lanes(lanes.build_kernel(*loop.parts, form=FORMS[name], fused=fused), *run)
     assert all(map(identical, found, usual))
@@ -219,7 +219,7 @@ def test_code_of_no_effort_has_the_same_bits(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(cache, "LONG", 0)
     loop, state, exogenous = prepare(resolve_scenario(small()))
     assert loop.parts is not None
-    run = (np.tile(state, (19, 1)), exogenous, tree.pack(loop.params))
+    run = (np.tile(state, (19, 1)), exogenous, tree.pack_tree(loop.params))
     better: list[Any] = []
     monkeypatch.setattr(cache.CompiledBlock, "improve", lambda block, make: better.append(make))
     for fused in (False, True):
@@ -400,7 +400,7 @@ def test_a_run_in_changing_forms_has_the_bits_of_each(
     assert loop.parts is not None
     states = np.tile(state, (64, 1))
     states[:30, 0] += np.linspace(0.2, 1.0, 30)
-    run = (states, exogenous, tree.pack(loop.params))
+    run = (states, exogenous, tree.pack_tree(loop.params))
     built = lanes.build_kernel(*loop.parts, fused=True)
     trial = built.block.trial
     assert isinstance(trial, cache.Trial)

@@ -31,11 +31,11 @@ def test_a_step_in_parts_is_the_whole_step_to_the_last_bit() -> None:
     assert loop.parts is not None
     states = np.tile(state, (WIDTHS.size, 1))
     states[:, 0] += WIDTHS
-    run = (states, exogenous, tree.pack(loop.params))
+    run = (states, exogenous, tree.pack_tree(loop.params))
     in_parts = lanes.run_lanes(lanes.build_kernel(*loop.parts, width=16), *run)
     whole = lanes.run_lanes(lanes.build_kernel(loop.step, width=16), *run)
     assert all(map(identical, in_parts, whole))
-    side = in_parts[0][:, :, tree.names(loop.outputs).index("side[0]")]
+    side = in_parts[0][:, :, tree.number_addresses(loop.outputs).index("side[0]")]
     crossing = (side != side[:, :1]).argmax(axis=1)
     assert np.unique(crossing).size > 3  # lanes cross at different steps
 
@@ -84,7 +84,7 @@ def test_what_is_known_changes_numbers_by_rounding_at_most(time: str) -> None:
     silent = {"noise": 0.0, "noise_before": 0.0}
     scenario = small(time, sensor=silent, simulation=simulation)
     loop, state, exogenous = prepare(resolve_scenario(scenario))
-    params = tree.pack(loop.params)
+    params = tree.pack_tree(loop.params)
     inputs = {i: 0.0 for i, column in enumerate(exogenous.T) if not column.any()}
     numbers = {i: value for i, value in enumerate(params.tolist()) if value in (0.0, 1.0)}
     assert inputs

@@ -14,7 +14,7 @@ import pytest
 from test_engines import small
 from test_run_ensemble import NOISE, PLANT, WIDTHS, vary
 
-from undeadzone.ensemble.batch import prepare
+from undeadzone.ensemble.batch import prepare_batch
 
 ARITHMETIC = r"(?:fadd|fsub|fmul|fdiv)(?: contract)?"
 
@@ -58,9 +58,9 @@ def test_kernels_are_vectorised(time: str, n: int) -> None:
     observer = {"method": "certified", "L": [1.0] + [0.0] * (n - 1), "gamma": 5.0}
     simulation = {"duration": 0.1, "step": 1e-3}
     scenario = small(time, plant=dense(n), observer=observer, simulation=simulation)
-    batch = prepare(vary(scenario, WIDTHS | PLANT | NOISE))
+    batch = prepare_batch(vary(scenario, WIDTHS | PLANT | NOISE))
     entries = {f"plant.A[{i},{j}] (relative)" for i, j in np.ndindex(n, n)}
-    assert entries <= set(batch.binding.names)
+    assert entries <= set(batch.binding.names_of_columns)
     code = batch.kernel.block.text
     bodies = {name: body for name, body in functions(code).items() if any(counted(body))}
     # The lanes; in continuous time, those in which the side changes too.

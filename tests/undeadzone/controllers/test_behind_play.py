@@ -12,7 +12,7 @@ from test_engines import distance, parts
 import undeadzone as uz
 from scenes import scene
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
+from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.interfaces import Estimate
 from undeadzone.results.run import Run
@@ -159,7 +159,7 @@ def test_an_ensemble_varies_the_gaps() -> None:
         "controller.K": {"normal": [1.0, 0.02], "relative": True},
     }
     result = run_ensemble(motor(ensemble=vary))
-    assert deviation(result, 2) == 0
+    assert replay_deviation(result, 2) == 0
     assert result.column("rms_behind_play").max() < result.column("rms_tracking").min() / 3
 
 

@@ -29,8 +29,8 @@ def law(controller: Controller, model: System) -> Callable[..., tuple[Floats, Fl
 
     It is (state, x^, innovation, r, x_ref, u_ff) -> (next state or derivative, u).
     """
-    p, params = tree.symbols(controller.params, "p")
-    s, state = tree.symbols(controller.init(controller.params), "s")
+    p, params = tree.create_symbols(controller.params, "p")
+    s, state = tree.create_symbols(controller.init(controller.params), "s")
     x, e, r, x_ref, u_ff = (
         ca.SX.sym("v", size) for size in (model.n, model.p, model.m, model.n, model.m)
     )
@@ -38,8 +38,8 @@ def law(controller: Controller, model: System) -> Callable[..., tuple[Floats, Fl
     after, u = controller.step(
         params, state, Estimate(x, none, none, none, none, e), Target(r, x_ref, u_ff)
     )
-    function = ca.Function("law", [p, s, x, e, r, x_ref, u_ff], [tree.stack(after), u])
-    numbers = tree.pack(controller.params)
+    function = ca.Function("law", [p, s, x, e, r, x_ref, u_ff], [tree.stack_leaves(after), u])
+    numbers = tree.pack_tree(controller.params)
 
     def step(*values: Any) -> tuple[Floats, Floats]:
         after, u = function(numbers, *values)

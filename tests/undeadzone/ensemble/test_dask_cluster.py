@@ -46,7 +46,7 @@ def dask() -> Iterator[LocalCluster]:
 
 @pytest.fixture
 def whole(tmp_path: Path) -> bytes:
-    store = run_blocks.run(functools.partial(sines, 605), tmp_path / "whole.partial")
+    store = run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "whole.partial")
     store.close()
     return store.path.read_bytes()
 
@@ -58,12 +58,12 @@ def test_a_cluster_continues_what_one_process_began(
     job = sines(605)
     begun = journal.start(path, job.layout)
     for block in (0, 7, 60):
-        begun.put(block, job.block(block))
+        begun.write_block(block, job.block(block))
     begun.close()
     trace = tmp_path / "trace"
     trace.mkdir()
     make = functools.partial(sines, 605, 0.0, trace)
-    run_blocks.run(make, path, resume=True, cluster=dask.scheduler_address).close()
+    run_blocks.compute_job(make, path, resume=True, cluster=dask.scheduler_address).close()
     assert {int(block.name) for block in trace.iterdir()} == set(range(61)) - {0, 7, 60}
     assert path.read_bytes() == whole
 
@@ -74,7 +74,7 @@ def test_a_worker_that_is_killed_changes_no_bit(
     trace = tmp_path / "trace"
     trace.mkdir()
     make = functools.partial(sines, 605, 0.02, trace, deadly=30)
-    store = run_blocks.run(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
+    store = run_blocks.compute_job(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
     assert (trace / "30").exists()
     assert store.path.read_bytes() == whole
 
@@ -84,14 +84,14 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
 ) -> None:
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
-        run_blocks.run(
+        run_blocks.compute_job(
             functools.partial(sines, 605, wrong=40), path, cluster=dask.scheduler_address
         )
     kept = journal.start(path, sines(605).layout, resume=True)
     kept.close()
     assert 0 < kept.runs_done < 605
     make = functools.partial(sines, 605)
-    run_blocks.run(make, path, resume=True, cluster=dask.scheduler_address).close()
+    run_blocks.compute_job(make, path, resume=True, cluster=dask.scheduler_address).close()
     assert path.read_bytes() == whole
 
 
@@ -100,8 +100,8 @@ def test_no_more_is_computed_than_is_taken(
 ) -> None:
     monkeypatch.setattr(job, "LONGEST", 0.0)
     make = functools.partial(sines, 1000, 0.0, tmp_path)
-    with dask_cluster.pool(make, dask.scheduler_address) as pool:
-        blocks = job.results(pool, range(100))
+    with dask_cluster.open_dask_pool(make, dask.scheduler_address) as pool:
+        blocks = job.yield_block_rows(pool, range(100))
         next(blocks)
         time.sleep(0.5)
         assert len(list(tmp_path.iterdir())) <= 4 * job.AHEAD
@@ -127,14 +127,14 @@ def test_workers_with_other_versions_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
     here = dask_cluster.versions() | {"llvmlite": "0.1", "casadi": "3.0"}
-    monkeypatch.setattr(dask_cluster, "versions", lambda: here)
+    monkeypatch.setattr(dask_cluster, "package_versions", lambda: here)
     words = (
         r"a worker of the cluster has other versions: "
         r"casadi [\d.]+ there, 3\.0 here, llvmlite [\d.]+ there, 0\.1 here"
     )
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     with pytest.raises(ClusterError, match=words):
-        run_blocks.run(make, path, cluster=dask.scheduler_address)
+        run_blocks.compute_job(make, path, cluster=dask.scheduler_address)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -149,7 +149,7 @@ def test_a_module_that_workers_cannot_import(
 
     words = "only_here cannot be imported there; install it on the scheduler and on every worker"
     with pytest.raises(ClusterError, match=words):
-        run_blocks.run(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
+        run_blocks.compute_job(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
 
 
 def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,7 +157,7 @@ def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
     words = r"no worker is there; start some \(dask worker tcp://"
     with local(0) as empty, pytest.raises(ClusterError, match=words):
-        run_blocks.run(make, path, cluster=empty.scheduler_address)
+        run_blocks.compute_job(make, path, cluster=empty.scheduler_address)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -168,7 +168,7 @@ def test_a_scheduler_that_goes_away_leaves_what_was_kept(
     make, path = functools.partial(sines, 605, 0.05), tmp_path / "runs.partial"
     words = r"of 605 runs are kept in .*runs\.partial; continue with --resume"
     with local(1) as gone, pytest.raises(ClusterError, match=words):
-        run_blocks.run(
+        run_blocks.compute_job(
             make, path, cluster=gone.scheduler_address, progress=lambda done: gone.close()
         )
     assert path.exists()
@@ -182,7 +182,9 @@ def test_an_address_without_a_scheduler(
 ) -> None:
     monkeypatch.setattr(dask_cluster, "REACH", 0.5)
     with pytest.raises(ClusterError, match=f"^{address}: no Dask scheduler answers there: "):
-        run_blocks.run(functools.partial(sines, 605), tmp_path / "runs.partial", cluster=address)
+        run_blocks.compute_job(
+            functools.partial(sines, 605), tmp_path / "runs.partial", cluster=address
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -192,7 +194,7 @@ def test_a_server_that_is_no_scheduler(tmp_path: Path, monkeypatch: pytest.Monke
         threading.Thread(target=server.serve_forever, daemon=True).start()
         make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
         with pytest.raises(ClusterError, match="no Dask scheduler answers there"):
-            run_blocks.run(make, path, cluster=f"127.0.0.1:{server.server_port}")
+            run_blocks.compute_job(make, path, cluster=f"127.0.0.1:{server.server_port}")
         server.shutdown()
 
 
@@ -200,6 +202,6 @@ def test_without_distributed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = r"the package distributed is missing; pip install 'undeadzone\[dask\]'"
     with pytest.raises(InputError, match=words):
-        run_blocks.run(
+        run_blocks.compute_job(
             functools.partial(sines, 605), tmp_path / "runs.partial", cluster="tcp://127.0.0.1:9"
         )

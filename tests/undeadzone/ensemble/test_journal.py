@@ -32,8 +32,8 @@ def stored(path: Path, runs: int = 95, blocks: range | None = None) -> Store:
     """A store with some blocks of `sines`, or all."""
     job = sines(runs)
     store = journal.start(path, job.layout)
-    for block in reversed(blocks if blocks is not None else range(job.layout.blocks)):
-        store.put(block, job.block(block))
+    for block in reversed(blocks if blocks is not None else range(job.layout.number_of_blocks)):
+        store.write_block(block, job.block(block))
     return store
 
 
@@ -41,14 +41,14 @@ def again(path: Path, runs: int = 95) -> list[int]:
     """The blocks that a second start finds missing."""
     store = journal.start(path, layout(runs), resume=True)
     store.close()
-    return store.missing
+    return store.missing_blocks
 
 
 def test_rows_come_back_as_columns_to_the_last_bit(tmp_path: Path) -> None:
     store = stored(tmp_path / "deep" / "runs.partial")
     job = sines(95)
     rows = np.vstack([job.block(block) for block in range(10)])
-    columns = store.columns()
+    columns = store.map_columns()
     assert list(columns) == ["column 0", "column 1", "column 2"]
     assert np.stack(list(columns.values())).tobytes() == rows.T.tobytes()
     assert all(isinstance(column, np.memmap) for column in columns.values())
@@ -61,7 +61,7 @@ def test_a_second_start_finds_what_was_put(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial", blocks=range(3, 10))
     assert store.runs_done == 65
     with pytest.raises(InputError, match="30 of 95 runs are missing"):
-        store.columns()
+        store.map_columns()
     store.close()
     assert again(store.path) == [0, 1, 2]
 
@@ -86,7 +86,7 @@ def test_a_damaged_byte_loses_its_block_and_no_other(tmp_path: Path) -> None:
 def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
     store = journal.start(tmp_path / "runs.partial", layout(100))
     for block in range(10):
-        store.put(block, np.ones((10, 3)))
+        store.write_block(block, np.ones((10, 3)))
     store.close()
     with open(store.path, "r+b") as file:
         file.seek(store.start + 3 * 100 * 8)
@@ -97,7 +97,7 @@ def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kept", [100, 3000, 5000, 6300])
 def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
-    whole = run_blocks.run(functools.partial(sines, 95), tmp_path / "whole.partial")
+    whole = run_blocks.compute_job(functools.partial(sines, 95), tmp_path / "whole.partial")
     store = stored(tmp_path / "runs.partial")
     store.close()
     os.truncate(store.path, kept)
@@ -106,7 +106,7 @@ def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
         with pytest.raises(FileError, match=words):
             again(store.path)
         return
-    run_blocks.run(functools.partial(sines, 95), store.path, resume=True).close()
+    run_blocks.compute_job(functools.partial(sines, 95), store.path, resume=True).close()
     assert store.path.read_bytes() == whole.path.read_bytes()
 
 
@@ -116,7 +116,7 @@ def test_a_file_whose_header_was_never_written_is_begun_anew(
 ) -> None:
     path = tmp_path / "runs.partial"
     path.write_bytes(content)
-    assert run_blocks.run(functools.partial(sines, 95), path).runs_done == 95
+    assert run_blocks.compute_job(functools.partial(sines, 95), path).runs_done == 95
 
 
 def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None:
@@ -169,7 +169,7 @@ def test_other_versions_of_packages_are_another_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stored(tmp_path / "runs.partial").close()
-    monkeypatch.setattr(journal, "versions", lambda: {"llvmlite": "0.1"})
+    monkeypatch.setattr(journal, "package_versions", lambda: {"llvmlite": "0.1"})
     with pytest.raises(InputError, match=r"llvmlite: [\d.]+ there, 0\.1 here"):
         again(tmp_path / "runs.partial")
 
@@ -177,7 +177,7 @@ def test_other_versions_of_packages_are_another_problem(
 def test_a_long_scenario_in_the_header(tmp_path: Path) -> None:
     long = layout(20, scenario="x = 1\n" * 400_000)
     journal.start(tmp_path / "runs.partial", long).close()
-    assert journal.start(tmp_path / "runs.partial", long, resume=True).missing == [0, 1]
+    assert journal.start(tmp_path / "runs.partial", long, resume=True).missing_blocks == [0, 1]
 
 
 def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
     for resume in (False, True):
         with pytest.raises(FileError, match=words):
             journal.start(store.path, store.layout, resume)
-    store.put(2, sines(95).block(2))
+    store.write_block(2, sines(95).block(2))
     store.close()
     assert again(store.path) == list(range(3, 10))
 
@@ -194,7 +194,7 @@ def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
 def test_rows_of_another_shape_are_refused(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial", blocks=range(9))
     with pytest.raises(ShapeError, match="block 9: expected 5 x 3, found 10 x 3"):
-        store.put(9, np.ones((10, 3)))
+        store.write_block(9, np.ones((10, 3)))
 
 
 @contextmanager
@@ -211,7 +211,7 @@ def file_size_limit(size: int) -> Iterator[None]:
 def test_a_full_disk_is_noticed_at_the_start(tmp_path: Path) -> None:
     words = r"runs\.partial: cannot write: File too large$"
     with file_size_limit(50_000), pytest.raises(FileError, match=words):
-        run_blocks.run(functools.partial(sines, 10_000), tmp_path / "runs.partial")
+        run_blocks.compute_job(functools.partial(sines, 10_000), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: "):
         journal.start(tmp_path / "runs.partial", layout(10**17))
@@ -227,7 +227,7 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
     words = "cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume"
     try:
         with pytest.raises(FileError, match=words):
-            run_blocks.run(functools.partial(sines, 95), path, progress=progress)
+            run_blocks.compute_job(functools.partial(sines, 95), path, progress=progress)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert again(path) == list(range(1, 10))
@@ -262,7 +262,7 @@ def test_a_removed_store_is_noticed(tmp_path: Path) -> None:
     store.path.unlink()
     store.path.parent.rmdir()
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: it was removed"):
-        store.put(2, sines(95).block(2))
+        store.write_block(2, sines(95).block(2))
 
 
 class Interrupted(Sines):
@@ -278,25 +278,27 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     path, told = tmp_path / "runs.partial", []
     words = r"50 of 95 runs are kept in .*runs\.partial; continue with --resume"
     with pytest.raises(KeyboardInterrupt, match=words):
-        run_blocks.run(lambda: Interrupted(layout(95), wrong=5), path)
-    store = run_blocks.run(functools.partial(sines, 95), path, resume=True, progress=told.append)
+        run_blocks.compute_job(lambda: Interrupted(layout(95), wrong=5), path)
+    store = run_blocks.compute_job(
+        functools.partial(sines, 95), path, resume=True, progress=told.append
+    )
     assert told == [50, 10, 10, 10, 10, 5]
     assert store.done.all()
 
 
 def test_what_stops_the_use_of_a_store_keeps_it(tmp_path: Path) -> None:
-    store = run_blocks.run(functools.partial(sines, 95), tmp_path / "runs.partial")
+    store = run_blocks.compute_job(functools.partial(sines, 95), tmp_path / "runs.partial")
     words = r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$"
-    with pytest.raises(InputError, match=words), run_blocks.keeping(store):
+    with pytest.raises(InputError, match=words), run_blocks.close_on_failure(store):
         raise InputError("no such suffix")
     assert again(store.path) == []
 
 
 def test_what_stops_before_the_first_block_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt, match=r"^$"):
-        run_blocks.run(lambda: Interrupted(layout(95), wrong=0), tmp_path / "runs.partial")
+        run_blocks.compute_job(lambda: Interrupted(layout(95), wrong=0), tmp_path / "runs.partial")
     with pytest.raises(ArithmeticError):
-        run_blocks.run(functools.partial(sines, 95, wrong=0), tmp_path / "runs.partial")
+        run_blocks.compute_job(functools.partial(sines, 95, wrong=0), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -307,7 +309,7 @@ def program(path: Path, *arguments: object) -> subprocess.Popen[str]:
 
 def test_kill_9_at_random_moments_changes_no_bit(tmp_path: Path) -> None:
     runs, seconds = 400, 0.02
-    whole = run_blocks.run(functools.partial(sines, runs), tmp_path / "whole.partial")
+    whole = run_blocks.compute_job(functools.partial(sines, runs), tmp_path / "whole.partial")
     path, rng, found = tmp_path / "runs.partial", random.Random(4), []
     for _ in range(5):
         with program(path, runs, seconds) as running:

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture
 def whole(tmp_path: Path) -> bytes:
-    store = run_blocks.run(functools.partial(sines, 605), tmp_path / "whole.partial")
+    store = run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "whole.partial")
     store.close()
     return store.path.read_bytes()
 
@@ -28,7 +28,7 @@ def whole(tmp_path: Path) -> bytes:
 def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
     told: list[int] = []
     make, path = functools.partial(sines, 605, 0.002), tmp_path / "runs.partial"
-    run_blocks.run(make, path, workers=2, progress=told.append).close()
+    run_blocks.compute_job(make, path, workers=2, progress=told.append).close()
     assert path.read_bytes() == whole
     assert sum(told) == 605
 
@@ -38,11 +38,11 @@ def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> N
     job = sines(605)
     begun = journal.start(path, job.layout)
     for block in (0, 7, 60):
-        begun.put(block, job.block(block))
+        begun.write_block(block, job.block(block))
     begun.close()
     trace.mkdir()
     make = functools.partial(sines, 605, 0.0, trace)
-    run_blocks.run(make, path, resume=True, workers=3).close()
+    run_blocks.compute_job(make, path, resume=True, workers=3).close()
     assert {int(block.name) for block in trace.iterdir()} == set(range(61)) - {0, 7, 60}
     assert path.read_bytes() == whole
 
@@ -50,7 +50,7 @@ def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> N
 def test_they_need_no_dask(tmp_path: Path, whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     path = tmp_path / "runs.partial"
-    run_blocks.run(functools.partial(sines, 605), path, workers=1).close()
+    run_blocks.compute_job(functools.partial(sines, 605), path, workers=1).close()
     assert path.read_bytes() == whole
 
 
@@ -86,7 +86,7 @@ def test_no_process_opens_a_socket(tmp_path: Path) -> None:
         seen.append(set().union(*map(sockets, [*started, os.getpid()])))
 
     make, path = functools.partial(sines, 605, 0.001), tmp_path / "runs.partial"
-    run_blocks.run(make, path, workers=2, progress=look).close()
+    run_blocks.compute_job(make, path, workers=2, progress=look).close()
     assert seen
     assert set().union(*seen) <= before
     assert set(children()) <= others
@@ -96,7 +96,7 @@ def test_a_worker_that_is_killed_changes_no_bit(tmp_path: Path, whole: bytes) ->
     path, trace = tmp_path / "runs.partial", tmp_path / "trace"
     trace.mkdir()
     make = functools.partial(sines, 605, 0.0, trace, deadly=30)
-    run_blocks.run(make, path, workers=2).close()
+    run_blocks.compute_job(make, path, workers=2).close()
     assert (trace / "30").exists()
     assert path.read_bytes() == whole
 
@@ -104,11 +104,11 @@ def test_a_worker_that_is_killed_changes_no_bit(tmp_path: Path, whole: bytes) ->
 def test_what_a_block_raises_arrives_and_the_others_are_kept(tmp_path: Path, whole: bytes) -> None:
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
-        run_blocks.run(functools.partial(sines, 605, wrong=40), path, workers=2)
+        run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, workers=2)
     kept = journal.start(path, sines(605).layout, resume=True)
     kept.close()
     assert 0 < kept.runs_done < 605
-    run_blocks.run(functools.partial(sines, 605), path, resume=True, workers=2).close()
+    run_blocks.compute_job(functools.partial(sines, 605), path, resume=True, workers=2).close()
     assert path.read_bytes() == whole
 
 
@@ -137,7 +137,7 @@ def test_workers_that_die_again_and_again_are_one_line(
     monkeypatch.setenv("TEST_PROCESS", str(os.getpid()))
     words = "^2 local workers: 4 workers died one after the other at the same blocks; out of memory"
     with pytest.raises(ClusterError, match=words):
-        run_blocks.run(make, tmp_path / "runs.partial", workers=2)
+        run_blocks.compute_job(make, tmp_path / "runs.partial", workers=2)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -147,7 +147,7 @@ def test_workers_that_cannot_be_started_are_one_line(
     monkeypatch.setattr(sys, "executable", str(tmp_path / "no-python"))
     words = "^local workers: cannot be started: No such file or directory$"
     with pytest.raises(ClusterError, match=words):
-        run_blocks.run(functools.partial(sines, 605), tmp_path / "runs.partial", workers=2)
+        run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "runs.partial", workers=2)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -171,7 +171,7 @@ def failing() -> Failing:
 
 def test_an_exception_that_cannot_be_sent_arrives_in_words(tmp_path: Path) -> None:
     with pytest.raises(ClusterError, match=r"^a local worker: Unreadable: not readable$"):
-        run_blocks.run(failing, tmp_path / "runs.partial", workers=1)
+        run_blocks.compute_job(failing, tmp_path / "runs.partial", workers=1)
 
 
 class Talkative(Sines):
@@ -190,7 +190,7 @@ def test_what_a_block_prints_does_not_end_up_among_its_numbers(
     tmp_path: Path, whole: bytes
 ) -> None:
     path = tmp_path / "runs.partial"
-    run_blocks.run(talkative, path, workers=2).close()
+    run_blocks.compute_job(talkative, path, workers=2).close()
     assert path.read_bytes() == whole
 
 
@@ -203,7 +203,7 @@ def test_workers_import_nothing_from_the_folder_where_they_are_started(
     here = [path for path in sys.path if path]
     monkeypatch.setattr(sys, "path", [str(ROOT), *here])
     path = tmp_path / "runs.partial"
-    run_blocks.run(functools.partial(sines, 605), path, workers=1).close()
+    run_blocks.compute_job(functools.partial(sines, 605), path, workers=1).close()
     assert path.read_bytes() == whole
 
 
@@ -213,13 +213,13 @@ def test_wrong_numbers_of_workers(tmp_path: Path, options: dict[str, int]) -> No
         "workers, cluster: expected a number of local processes, 1 or more, or an address; found "
     )
     with pytest.raises(InputError, match=words):
-        run_blocks.run(functools.partial(sines, 605), tmp_path / "runs.partial", **options)
+        run_blocks.compute_job(functools.partial(sines, 605), tmp_path / "runs.partial", **options)
 
 
 def test_a_worker_ends_with_the_process_that_started_it() -> None:
     command = [sys.executable, "-P", "-c", local_workers.BEGIN]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as worker:
-        local_workers._tell(worker, sys.path, b"")
+        local_workers._send_parts(worker, sys.path, b"")
         assert worker.stdin is not None
         worker.stdin.close()
         assert worker.wait(60) == 0
@@ -257,5 +257,5 @@ def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
         said, noise = running.communicate()
     assert "of 605 runs are kept in" in said
     assert noise == ""
-    run_blocks.run(functools.partial(sines, 605), path, resume=True).close()
+    run_blocks.compute_job(functools.partial(sines, 605), path, resume=True).close()
     assert path.read_bytes() == whole

@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from undeadzone.ensemble.metrics import LEVELS, bands, true_width
+from undeadzone.ensemble.metrics import LEVELS, error_bands, true_width
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
 from undeadzone.errors import FileError, InputError
-from undeadzone.report.ensemble_page import figures, write_ensemble
+from undeadzone.report.ensemble_page import draw_ensemble_figures, write_ensemble
 from undeadzone.scenario.schema import Units
 from undeadzone.statistics.intervals import describe, proportion
 from undeadzone.util.arrays import Floats
@@ -85,7 +85,7 @@ def recorded_bands(lanes: int) -> Any:
     r = np.broadcast_to(np.sin(t)[:, None], (lanes, 40, 1))
     z = r + np.exp(-t)[:, None] * random.standard_normal((lanes, 40, 1))
     z[0, 20:] = np.nan
-    return bands(t, z, r, random.random((lanes, 40, 2)), np.ones((lanes, 2)), [0])
+    return error_bands(t, z, r, random.random((lanes, 40, 2)), np.ones((lanes, 2)), [0])
 
 
 def with_metrics(result: Ensemble, **columns: Floats) -> Ensemble:
@@ -215,13 +215,13 @@ def test_bands_are_quantiles_of_all_recorded_runs() -> None:
     z[0, 1] = np.nan
     t, r = np.array([0.0, 1.0]), np.zeros((100, 2, 1))
     widths = np.tile([1.0, 0.7], (100, 1))
-    quantiles = bands(t, z, r, np.ones((100, 2, 2)), widths, [0]).quantiles
+    quantiles = error_bands(t, z, r, np.ones((100, 2, 2)), widths, [0]).quantiles
     assert list(quantiles) == ["tracking[0]", "d_right[0]", "d_left[0]"]
     expected = [[1, 5, 50, 95, 99], [2, 6, 51, 96, 100]]
     np.testing.assert_array_equal(quantiles["tracking[0]"], expected)
     np.testing.assert_allclose(quantiles["d_left[0]"], np.full((2, len(LEVELS)), 0.3))
     z[1:3, 1] = np.nan
-    quantiles = bands(t, z, r, z, z[:, 0], [0]).quantiles
+    quantiles = error_bands(t, z, r, z, z[:, 0], [0]).quantiles
     assert quantiles["tracking[0]"][1, -1] == np.inf
 
 
@@ -365,7 +365,7 @@ def test_every_ensemble_has_its_page_and_its_figures(name: str, tmp_path: Path) 
 def test_figures_show_what_the_summary_says() -> None:
     result = ensemble(2000)
     summary = result.summary()
-    drawn = figures(result, summary)
+    drawn = draw_ensemble_figures(result, summary)
     marks: set[str] = set()
     for axes in drawn["distributions"].axes:
         if axes.get_legend():

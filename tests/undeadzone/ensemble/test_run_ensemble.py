@@ -23,12 +23,12 @@ from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, 
 
 from undeadzone.cli import main
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.batch import Batch, prepare
+from undeadzone.ensemble.batch import Batch, prepare_batch
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import (
     compute_bands,
-    deviation,
-    replay,
+    replay_deviation,
+    replay_in_batch,
     replay_run,
     run_ensemble,
 )
@@ -38,7 +38,7 @@ from undeadzone.scenario.ensemble_table import Vary
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous
 from undeadzone.util.arrays import Floats
-from undeadzone.util.toml import dumps
+from undeadzone.util.toml import to_toml
 
 RUNS = 150  # more than one block of lanes
 WIDTHS: dict[str, Any] = {
@@ -124,9 +124,9 @@ def table(batch: Batch, rows: Floats | None = None) -> dict[str, Floats]:
 def finals(batch: Batch, steps: int) -> Floats:
     """The states of all runs after so many steps, as the ensemble computes them."""
     runs = batch.layout.runs
-    own = batch.binding.lanes(batch.binding.draw(0, runs, runs))
+    own = batch.binding.to_lanes(batch.binding.draw_columns(0, runs, runs))
     short = batch._replace(exogenous=batch.exogenous[:steps])
-    return short.run(batch.kernel, np.arange(runs), own)[1]
+    return short.execute_kernel(batch.kernel, np.arange(runs), own)[1]
 
 
 def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:
@@ -154,11 +154,11 @@ def metrics(run: Run, batch: Batch, tolerance: float) -> dict[str, float]:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_replayed_run_is_the_run_of_the_ensemble(name: str) -> None:
-    batch = prepare(named(name))
+    batch = prepare_batch(named(name))
     rows, last = table(batch), finals(batch, len(batch.exogenous) - 1)
     largest = np.abs(batch.problem.reference.output_at(batch.exogenous[:, -2])).max()
     for k in (0, 7, 149):
-        run = replay(batch, k)
+        run = replay_in_batch(batch, k)
         assert identical(run.x[-1], last[k, : run.x.shape[1]])
         scale = rows.get("reference.amplitude", np.full(RUNS, 2.0))[k] / 2.0
         for metric, value in metrics(run, batch, 0.02 * largest * scale).items():
@@ -170,14 +170,14 @@ def test_a_replayed_run_is_the_run_of_the_ensemble(name: str) -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
-    batch = prepare(named(name))
+    batch = prepare_batch(named(name))
     last = finals(batch, len(batch.exogenous))
     problem = batch.problem
     if NOISE.keys() & problem.scenario.ensemble.entries.keys():
         ones = {"noise": np.ones(2), "noise_before": np.ones(2)}  # scaled in the loop
         problem = problem._replace(sensor=msgspec.structs.replace(problem.sensor, **ones))
     for k in (0, 7, 149):
-        state, params = batch.binding.pack_run(batch.binding.draw(k, 1, RUNS)[0])
+        state, params = batch.binding.pack_run(batch.binding.draw_columns(k, 1, RUNS)[0])
         inputs = exogenous(problem, run=k, seed=batch.binding.seed)
         expected = interpret.run_interpreted(batch.loop.step, state, inputs, params)[1]
         assert distance(last[k, : state.size, None], expected[:, None]) < 1e-12
@@ -188,9 +188,9 @@ def test_the_virtual_machine_agrees_with_the_same_numbers(name: str) -> None:
 )
 def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
     options = {"method": observer} | OBSERVERS[observer][1]
-    batch = prepare(vary(small("sampled", observer=options), WIDTHS, 40))
+    batch = prepare_batch(vary(small("sampled", observer=options), WIDTHS, 40))
     rows, last = table(batch), finals(batch, len(batch.exogenous) - 1)
-    run = replay(batch, 39)
+    run = replay_in_batch(batch, 39)
     assert identical(run.x[-1], last[39, :1])
     of_signals = metrics(run, batch, 0.04)
     of_row = {name: rows[name][39] for name in of_signals}
@@ -202,7 +202,7 @@ def test_every_observer_that_is_a_graph_has_ensembles(observer: str) -> None:
 def test_an_observer_in_python_is_refused() -> None:
     scenario = small("sampled", observer={"method": "particle_filter", "right": [0.1, 1.0]})
     with pytest.raises(InputError, match=r"observer\.method: this one computes in Python"):
-        prepare(vary(scenario, WIDTHS))
+        prepare_batch(vary(scenario, WIDTHS))
 
 
 # --- Bits
@@ -212,16 +212,16 @@ def test_an_observer_in_python_is_refused() -> None:
 def test_neither_blocks_nor_threads_nor_the_number_of_runs_change_a_bit(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    batch = prepare(named(name))
+    batch = prepare_batch(named(name))
     rows = batch.block(0)
     assert identical(batch.block(0, threads=1), rows)
     monkeypatch.setattr(lanes, "BUFFER", 1)
     assert identical(batch.block(0, threads=3), rows)
     few = np.array([149, 3, 77])
-    values = np.vstack([batch.binding.draw(k, 1, RUNS) for k in few])
-    assert identical(batch.rows(few, values), rows[few])
-    many = prepare(named(name, 4000))
-    assert many.layout.blocks == 2
+    values = np.vstack([batch.binding.draw_columns(k, 1, RUNS) for k in few])
+    assert identical(batch.rows_of_runs(few, values), rows[few])
+    many = prepare_batch(named(name, 4000))
+    assert many.layout.number_of_blocks == 2
     assert identical(many.block(0)[:RUNS], rows)
     finer = many._replace(layout=many.layout._replace(block=100))
     across = finer.block(20)  # runs 2000 to 2099, of two blocks of 2048
@@ -249,9 +249,9 @@ def test_a_file_holds_the_same_bytes_whatever_computed_it(tmp_path: Path) -> Non
 
 
 def test_bands_are_those_of_the_first_runs() -> None:
-    batch = prepare(named("sampled", 300))
+    batch = prepare_batch(named("sampled", 300))
     bands = compute_bands(batch, 5)
-    runs = [replay(batch, k) for k in range(5)]
+    runs = [replay_in_batch(batch, k) for k in range(5)]
     error = np.sort([np.abs(run.z[:, 0] - run.r[:, 0]) for run in runs], axis=0)
     expected = error[[0, 0, 2, 4, 4]].T
     np.testing.assert_allclose(bands.quantiles["tracking[0]"], expected, rtol=1e-13, atol=1e-15)
@@ -260,12 +260,12 @@ def test_bands_are_those_of_the_first_runs() -> None:
 
 def test_a_replay_tells_whether_it_meets_the_ensemble(tmp_path: Path) -> None:
     result = run_ensemble(named("continuous"), tmp_path / "runs.npz")
-    assert deviation(result, 3) == 0.0
+    assert replay_deviation(result, 3) == 0.0
     metric = np.array(result.metrics["rms_tracking"])
     metric[3] *= 1 + 1e-12
     bent = Ensemble(result.varied, result.metrics | {"rms_tracking": metric}, result.info)
-    assert deviation(bent, 3) == pytest.approx(1e-12, rel=1e-3)
-    for act in (replay_run, deviation):
+    assert replay_deviation(bent, 3) == pytest.approx(1e-12, rel=1e-3)
+    for act in (replay_run, replay_deviation):
         with pytest.raises(InputError, match="run 150: "):
             act(result, RUNS)
 
@@ -360,7 +360,7 @@ def with_little_room(room: int, *arguments: str | int | Path) -> Done:
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     path = tmp_path / "study.toml"
-    path.write_text(dumps(named("sampled")))
+    path.write_text(to_toml(named("sampled")))
     return path
 
 
@@ -406,7 +406,7 @@ def test_json_is_one_object_with_everything(undeadzone: Call, study: Path, tmp_p
 
 def test_some_diverged_is_exit_code_1(undeadzone: Call, study: Path, tmp_path: Path) -> None:
     unstable = {"plant.A[0,0]": {"uniform": [-3.0, 300.0]}}
-    study.write_text(dumps(vary(small("sampled"), unstable, 100)))
+    study.write_text(to_toml(vary(small("sampled"), unstable, 100)))
     done = undeadzone("ensemble", study, "--no-figures", "--out", tmp_path / "out")
     assert done.code == 1, done.err
     assert "left out of what follows" in done.out
@@ -453,7 +453,7 @@ def test_wrong_use_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Pa
     )
     refused(undeadzone("run", study, "--replay", 3), "not an ensemble saved by undeadzone")
     plain = tmp_path / "plain.toml"
-    plain.write_text(dumps(small("sampled")))
+    plain.write_text(to_toml(small("sampled")))
     refused(
         undeadzone("ensemble", plain, "--out", out), "ensemble: missing; add a table [ensemble]"
     )
@@ -465,7 +465,7 @@ def test_wrong_use_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Pa
 def test_a_full_disk_is_noticed_and_loses_nothing(
     undeadzone: Call, study: Path, tmp_path: Path
 ) -> None:
-    out, size = tmp_path / "out", 8 * RUNS * len(prepare(named("sampled")).layout.columns)
+    out, size = tmp_path / "out", 8 * RUNS * len(prepare_batch(named("sampled")).layout.columns)
     refused(
         with_little_room(size, "ensemble", study, "--out", out),
         "runs.npz.partial: cannot write: File too large",
@@ -519,7 +519,7 @@ def interrupted(study: Path, path: Path, blocks: int, how: signal.Signals) -> st
 
 def test_killed_again_and_again_it_ends_with_the_same_bytes(study: Path, tmp_path: Path) -> None:
     scenario = named("continuous", 8 * 2048 + 5)
-    study.write_text(dumps(scenario))
+    study.write_text(to_toml(scenario))
     run_ensemble(scenario, tmp_path / "whole.npz")
     path = tmp_path / "runs.npz"
     interrupted(study, path, 2, signal.SIGKILL)

@@ -15,8 +15,8 @@ from scipy import stats
 
 from scenes import random_plant, scene, table
 from undeadzone.compile import interpret
-from undeadzone.ensemble.binding import Binding, bind, initial_copies
-from undeadzone.ensemble.varied import sizes
+from undeadzone.ensemble.binding import Binding, bind_ensemble, initial_copies
+from undeadzone.ensemble.varied import channel_amplitudes
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg import hold
 from undeadzone.plants.system import sample_plant
@@ -65,7 +65,7 @@ def bound(
     entries: dict[str, Any], ensemble: dict[str, Any] | None = None, **changes: Any
 ) -> Binding:
     problem = resolve_scenario(scene(ensemble=(ensemble or {}) | entries, **changes))
-    return bind(problem, closed_once(json.dumps(changes)))
+    return bind_ensemble(problem, closed_once(json.dumps(changes)))
 
 
 @cache
@@ -181,12 +181,12 @@ def test_a_run_is_that_of_the_scenario_with_the_number_written_in(
     loop, _, exogenous = prepare(problem)
     other = prepare(resolve_scenario(scene(simulation=simulation, **changed)))
     other_loop, other_state, other_exogenous = other
-    binding = bind(problem, loop)
-    state, params = binding.pack_run(binding.draw(0, 1, 1)[0])
+    binding = bind_ensemble(problem, loop)
+    state, params = binding.pack_run(binding.draw_columns(0, 1, 1)[0])
     if "noise" in address:
         exogenous = other_exogenous  # drawn also where the nominal noise is 0
     varied, _ = interpret.run_interpreted(loop.step, state, exogenous, params)
-    other_params = tree.pack(other_loop.params)
+    other_params = tree.pack_tree(other_loop.params)
     expected, _ = interpret.run_interpreted(
         other_loop.step, other_state, other_exogenous, other_params
     )
@@ -202,11 +202,11 @@ def test_the_observers_model_can_vary_alone(simulation: dict[str, Any]) -> None:
     ensemble = {"observer.model.A[1,0]": uniform(-1.5, -1.5)}
     problem = resolve_scenario(scene(ensemble=ensemble, simulation=simulation))
     loop = prepare(problem)[0]
-    _, params = bind(problem, loop).pack_run(np.array([-1.5]))
+    _, params = bind_ensemble(problem, loop).pack_run(np.array([-1.5]))
     model = {"A": [[0.0, 1.0], [-1.5, -2.0]]}
     varied = resolve_scenario(scene(model=model, simulation=simulation)).model.params
     expected = loop.params._replace(observer=loop.params.observer._replace(model=varied))
-    np.testing.assert_allclose(params, tree.pack(expected), rtol=1e-13, atol=1e-16)
+    np.testing.assert_allclose(params, tree.pack_tree(expected), rtol=1e-13, atol=1e-16)
 
 
 @pytest.mark.parametrize("method", ["kalman", "censored"])
@@ -248,16 +248,16 @@ def test_initial_states_are_constants_or_copies_of_params(
     """`init` on other params gives the state in which just the copies have changed."""
     problem = resolve_scenario(scene(observer=observer, simulation=simulation))
     loop = prepare(problem)[0]
-    other_leaves = [np.asarray(leaf) + 0.125 for _, leaf in tree.leaves(loop.params)]
-    other = tree.rebuild(loop.params, iter(other_leaves))
+    other_leaves = [np.asarray(leaf) + 0.125 for _, leaf in tree.iterate_leaves(loop.params)]
+    other = tree.rebuild_tree(loop.params, iter(other_leaves))
     state = loop.state._replace(
         observer=problem.observer.init(other.observer),
         controller=problem.controller.init(other.controller),
     )
-    expected, moved = tree.pack(loop.state), tree.pack(other)
+    expected, moved = tree.pack_tree(loop.state), tree.pack_tree(other)
     for entry, source in initial_copies(problem, loop):
         expected[entry] = moved[source]
-    assert np.array_equal(tree.pack(state), expected)
+    assert np.array_equal(tree.pack_tree(state), expected)
 
 
 # --- addresses of several entries ---
@@ -271,10 +271,10 @@ def test_without_an_index_each_entry_has_its_own_draw() -> None:
     }
     binding = bound(entries, **TWO)
     right = ["sensor.right[0]", "sensor.right[1]"]
-    assert binding.names == [*right, "sensor.left", "plant.A[1,0]", "plant.A[1,1]"]
-    values = binding.draw(0, 3, 3)
+    assert binding.names_of_columns == [*right, "sensor.left", "plant.A[1,0]", "plant.A[1,1]"]
+    values = binding.draw_columns(0, 3, 3)
     assert len(np.unique(values)) == values.size
-    names = tree.names(prepare(resolve_scenario(scene(**TWO)))[0].params)
+    names = tree.number_addresses(prepare(resolve_scenario(scene(**TWO)))[0].params)
     for row in values:
         params = dict(zip(names, binding.pack_run(row)[1], strict=True))
         assert [params[name] for name in right] == row[:2].tolist()
@@ -285,19 +285,21 @@ def test_without_an_index_each_entry_has_its_own_draw() -> None:
 def test_a_mass_divides_an_equation(simulation: dict[str, Any]) -> None:
     entries = {"plant.A[1, :] + plant.B[1,:]": uniform(0.5, 0.5, relative=True, shared=True)}
     binding = bound(entries, simulation=simulation)
-    assert binding.names == ["plant.A[1,:] + plant.B[1,:] (relative)"]
+    assert binding.names_of_columns == ["plant.A[1,:] + plant.B[1,:] (relative)"]
     plant = PLANT | {"A": [[0.0, 1.0], [-0.5, -1.0]], "B": [[0.0], [0.5]]}
     heavy = resolve_scenario(scene(plant=plant, model=MODEL, simulation=simulation))
     _, params = binding.pack_run(np.array([0.5]))
-    expected = tree.pack(prepare(heavy)[0].params)
+    expected = tree.pack_tree(prepare(heavy)[0].params)
     np.testing.assert_allclose(params, expected, rtol=1e-13, atol=1e-16)
 
 
 def test_factors_leave_entries_that_are_zero_alone() -> None:
     binding = bound({"plant.A": {"normal": [1.0, 0.1], "relative": True}})
-    assert binding.names == [f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")]
-    values = binding.draw(0, 4, 4)
-    np.testing.assert_array_equal(binding.lanes(values).params, values * [-1.0, 1.0, -2.0])
+    assert binding.names_of_columns == [
+        f"plant.A[{index}] (relative)" for index in ("1,0", "0,1", "1,1")
+    ]
+    values = binding.draw_columns(0, 4, 4)
+    np.testing.assert_array_equal(binding.to_lanes(values).params, values * [-1.0, 1.0, -2.0])
 
 
 @pytest.mark.parametrize(
@@ -329,14 +331,14 @@ def test_an_address_stands_for_names(address: str, names: list[str]) -> None:
     ],
 )
 def test_sizes_that_a_signal_is_proportional_to(signal: Any, sizes_of_two: list[float]) -> None:
-    assert sizes(signal, 2).tolist() == sizes_of_two
+    assert channel_amplitudes(signal, 2).tolist() == sizes_of_two
 
 
 def test_nothing_varies_in_an_empty_table() -> None:
     """Only the noise does."""
     binding = bound({}, {"runs": 5})
-    lanes = binding.lanes(binding.draw(0, 5, 5))
-    assert (binding.names, binding.indices, lanes.params.shape) == ([], (), (5, 0))
+    lanes = binding.to_lanes(binding.draw_columns(0, 5, 5))
+    assert (binding.names_of_columns, binding.indices, lanes.params.shape) == ([], (), (5, 0))
     assert np.array_equal(lanes.states, np.tile(binding.state, (5, 1)))
 
 
@@ -356,7 +358,7 @@ LAWS: list[tuple[dict[str, Any], Any]] = [
 )
 def test_draws_follow_their_distribution(words: dict[str, Any], law: Any, sampling: str) -> None:
     binding = bound({"sensor.right": words}, {"sampling": sampling, "seed": 4})
-    values = binding.draw(0, 6000, 6000)[:, 0]
+    values = binding.draw_columns(0, 6000, 6000)[:, 0]
     assert values.min() >= 0
     assert stats.kstest(values, law.cdf).pvalue > 1e-3
 
@@ -371,13 +373,15 @@ def test_quantiles_are_accurate_in_the_tails() -> None:
 @pytest.mark.parametrize("kind", ["uniform", "normal"])
 def test_a_distribution_without_width_is_its_value(kind: str) -> None:
     words = {"uniform": [0.7, 0.7], "normal": [0.7, 0.0]}[kind]
-    values = bound({"sensor.right": {kind: words}}).draw(0, 10, 10)
+    values = bound({"sensor.right": {kind: words}}).draw_columns(0, 10, 10)
     assert (values == 0.7).all()
 
 
 def test_the_seed_is_that_of_the_simulation_unless_given() -> None:
     def drawn(ensemble: dict[str, Any]) -> Floats:
-        return bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw(0, 3, 3)
+        return bound({"sensor.right": uniform()}, ensemble, simulation={"seed": 5}).draw_columns(
+            0, 3, 3
+        )
 
     assert np.array_equal(drawn({}), drawn({"seed": 5}))
     assert not np.array_equal(drawn({}), drawn({"seed": 6}))
@@ -405,9 +409,9 @@ BOUND = {
 def test_blocks_do_not_matter_to_the_last_bit(sampling: str, first: int, count: int) -> None:
     binding, runs = BOUND[sampling], 1000
     count = min(count, runs - first)
-    values = binding.draw(first, count, runs)
-    assert np.array_equal(values, binding.draw(0, runs, runs)[first : first + count])
-    lanes = binding.lanes(values)
+    values = binding.draw_columns(first, count, runs)
+    assert np.array_equal(values, binding.draw_columns(0, runs, runs)[first : first + count])
+    lanes = binding.to_lanes(values)
     for k in (0, count // 2, count - 1):
         state, params = binding.pack_run(values[k])
         assert np.array_equal(state, lanes.states[k])
@@ -743,9 +747,9 @@ def test_only_undeadzone_errors_come_out_of_any_table(
 ) -> None:
     with suppress(UndeadzoneError):
         scenario = convert(table(simulation=AT_100_HZ) | {"ensemble": entries | reserved})
-        binding = bind(NOMINAL._replace(scenario=scenario), prepare(NOMINAL)[0])
+        binding = bind_ensemble(NOMINAL._replace(scenario=scenario), prepare(NOMINAL)[0])
         with np.errstate(all="ignore"):
-            binding.lanes(binding.draw(0, 3, 3))
+            binding.to_lanes(binding.draw_columns(0, 3, 3))
 
 
 NOMINAL = resolve_scenario(scene(simulation=AT_100_HZ))
@@ -767,7 +771,7 @@ def test_numbers_that_cannot_be(ensemble: dict[str, Any], words: str) -> None:
 def test_a_scenario_without_the_table() -> None:
     problem = resolve_scenario(scene())
     with pytest.raises(InputError, match=r"ensemble: missing; add a table \[ensemble\]"):
-        bind(problem, prepare(problem)[0])
+        bind_ensemble(problem, prepare(problem)[0])
 
 
 @pytest.mark.parametrize("pair", [None, (1.0,), (1.0, float("nan")), ("a", 1.0), 3.0])

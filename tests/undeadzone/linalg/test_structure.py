@@ -13,7 +13,7 @@ from scenes import linear, random_plant
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.structure import require_structure, uncontrollable_modes, unobservable_modes
-from undeadzone.plants.build import matrices
+from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant
 
 seeds = st.integers(0, 2**32 - 1)
@@ -47,7 +47,7 @@ def test_a_hidden_part_is_found_in_any_coordinates(seed: int, seen: int, hidden:
 )
 def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float) -> None:
     """The same plant in another unit of time."""
-    A, B, C = matrices(Plant(**form))
+    A, B, C = linear_matrices(Plant(**form))
     n = A.shape[0]
     A = np.where(np.arange(n)[:, None] == n - 1, A * rate ** (n - np.arange(n)), A)
     require_structure(Matrices(A, B, C), "plant")

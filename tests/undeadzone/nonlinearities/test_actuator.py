@@ -17,7 +17,7 @@ from scenes import PAPER_PLANT, scene
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
+from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
@@ -406,7 +406,7 @@ def test_figure_and_page_show_an_actuator_whose_widths_are_estimated() -> None:
 def test_an_ensemble_varies_the_actuator() -> None:
     vary = {"runs": 6, "actuator.right": {"uniform": [2.0, 4.0]}}
     result = run_ensemble(loop(ensemble=vary))
-    assert deviation(result, 2) == 0
+    assert replay_deviation(result, 2) == 0
     assert np.ptp(result.column("actuator.right[0]")) > 0.1
     assert np.median(result.column("rms_estimation")) < 0.1
 

@@ -21,7 +21,7 @@ from scenes import OnNumbers, scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import deviation, replay_run, run_ensemble
+from undeadzone.ensemble.run_ensemble import replay_deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Reading, require_graph, to_reading
 from undeadzone.logs.range_ends import RunningEnds, range_ends
@@ -217,7 +217,7 @@ def test_an_ensemble_varies_the_limits_and_a_replay_knows_them() -> None:
     }
     sensor = {"right": 0.5, "left": 0.3, "noise": 0.01, "range": [-0.4, 0.6]}
     result = run_ensemble(small("sampled", sensor=sensor, ensemble=vary))
-    assert deviation(result, 3) == 0
+    assert replay_deviation(result, 3) == 0
     assert replay_run(result, 3).y.max() == result.column("sensor.range[1]")[3]
     wrong = vary | {"sensor.range[0]": {"uniform": [-1.0, -0.5]}}
     with pytest.raises(InputError, match="by a factor alone"):

@@ -20,7 +20,7 @@ import undeadzone as uz
 from scenes import scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import deviation, run_ensemble
+from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.play import apply_backlash, contacts, levels
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -428,5 +428,5 @@ def test_the_oracle_of_an_ensemble_knows_the_gap_of_each_run() -> None:
 def test_an_ensemble_varies_the_gaps() -> None:
     vary = {"runs": 6, "sensor.right": {"uniform": [0.3, 1.5]}}
     result = run_ensemble(slow({"noise": 0.01}, CERTIFIED, ensemble=vary))
-    assert deviation(result, 2) == 0
+    assert replay_deviation(result, 2) == 0
     assert np.median(np.abs(result.column("d_right_error[0]"))) < 0.2

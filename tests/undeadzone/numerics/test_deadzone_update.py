@@ -104,16 +104,16 @@ def graph(noise: float, before: float, disturbance: float) -> Any:
         glitches=0.0,
     )
     observer = options.build(model, zone)
-    p, params = tree.symbols(observer.params, "p")
-    s, state = tree.symbols(observer.init(observer.params), "s")
+    p, params = tree.create_symbols(observer.params, "p")
+    s, state = tree.create_symbols(observer.init(observer.params), "s")
     w = ca.SX.sym("w", 2)
     reading = Reading(w[0], side(w[0]))
     after, _ = observer.step(params, state, w[1], reading)
     (moments,) = observer.smoothing.moments(params, state, w[1], reading)
     beliefs = [*moments.before, *moments.heard, moments.edges]
-    step = ca.Function("step", [s, w, p], [tree.stack(after), *beliefs], {"cse": True})
-    numbers = tree.pack(observer.params)
-    first = tree.pack(observer.init(observer.params))
+    step = ca.Function("step", [s, w, p], [tree.stack_leaves(after), *beliefs], {"cse": True})
+    numbers = tree.pack_tree(observer.params)
+    first = tree.pack_tree(observer.init(observer.params))
     return (
         lambda s, w: [np.array(part) for part in step(s, w, numbers)],
         first,

@@ -114,7 +114,7 @@ def test_the_true_widths_are_not_looked_at(model: System, kind: str) -> None:
         Auto(right=RANGE).build(model, zone(kind, *widths)).params
         for widths in ((0.4, 1.9), (1.0, 0.6))
     ]
-    np.testing.assert_array_equal(*(tree.pack(params) for params in built))
+    np.testing.assert_array_equal(*(tree.pack_tree(params) for params in built))
 
 
 def test_ranges_are_asked_for() -> None:

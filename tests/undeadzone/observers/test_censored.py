@@ -138,7 +138,7 @@ def test_without_silence_and_extras_it_is_kalman(seed: int, n: int, p: int) -> N
             for step, state in zip(steps, states, strict=True)
         ]
         states = [after for after, _ in both]
-        assert np.array_equal(*[tree.pack(state.filter) for state in states])
+        assert np.array_equal(*[tree.pack_tree(state.filter) for state in states])
         for name in KNOWN_TO_BOTH:
             assert np.array_equal(*[getattr(estimate, name) for _, estimate in both]), name
         least = min(least, both[0][1].x_std.min())
@@ -655,15 +655,15 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
         )
     )
     loop, state, exogenous = prepare(problem)
-    noise_column = tree.names(loop.instant).index("after[0]")
+    noise_column = tree.number_addresses(loop.instant).index("after[0]")
     exogenous[8_000, noise_column] = 1e8
-    out, last = interpret.run_interpreted(loop.step, state, exogenous, tree.pack(loop.params))
+    out, last = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
     assert np.isfinite(out).all()
-    sizes = [np.size(leaf) for _, leaf in tree.leaves(loop.state)]
+    sizes = [np.size(leaf) for _, leaf in tree.iterate_leaves(loop.state)]
     leaves = np.split(last, np.cumsum(sizes)[:-1])
     covariances = [
         leaf
-        for leaf, (name, _) in zip(leaves, tree.leaves(loop.state), strict=True)
+        for leaf, (name, _) in zip(leaves, tree.iterate_leaves(loop.state), strict=True)
         if name.endswith(".cov")
     ]
     assert len(covariances) == 3

@@ -22,7 +22,7 @@ from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_at_bounds, update_with_outliers
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
-from undeadzone.plants.system import arrival, sample_plant
+from undeadzone.plants.system import arrival_time, sample_plant
 from undeadzone.util.arrays import Floats
 
 LOW, HIGH = 0.2, 3.0
@@ -318,8 +318,8 @@ def test_integrators_are_no_delay() -> None:
         flow = system(
             Plant(A=-3.0 * np.eye(n) + np.eye(n, k=1), B=np.eye(n)[:, -1:], C=np.eye(n)[:1])
         )
-        assert arrival(flow.linear) == pytest.approx((np.pi / 2 + n - 1) / 3)
-    assert arrival(system(Plant(integrators=3)).linear, 0.01) == pytest.approx(0.5)
+        assert arrival_time(flow.linear) == pytest.approx((np.pi / 2 + n - 1) / 3)
+    assert arrival_time(system(Plant(integrators=3)).linear, 0.01) == pytest.approx(0.5)
 
 
 # --- Late constants

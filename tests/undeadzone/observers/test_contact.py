@@ -35,8 +35,8 @@ from undeadzone.observers.contact_filter.modes import (
     condition_on_impact,
     replace_diverged,
 )
-from undeadzone.plants.robots.build import two_link
-from undeadzone.plants.robots.geared import Gears, motion_of_geared_arm
+from undeadzone.plants.robots.build import build_two_link
+from undeadzone.plants.robots.geared import Gears, build_geared_arm
 from undeadzone.results import mjcf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
@@ -103,8 +103,8 @@ def test_mujoco_has_the_gap_that_a_run_found(run: uz.Run, tmp_path: Path) -> Non
     words = ["run", str(tmp_path / "servo.toml"), "--out", str(tmp_path), "--json"]
     group.main(words, standalone_mode=False)
     assert "armature" in (tmp_path / "gears.xml").read_text()
-    [joint] = mjcf.of_run(run)
-    [path] = mjcf.write([joint], tmp_path)
+    [joint] = mjcf.joints_from_run(run)
+    [path] = mjcf.write_gears([joint], tmp_path)
     model = mujoco.MjModel.from_xml_string(HINGES, {path.name: path.read_bytes()})
     assert model.dof_armature[0] == pytest.approx(0.012)
     assert model.dof_damping[0] == pytest.approx(0.05)
@@ -123,7 +123,7 @@ def test_what_found_no_gap_says_none_to_mujoco() -> None:
     """An observer that is told the state believes the model, which may have no gap."""
     tables = tomllib.loads(SERVO) | {"observer": {"method": "full_state"}}
     tables["simulation"] |= {"duration": 0.05}
-    assert mjcf.of_run(uz.simulate(convert(tables))) == []
+    assert mjcf.joints_from_run(uz.simulate(convert(tables))) == []
 
 
 # --- First passage
@@ -254,7 +254,7 @@ def test_two_links_are_found_joint_by_joint() -> None:
 
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
     """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
-    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
     belief = Gaussian(ca.SX(11, 1), ca.SX.eye(11))
     told = Posterior((), (belief,) * 3, belief, belief.mean, 0.0, 1.0)
@@ -320,7 +320,7 @@ def test_a_joint_has_up_to_three_filters() -> None:
 @pytest.mark.parametrize(("speed", "heard"), [(0.0, 0.0), (2.0, 1.0)])
 def test_joint_by_joint_a_gap_is_not_told_by_a_link_that_rests(speed: float, heard: float) -> None:
     """A link that comes upon a flank, 10 mrad later than foretold; the motor has a speed."""
-    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     of, mean = Layout(2).slice_of, ca.DM.zeros(Layout(2).entry_count)
     place = of("half").start
     mean[of("half")], mean[of("motor_speed").start], mean[of("link").start] = 0.05, speed, -0.06
@@ -350,7 +350,7 @@ def test_half_gaps_drift_faster_joint_by_joint(joints: str, drift: float, apart:
 @pytest.mark.parametrize(("spread", "part"), [(0.0, 1.0), (0.5, 0.75), (1.0, 0.0), (2.0, 0.0)])
 def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float) -> None:
     """From a deviation so many times the largest one; what is more uncertain is left so."""
-    gears = motion_of_geared_arm(two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+    gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
     drive = build_drive(gears, 1e-3, 1)
     entries, half = drive.layout.entry_count, drive.layout.slice_of("half").start
     claim, Q = 0.06, np.full(entries, 1e-9)

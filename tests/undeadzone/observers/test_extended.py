@@ -149,7 +149,7 @@ def test_on_a_linear_plant_it_is_kalman_and_with_silence_and_disturbance_censore
             for step, state in zip(steps, states, strict=True)
         ]
         states = [after for after, _ in both]
-        known = [tree.pack(state.filter) for state in states]
+        known = [tree.pack_tree(state.filter) for state in states]
         if not shaken:
             agree(both[0][1], both[1][1], names=KNOWN_TO_BOTH)
             assert known[0] == pytest.approx(known[1], rel=1e-9, abs=1e-9)

@@ -158,7 +158,7 @@ def test_gears_have_the_same_centre_as_the_zone_that_they_are() -> None:
     tables["plant"]["arm"]["gears"] |= {"half": (RIGHT + LEFT) / 2, "centre": CENTRE}
     plant = system(convert(tables).plant)
     assert plant.gears is not None
-    right, left = (np.asarray(each).ravel() for each in plant.gears.widths(plant.params))
+    right, left = (np.asarray(each).ravel() for each in plant.gears.gap_widths(plant.params))
     np.testing.assert_allclose(right, RIGHT)
     np.testing.assert_allclose(left, LEFT)
 

@@ -22,13 +22,13 @@ from test_run_ensemble import table
 from commands import undeadzone as command
 from scenes import scene
 from undeadzone.compile import interpret
-from undeadzone.ensemble.batch import prepare
-from undeadzone.ensemble.run_ensemble import replay
+from undeadzone.ensemble.batch import prepare_batch
+from undeadzone.ensemble.run_ensemble import replay_in_batch
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.nonlinearities.sensor import quantise, side
 from undeadzone.plants.build import system
 from undeadzone.plants.options import URDF, OneLink, Plant, TwoLink
-from undeadzone.plants.robots.arm import evaluate_rows, torque
+from undeadzone.plants.robots.arm import evaluate_rows, inverse_dynamics
 from undeadzone.report import animation, run_figures
 from undeadzone.report.run_figures import overview
 from undeadzone.report.run_page import write_run as write
@@ -122,7 +122,9 @@ def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
     plain = system(Plant(arm=TwoLink(), parameters={"payload": 0.0}))
     assert loaded.arm is not None
     needed = [
-        torque(one.arm, one.params, x[:2], x[2:], np.array(one.move(one.params, x, u)).ravel()[2:])
+        inverse_dynamics(
+            one.arm, one.params, x[:2], x[2:], np.array(one.move(one.params, x, u)).ravel()[2:]
+        )
         for one in (loaded, plain)
         if one.arm is not None
     ]
@@ -377,11 +379,13 @@ VARIED = {
 
 
 def test_the_tip_s_error_in_an_ensemble_is_that_of_the_run_itself() -> None:
-    fleet = prepare(two_link(0.3, observer={"method": "full_state"}, ensemble={"runs": 8} | VARIED))
-    values = fleet.binding.draw(0, 8, 8)
-    column = table(fleet, fleet.rows(np.arange(8), values))["rms_tip"]
+    fleet = prepare_batch(
+        two_link(0.3, observer={"method": "full_state"}, ensemble={"runs": 8} | VARIED)
+    )
+    values = fleet.binding.draw_columns(0, 8, 8)
+    column = table(fleet, fleet.rows_of_runs(np.arange(8), values))["rms_tip"]
     assert np.ptp(column) > 1e-3
-    assert [replay(fleet, k).rms_tip for k in (0, 3, 7)] == pytest.approx(
+    assert [replay_in_batch(fleet, k).rms_tip for k in (0, 3, 7)] == pytest.approx(
         column[[0, 3, 7]], rel=1e-9
     )
 
@@ -414,7 +418,7 @@ def test_machine_lanes_and_c_agree_on_an_arm(tmp_path: Path) -> None:
 
 
 def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
-    figure = run_figures.tip(*both)
+    figure = run_figures.plot_tip(*both)
     assert [axes.get_title(loc="left") for axes in figure.axes] == [
         "The tip, last half of the run",
         "Distance of the tip from where it should be",
@@ -430,7 +434,7 @@ def test_figures_of_an_arm_have_their_panels(both: tuple[Run, Run]) -> None:
         "extended, blind",
     ]
     assert len(figure.axes[2].lines) == 2
-    planes = run_figures.phase(both[0])
+    planes = run_figures.plot_phase(both[0])
     assert [axes.get_title(loc="left") for axes in planes.axes] == ["q1", "q2"]
     zone = planes.axes[0].patches[0].get_x(), planes.axes[0].patches[0].get_width()
     assert zone == pytest.approx((-1.65 - 0.03, 0.08))
@@ -445,7 +449,7 @@ def test_a_speed_has_no_dead_zone_in_the_phase_plane() -> None:
             observer={"method": "full_state"},
         )
     )
-    assert not run_figures.phase(run).axes[0].patches
+    assert not run_figures.plot_phase(run).axes[0].patches
 
 
 def test_the_page_plays_the_arm_from_itself_alone(both: tuple[Run, Run], tmp_path: Path) -> None:
@@ -490,17 +494,19 @@ def test_a_gif_is_written_and_other_names_are_refused(
 ) -> None:
     image = pytest.importorskip("PIL.Image")
     told: list[int] = []
-    path = animation.movie(both[0], both[1], tmp_path / "arm.gif", told.append)
+    path = animation.write_movie(both[0], both[1], tmp_path / "arm.gif", told.append)
     with image.open(path) as gif:
-        assert gif.n_frames == sum(told) == animation.frames(both[0]) > 2
+        assert gif.n_frames == sum(told) == animation.count_frames(both[0]) > 2
         assert gif.info["duration"] == 1000 * animation.SKIPPED / FRAMES
     with pytest.raises(FileError, match=r"it must end in \.gif or \.mp4"):
-        animation.movie(both[0], None, tmp_path / "arm.txt")
+        animation.write_movie(both[0], None, tmp_path / "arm.txt")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileError, match="ffmpeg is not installed"):
-        animation.movie(both[0], None, tmp_path / "arm.mp4")
+        animation.write_movie(both[0], None, tmp_path / "arm.mp4")
     with pytest.raises(InputError, match="this plant is no arm"):
-        animation.movie(dataclasses.replace(both[0], poses=None), None, tmp_path / "other.gif")
+        animation.write_movie(
+            dataclasses.replace(both[0], poses=None), None, tmp_path / "other.gif"
+        )
     assert [file.name for file in tmp_path.iterdir()] == ["arm.gif"]
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from undeadzone.errors import InputError
-from undeadzone.plants.build import _FUNCTIONS, evaluate
+from undeadzone.plants.build import _FUNCTIONS, evaluate_formula
 
 NUMPY_NAMES = {
     name: getattr(math, name) for name in ("sin", "cos", "tanh", "atan", "atan2", "pi")
@@ -39,9 +39,9 @@ def test_equals_pythons_arithmetic_in_numbers_and_symbols(text: str, x: float, y
     expected = eval(text, {"__builtins__": {}}, NUMPY_NAMES | {"x": x, "y": y})
     symbols = ca.SX.sym("x"), ca.SX.sym("y")
     function = ca.Function(
-        "f", [*symbols], [evaluate("f", text, dict(zip("xy", symbols, strict=True)))]
+        "f", [*symbols], [evaluate_formula("f", text, dict(zip("xy", symbols, strict=True)))]
     )
-    assert float(evaluate("f", text, {"x": x, "y": y})) == pytest.approx(
+    assert float(evaluate_formula("f", text, {"x": x, "y": y})) == pytest.approx(
         expected, rel=1e-12, abs=1e-12
     )
     assert float(function(x, y)) == pytest.approx(expected, rel=1e-12, abs=1e-12)
@@ -59,11 +59,11 @@ def test_equals_pythons_arithmetic_in_numbers_and_symbols(text: str, x: float, y
     ],
 )
 def test_values(text: str, value: float) -> None:
-    assert float(evaluate("f", text, {})) == pytest.approx(value)
+    assert float(evaluate_formula("f", text, {})) == pytest.approx(value)
 
 
 def test_names_of_the_plant_hide_constants() -> None:
-    assert evaluate("f", "pi", {"pi": 3.0}) == 3.0
+    assert evaluate_formula("f", "pi", {"pi": 3.0}) == 3.0
 
 
 @pytest.mark.parametrize(
@@ -110,13 +110,13 @@ def test_names_of_the_plant_hide_constants() -> None:
 )
 def test_what_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=f"(?s)^plant.f.0.: .*{words}") as error:
-        evaluate("plant.f[0]", text, {"angle": ca.SX.sym("angle")})
+        evaluate_formula("plant.f[0]", text, {"angle": ca.SX.sym("angle")})
     assert len(str(error.value)) < 300
 
 
 def test_what_python_would_warn_of_is_not_printed(recwarn: pytest.WarningsRecorder) -> None:
     with pytest.raises(InputError):
-        evaluate("f", "abs(1)if 1else 2", {})
+        evaluate_formula("f", "abs(1)if 1else 2", {})
     assert not list(recwarn)
 
 
@@ -129,11 +129,11 @@ def test_functions_of_any_number_of_arguments(name: str, count: int) -> None:
     for first in ARGUMENTS:
         text = f"{name}({', '.join([first, '1', '0.5'][:count])})"
         with suppress(InputError):
-            value = evaluate("f", text, {"angle": ca.SX.sym("angle")})
+            value = evaluate_formula("f", text, {"angle": ca.SX.sym("angle")})
             assert isinstance(value, float | ca.SX), text
 
 
 @given(st.text(max_size=30))
 def test_any_text_is_a_value_or_an_input_error(text: str) -> None:
     with suppress(InputError):
-        assert isinstance(evaluate("f", text, {"x": ca.SX.sym("x")}), float | ca.SX)
+        assert isinstance(evaluate_formula("f", text, {"x": ca.SX.sym("x")}), float | ca.SX)

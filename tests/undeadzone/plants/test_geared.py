@@ -14,9 +14,9 @@ import undeadzone as uz
 from commands import undeadzone
 from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
-from undeadzone.plants.robots.arm import arm
-from undeadzone.plants.robots.build import one_link, two_link
-from undeadzone.plants.robots.geared import Geared, Gears, motion_of_geared_arm
+from undeadzone.plants.robots.arm import build_arm
+from undeadzone.plants.robots.build import build_one_link, build_two_link
+from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm
 from undeadzone.scenario.reader import convert
 from undeadzone.util.arrays import Floats
 
@@ -51,7 +51,7 @@ MJCF = """
 
 
 def geared(**changes: Any) -> Geared:
-    return motion_of_geared_arm(two_link(), Gears(**GEARS, viscous=[0.4, 0.2]), changes=changes)
+    return build_geared_arm(build_two_link(), Gears(**GEARS, viscous=[0.4, 0.2]), changes=changes)
 
 
 def stepper(plant: Geared, h: float) -> ca.Function:
@@ -136,9 +136,11 @@ def test_across_the_gap_links_move_as_in_mujoco() -> None:
 def test_without_gap_and_with_stiff_contact_it_is_the_rigid_arm() -> None:
     """One link whose inertia has grown by the motor's."""
     h, u = 1e-4, 3 * np.sin(np.arange(6000) * 1e-3)[:, None]
-    stiff = motion_of_geared_arm(one_link(), Gears(half=0.0, inertia=0.05, contact=2000.0))
+    stiff = build_geared_arm(build_one_link(), Gears(half=0.0, inertia=0.05, contact=2000.0))
     x = along(stiff, np.zeros(4), u, h)
-    body = arm(one_link()._replace(parameters=one_link().parameters | {"I": 0.025 + 0.05}))
+    body = build_arm(
+        build_one_link()._replace(parameters=build_one_link().parameters | {"I": 0.025 + 0.05})
+    )
     y, s = ca.SX.sym("y", 2), ca.SX.sym("s")
     values = body.values
     a = (s - body.bias(values, y[0], y[1])) / body.mass(values, y[0])
@@ -150,7 +152,7 @@ def test_without_gap_and_with_stiff_contact_it_is_the_rigid_arm() -> None:
 
 @pytest.mark.parametrize("damping", [0.0, 0.7])
 def test_energy_does_not_grow_without_friction_and_torque(damping: float) -> None:
-    plant = motion_of_geared_arm(one_link(), Gears(half=0.04, inertia=0.05, damping=damping))
+    plant = build_geared_arm(build_one_link(), Gears(half=0.04, inertia=0.05, damping=damping))
     x = along(plant, np.array([0.3, 0.3, 0.0, 0.0]), np.zeros((40_000, 1)), 5e-5)
     numbers = dict(zip(plant.names, plant.values, strict=True))
     K = plant.stiffness[0] * numbers["contact1"] ** 2
@@ -176,11 +178,11 @@ def test_a_locked_flank_is_the_true_law_while_it_touches() -> None:
         xi = x[:2] - x[2:4] + [0.01, 0.0]
         flank = np.sign(xi) * (np.abs(xi) > [0.05, 0.06])
         np.testing.assert_allclose(
-            np.asarray(plant.torque(plant.values, x, flank)).ravel(),
-            np.asarray(plant.torque(plant.values, x)).ravel(),
+            np.asarray(plant.gear_torque(plant.values, x, flank)).ravel(),
+            np.asarray(plant.gear_torque(plant.values, x)).ravel(),
             rtol=1e-12,
         )
-    free = np.asarray(plant.torque(plant.values, rng.normal(size=8), np.zeros(2)))
+    free = np.asarray(plant.gear_torque(plant.values, rng.normal(size=8), np.zeros(2)))
     assert not free.any()
 
 

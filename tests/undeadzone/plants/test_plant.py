@@ -20,14 +20,14 @@ from scenes import PAPER_PLANT, random_plant, response, scene, slopes
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.plants.build import initial_state, matrices, system
+from undeadzone.plants.build import initial_state, linear_matrices, system
 from undeadzone.plants.interop import from_control, from_scipy, to_control, to_scipy
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import (
     System,
     fastest_pole,
+    moving_pole_sizes,
     moving_poles,
-    rates_of_motion,
     sample_plant,
     time_scale,
 )
@@ -55,7 +55,7 @@ def move(plant: System, x: Any, u: Any) -> Floats:
 def test_second_order_has_the_response_of_its_formula(
     zeta: float, omega: float, gain: float
 ) -> None:
-    found = matrices(Plant(second_order=SecondOrder(zeta=zeta, omega_n=omega, gain=gain)))
+    found = linear_matrices(Plant(second_order=SecondOrder(zeta=zeta, omega_n=omega, gain=gain)))
     for s in 1j * np.array(FREQUENCIES) + 0.01:
         assert response(found, s)[0, 0] == pytest.approx(
             gain / (s**2 + 2 * zeta * omega * s + omega**2)
@@ -70,14 +70,14 @@ def test_the_papers_plant_in_every_form() -> None:
         Plant(transfer_function=TransferFunction(numerator=[3.0], denominator=[3.0, 6.0, 3.0])),
     ]
     for form in forms:
-        for found, expected in zip(matrices(form), PAPER_PLANT.linear, strict=True):
+        for found, expected in zip(linear_matrices(form), PAPER_PLANT.linear, strict=True):
             assert found.tolist() == expected.tolist()
 
 
 @given(seeds, st.integers(1, 5))
 def test_companion_has_its_polynomial_and_reads_the_first_state(seed: int, n: int) -> None:
     a = np.random.default_rng(seed).normal(size=n)
-    A, B, C = matrices(Plant(companion=a))
+    A, B, C = linear_matrices(Plant(companion=a))
     assert np.poly(A) == pytest.approx([1.0, *a[::-1]], abs=1e-9)
     assert (B.ravel().tolist(), C.ravel().tolist()) == (
         [0.0] * (n - 1) + [1.0],
@@ -86,7 +86,7 @@ def test_companion_has_its_polynomial_and_reads_the_first_state(seed: int, n: in
 
 
 def test_chain_of_integrators_integrates() -> None:
-    A, B, C = matrices(Plant(integrators=3))
+    A, B, C = linear_matrices(Plant(integrators=3))
     assert (C @ expm(A * 2.0) @ B)[0, 0] == pytest.approx(2.0**2 / 2)
 
 
@@ -94,7 +94,9 @@ def test_chain_of_integrators_integrates() -> None:
 def test_transfer_function_has_the_response_of_scipys(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     num, den = rng.normal(size=rng.integers(1, n + 1)), rng.normal(size=n + 1)
-    found = matrices(Plant(transfer_function=TransferFunction(numerator=num, denominator=den)))
+    found = linear_matrices(
+        Plant(transfer_function=TransferFunction(numerator=num, denominator=den))
+    )
     _, expected = scipy.signal.freqresp((num, den), FREQUENCIES)
     assert [response(found, 1j * w)[0, 0] for w in FREQUENCIES] == pytest.approx(expected, rel=1e-6)
 
@@ -115,16 +117,20 @@ def test_interop_round_trips_and_refusals() -> None:
 
     plant = Plant(A=[[0, 1, 0], [0, 0, 1], [-1, -2, -3]], B=[[0, 1], [1, 0], [0, 2]], C=[[1, 0, 0]])
     for there, back in ((to_scipy, from_scipy), (to_control, from_control)):
-        for found, expected in zip(matrices(back(there(plant))), matrices(plant), strict=True):
+        for found, expected in zip(
+            linear_matrices(back(there(plant))), linear_matrices(plant), strict=True
+        ):
             assert found.tolist() == expected.tolist()
     theirs = control.tf([2.0], [1.0, 3.0, 5.0])
-    ours = matrices(from_control(control.ss(theirs)))
+    ours = linear_matrices(from_control(control.ss(theirs)))
     assert response(ours, 2j)[0, 0] == pytest.approx(theirs(2j))
-    assert control.poles(to_control(plant)) == pytest.approx(np.linalg.eigvals(matrices(plant).A))
+    assert control.poles(to_control(plant)) == pytest.approx(
+        np.linalg.eigvals(linear_matrices(plant).A)
+    )
     assert from_scipy(to_scipy(plant), x0=[1, 2, 3]).x0 == [1, 2, 3]
     of_scipy = scipy.signal.TransferFunction([2.0], [1.0, 3.0, 5.0])
     for taken in (from_control(theirs), from_scipy(of_scipy)):
-        assert response(matrices(taken), 2j)[0, 0] == pytest.approx(theirs(2j))
+        assert response(linear_matrices(taken), 2j)[0, 0] == pytest.approx(theirs(2j))
     with pytest.raises(InputError, match=r"uz\.Plant\(A=\.\.\., B=\.\.\., C=\.\.\.\)"):
         from_control([[0, 1], [-1, -2]])
     with pytest.raises(InputError, match="no state space"):
@@ -337,7 +343,7 @@ def test_integrators_are_no_moving_poles() -> None:
     """Poles 0, 0, -2, -8: a quarter period of each that moves, and their geometric mean."""
     A = np.diag([0.0, 0.0, -2.0, -8.0])
     plant = system(Plant(A=A, B=np.ones((4, 1)), C=np.ones((1, 4))))
-    assert sorted(rates_of_motion(A)) == pytest.approx([2.0, 8.0])
+    assert sorted(moving_pole_sizes(A)) == pytest.approx([2.0, 8.0])
     assert sorted(moving_poles(plant)) == pytest.approx([2.0, 8.0])
     assert fastest_pole(plant) == pytest.approx(8.0)
     assert time_scale(plant.linear) == pytest.approx(np.pi / 2 / 4.0)
@@ -347,7 +353,7 @@ def test_integrators_are_no_moving_poles() -> None:
 
 def test_a_chain_of_integrators_has_a_rate_and_a_time_of_1() -> None:
     plant = system(Plant(integrators=3))
-    assert rates_of_motion(plant.linear.A).size == 0
+    assert moving_pole_sizes(plant.linear.A).size == 0
     assert moving_poles(plant).tolist() == [1.0]
     assert time_scale(plant.linear) == 1.0
 

@@ -15,13 +15,13 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.plants.build import system
 from undeadzone.plants.options import ElasticJoint, OneLink, Plant, TwoLink
 from undeadzone.plants.robots import build
-from undeadzone.plants.robots.arm import Arm, acceleration, arm, torque
+from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics, inverse_dynamics
 from undeadzone.plants.system import System
 from undeadzone.util.arrays import Floats
 
 seeds = st.integers(0, 2**32 - 1)
-CHAINS = {"one_link": build.one_link(), "two_link": build.two_link()}
-ARMS = {name: arm(chain) for name, chain in CHAINS.items()}
+CHAINS = {"one_link": build.build_one_link(), "two_link": build.build_two_link()}
+ARMS = {name: build_arm(chain) for name, chain in CHAINS.items()}
 kinds = pytest.mark.parametrize("kind", ARMS)
 
 
@@ -77,7 +77,7 @@ def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
 
 def elastic_energy(plant: System, numbers: Floats, x: Floats) -> float:
     p = dict(zip(plant.names, numbers, strict=True))
-    link = arm(build.one_link())
+    link = build_arm(build.build_one_link())
     of_link = energy(
         link,
         params(link, **{name: p[name] for name in ("m", "l", "c", "I", "g", "payload")}),
@@ -183,7 +183,9 @@ def test_two_links_accelerate_as_in_mujoco(changes: dict[str, float]) -> None:
     v = rng.normal(size=(1000, 2)) * 5
     u = rng.normal(size=(1000, 2)) * 20
     expected = mujoco_accelerations(MJCF, dict(zip(body.names, numbers, strict=True)), q, v, u)
-    found = np.array([column(acceleration(body, numbers, q[i], v[i], u[i])) for i in range(1000)])
+    found = np.array(
+        [column(forward_dynamics(body, numbers, q[i], v[i], u[i])) for i in range(1000)]
+    )
     assert (
         np.linalg.norm(found - expected, axis=1) <= 1e-9 * np.linalg.norm(expected, axis=1)
     ).all()
@@ -206,7 +208,7 @@ def test_inverse_dynamics_inverts_forward_dynamics(kind: str, seed: int) -> None
     rng, numbers, q, v = drawn(body, seed)
     u = rng.normal(size=body.size) * 20
     assert column(
-        torque(body, numbers, q, v, acceleration(body, numbers, q, v, u))
+        inverse_dynamics(body, numbers, q, v, forward_dynamics(body, numbers, q, v, u))
     ) == pytest.approx(u, rel=1e-8, abs=1e-8)
 
 
@@ -257,7 +259,9 @@ def test_energy_stays_without_friction_and_torque(kind: str) -> None:
     N, numbers = body.size, params(body, payload=0.4)
     x = ca.SX.sym("x", 2 * N)
     path = moved(
-        ca.Function("rate", [x], [ca.vertcat(x[N:], acceleration(body, numbers, x[:N], x[N:], 0))]),
+        ca.Function(
+            "rate", [x], [ca.vertcat(x[N:], forward_dynamics(body, numbers, x[:N], x[N:], 0))]
+        ),
         np.array([0.3, 1.1, -0.5, 2.0])[-2 * N :],
     )
     found = np.array([energy(body, numbers, state[:N], state[N:]) for state in path])
@@ -299,9 +303,9 @@ def test_two_links_with_a_straight_held_elbow_are_one_link(seed: int) -> None:
     inertia = p["I1"] + p["I2"] + p["m1"] * p["c1"] ** 2 + p["m2"] * far**2 - m * c**2
     same = {name: p[name] for name in ("g", "payload", "b1", "f1")}
     rigid = params(one, m=m, l=p["l1"] + p["l2"], c=c, I=inertia, **same)
-    found = column(torque(two, numbers, [q[0], 0], [v[0], 0], [3.0, 0]))[0]
+    found = column(inverse_dynamics(two, numbers, [q[0], 0], [v[0], 0], [3.0, 0]))[0]
     assert found == pytest.approx(
-        column(torque(one, rigid, q[0], v[0], 3.0))[0], rel=1e-9, abs=1e-9
+        column(inverse_dynamics(one, rigid, q[0], v[0], 3.0))[0], rel=1e-9, abs=1e-9
     )
 
 
@@ -370,7 +374,7 @@ def test_flat_state_and_torque_satisfy_the_equations_along_a_path(seed: int) -> 
 
 
 def test_the_stiff_limit_is_the_rigid_arm_with_the_motors_inertia() -> None:
-    rigid = arm(build.one_link())
+    rigid = build_arm(build.build_one_link())
     path = [0.4, -1.2, 2.0, -3.0, 5.0]
     q, v, a = path[:3]
     friction = {"b1": 0.2, "b2": 0.1, "f1": 0.3, "f2": 0.4}
@@ -380,7 +384,9 @@ def test_the_stiff_limit_is_the_rigid_arm_with_the_motors_inertia() -> None:
         plant = elastic(payload=0.5, k=k, **friction)
         assert plant.flat is not None
         x, u = plant.flat.solve(plant.params, np.array([path]))
-        gaps.append([column(x)[0] - q, column(u)[0] - column(torque(rigid, same, q, v, a))[0]])
+        gaps.append(
+            [column(x)[0] - q, column(u)[0] - column(inverse_dynamics(rigid, same, q, v, a))[0]]
+        )
     ratios = np.array(gaps)[:-1] / np.array(gaps)[1:]
     assert ratios == pytest.approx(10, rel=0.02)
 

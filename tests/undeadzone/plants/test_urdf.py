@@ -15,9 +15,9 @@ from scipy.integrate import solve_ivp
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.options import URDF, Plant
-from undeadzone.plants.robots.arm import Arm, acceleration, arm
-from undeadzone.plants.robots.build import robot
-from undeadzone.plants.robots.urdf import chain
+from undeadzone.plants.robots.arm import Arm, build_arm, forward_dynamics
+from undeadzone.plants.robots.build import build_robot_plant
+from undeadzone.plants.robots.urdf import load_urdf_chain
 from undeadzone.util.arrays import Floats
 
 pytest.importorskip("adam.casadi")
@@ -59,7 +59,7 @@ def written(folder: Path, text: str) -> Path:
 def forward(body: Arm) -> ca.Function:
     """q, v, torque -> acceleration, with the arm's own parameters."""
     q, v, u = (ca.SX.sym(name, body.size) for name in "qvu")
-    return ca.Function("forward", [q, v, u], [acceleration(body, body.values, q, v, u)])
+    return ca.Function("forward", [q, v, u], [forward_dynamics(body, body.values, q, v, u)])
 
 
 def states(N: int, count: int, seed: int) -> Floats:
@@ -125,7 +125,7 @@ def random_arm(seed: int, kinds: list[str]) -> str:
 
 @pytest.fixture(scope="module")
 def ur5() -> Arm:
-    return arm(chain(UR5))
+    return build_arm(load_urdf_chain(UR5))
 
 
 def test_ur5_forward_dynamics_are_those_of_pinocchio(pin: Pinocchio, ur5: Arm) -> None:
@@ -212,7 +212,7 @@ def test_any_seven_joints_are_those_of_pinocchio(pin: Pinocchio, tmp_path: Path,
     )
     gravity = np.array([1.0, -2.0, 9.0])
     model.gravity.linear = gravity
-    body = arm(chain(path, moved[1:], gravity=gravity))
+    body = build_arm(load_urdf_chain(path, moved[1:], gravity=gravity))
     assert body.chain.joints == tuple(model.names)[1:]
     same_dynamics(pin, body, body.values, model, "tool")
     data = model.createData()
@@ -240,12 +240,16 @@ def test_energy_stays_the_same(pin: Pinocchio, ur5: Arm) -> None:
 
 
 def test_digits_of_pi_cost_nothing(tmp_path: Path, ur5: Arm) -> None:
-    rounded = arm(
-        chain(written(tmp_path, UR5.read_text().replace("1.5707963267948966", "1.57079632679")))
+    rounded = build_arm(
+        load_urdf_chain(
+            written(tmp_path, UR5.read_text().replace("1.5707963267948966", "1.57079632679"))
+        )
     )
     assert forward(rounded).n_instructions() == forward(ur5).n_instructions()
     assert worst(forward(rounded), forward(ur5), states(6, 50, 2)) < 1e-9
-    short = arm(chain(written(tmp_path, UR5.read_text().replace("1.5707963267948966", "1.5708"))))
+    short = build_arm(
+        load_urdf_chain(written(tmp_path, UR5.read_text().replace("1.5707963267948966", "1.5708")))
+    )
     assert (
         1e-9 < worst(forward(short), forward(ur5), states(6, 50, 2)) < 1e-3
     )  # other angles are what the file says
@@ -263,13 +267,13 @@ def test_what_the_file_says_of_the_joints(
         '<dynamics damping="0.3" friction="0.1"/></joint>',
     )
     noise = '<gazebo><x/></gazebo><transmission name="t"/><sensor name="s"/><material name="m"/>'
-    given = chain(written(tmp_path, SMALL.replace(ELBOW, more + noise)))
+    given = load_urdf_chain(written(tmp_path, SMALL.replace(ELBOW, more + noise)))
     assert given.joints == ("shoulder", "elbow")
     np.testing.assert_array_equal(given.limits, [[-1, 2], [-np.inf, np.inf]])
     np.testing.assert_array_equal(given.torque, [30, 5])
     np.testing.assert_array_equal(given.speed, [3, 7])
     np.testing.assert_array_equal(given.friction, [[0, 0.3], [0, 0.1]])
-    assert np.isinf(chain(written(tmp_path, SMALL.replace(LIMIT, ""))).limits).all()
+    assert np.isinf(load_urdf_chain(written(tmp_path, SMALL.replace(LIMIT, ""))).limits).all()
     assert capfd.readouterr() == ("", "")
 
 
@@ -281,17 +285,17 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
         tmp_path, SMALL.replace("</robot>", link("finger") + link("thumb") + fingers + "</robot>")
     )
     with pytest.raises(InputError, match=r"plant\.arm\.tip: the movable joints branch"):
-        chain(path)
-    whole = chain(path, tip="lower")
+        load_urdf_chain(path)
+    whole = load_urdf_chain(path, tip="lower")
     assert whole.joints == ("shoulder", "elbow")
     assert whole.parameters == {"m1": 1.0, "m2": 3.0, "payload": 0.0}
-    assert chain(path, ["elbow"], tip="lower").parameters == {"m1": 3.0, "payload": 0.0}
+    assert load_urdf_chain(path, ["elbow"], tip="lower").parameters == {"m1": 3.0, "payload": 0.0}
     with pytest.raises(
         InputError, match=r"plant\.arm\.tip: the arm ends in finger, thumb: name one"
     ):
-        chain(path, ["shoulder", "elbow"])
+        load_urdf_chain(path, ["shoulder", "elbow"])
     with pytest.raises(InputError, match="'right' mimics 'left'"):
-        chain(path, tip="finger")
+        load_urdf_chain(path, tip="finger")
 
 
 @pytest.mark.parametrize(
@@ -327,7 +331,7 @@ def test_joints_and_tips_that_do_not_fit(
     tmp_path: Path, joints: list[str] | None, tip: str | None, said: str
 ) -> None:
     with pytest.raises(InputError, match=said):
-        chain(written(tmp_path, SMALL), joints, tip)
+        load_urdf_chain(written(tmp_path, SMALL), joints, tip)
 
 
 @pytest.mark.parametrize(
@@ -392,29 +396,29 @@ def test_joints_and_tips_that_do_not_fit(
 def test_files_that_do_not_describe_an_arm(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in SMALL
     with pytest.raises(FileError, match=rf"plant\.arm\.path: .*arm\.urdf: .*{said}"):
-        chain(written(tmp_path, SMALL.replace(old, new)))
+        load_urdf_chain(written(tmp_path, SMALL.replace(old, new)))
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path in (tmp_path / "none.urdf", tmp_path):
         with pytest.raises(FileError, match=r"plant\.arm\.path: .*: cannot read: "):
-            chain(path)
+            load_urdf_chain(path)
     binary = tmp_path / "arm.urdf"
     binary.write_bytes(b"\x00\xff\xfe")
     with pytest.raises(FileError, match="not XML"):
-        chain(binary)
+        load_urdf_chain(binary)
 
 
 def test_a_joint_that_moves_points_about_themselves(tmp_path: Path) -> None:
     point = INERTIAL.replace("0.02", "0")
     path = written(tmp_path, SMALL.replace(link("lower"), link("lower", point)))
     with pytest.raises(InputError, match="mass matrix is singular"):
-        robot(Plant(arm=URDF(path=str(path))), URDF(path=str(path)), "plant")
+        build_robot_plant(Plant(arm=URDF(path=str(path))), URDF(path=str(path)), "plant")
 
 
 def test_gravity_has_three_numbers(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"plant\.arm\.gravity"):
-        chain(written(tmp_path, SMALL), gravity=[0.0, 9.81])
+        load_urdf_chain(written(tmp_path, SMALL), gravity=[0.0, 9.81])
 
 
 def test_adam_is_imported_when_it_is_used_and_named_when_missing(
@@ -427,4 +431,4 @@ def test_adam_is_imported_when_it_is_used_and_named_when_missing(
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
     monkeypatch.setitem(sys.modules, "adam.casadi.casadi_like", None)
     with pytest.raises(InputError, match=r"pip install 'undeadzone\[robots\]'"):
-        chain(written(tmp_path, SMALL))
+        load_urdf_chain(written(tmp_path, SMALL))

@@ -22,32 +22,38 @@ from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
-from undeadzone.report.animation import TILT, face_seen
+from undeadzone.report.animation import TILT, visible_face_share
 from undeadzone.report.ensemble_figures import bin_edges
-from undeadzone.report.ensemble_page import figures as ensemble_figures
-from undeadzone.report.gain_figures import ELLIPSE, ellipse
+from undeadzone.report.ensemble_page import draw_ensemble_figures as ensemble_figures
+from undeadzone.report.gain_figures import ELLIPSE, ellipse_border
 from undeadzone.report.html import (
     MOST,
     Html,
     Origin,
-    html,
-    page,
-    paragraph,
-    picture,
-    section,
-    table,
+    build_page,
+    build_paragraph,
+    build_section,
+    build_table,
+    encode_picture,
+    format_html,
 )
 from undeadzone.report.plot import KINDS, plot
-from undeadzone.report.proof_figures import positive_realness, proof_of
-from undeadzone.report.run_figures import joint_rows, offset, overview, rows_below, rows_beside
+from undeadzone.report.proof_figures import plot_positive_realness, recheck_design
+from undeadzone.report.run_figures import (
+    constant_offset,
+    joint_rows,
+    layout_below,
+    layout_beside,
+    overview,
+)
 from undeadzone.report.run_page import run_page
-from undeadzone.report.style import image, png, sheet, write
+from undeadzone.report.style import create_panels, figure_to_bytes, figure_to_png, write_figure
 from undeadzone.report.tune_page import history
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.assessment import assess
+from undeadzone.synthesis.assessment import assess_problem
 from undeadzone.tuning.result import Tuned
 from undeadzone.tuning.tune import tune
 from undeadzone.util.files import write_text
@@ -117,7 +123,7 @@ def check_page(text: str) -> Auditor:
 
 
 def test_a_run_s_page_is_self_contained_escaped_and_complete(run: Run) -> None:
-    found = check_page(run_page(run, {"figure": image(overview(run), "svg")}))
+    found = check_page(run_page(run, {"figure": figure_to_bytes(overview(run), "svg")}))
     assert found.tags.count("img") == 1
     assert NASTY in found.text
     assert "diverged" not in found.text  # a row that would say nothing is left out
@@ -133,7 +139,7 @@ def test_a_page_without_figures(two_outputs: Run) -> None:
 
 def test_a_page_answers_on_its_first_screen(run: Run) -> None:
     """A sentence, a table of at most six lines, a picture, in one row where there is room."""
-    text = run_page(run, {"figure": image(overview(run), "svg")})
+    text = run_page(run, {"figure": figure_to_bytes(overview(run), "svg")})
     first = text[text.index("<h2") : text.index("<h2", text.index("<h2") + 1)]
     assert 1 < first.count("<tr>") <= 1 + MOST
     assert first.index("<table>") < first.index("<figure")
@@ -142,24 +148,28 @@ def test_a_page_answers_on_its_first_screen(run: Run) -> None:
 
 
 def test_tables_are_as_narrow_as_can_be_and_say_something_in_each_row() -> None:
-    upright = table(("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)]).text
+    upright = build_table(
+        ("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)]
+    ).text
     assert upright.count("<tr>") == 1 + 5
     assert "narrow" in upright
-    wide = table(("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)] * 2).text
+    wide = build_table(
+        ("output", "d_r", "d_l", "width", "centre"), [(0, 1.0, 2.0, 3.0, -1.0)] * 2
+    ).text
     assert "narrow" not in wide
     assert wide.count("<tr>") == 1 + 2
-    silent = table(("what", "value"), [("a", 1.0), ("b", None)]).text
+    silent = build_table(("what", "value"), [("a", 1.0), ("b", None)]).text
     assert silent.count("<tr>") == 1 + 1
 
 
 def test_a_section_without_contents_is_none() -> None:
-    assert section("Over time").text == ""
-    assert '<div class="parts">' in section("Over time", "words").text
+    assert build_section("Over time").text == ""
+    assert '<div class="parts">' in build_section("Over time", "words").text
 
 
 def test_a_page_leads_to_its_sections_and_tells_how_to_repeat_it(run: Run) -> None:
     origin = Origin("undeadzone run 'a <b>.toml'", "# as given\n[plant]\n", 7)
-    text = run_page(run, {"figure": image(overview(run), "svg")}, origin=origin)
+    text = run_page(run, {"figure": figure_to_bytes(overview(run), "svg")}, origin=origin)
     found = check_page(text)
     anchors = [address[1:] for address in found.addresses if address.startswith("#")]
     assert anchors == re.findall(r'<h2 id="([^"]+)">', text)
@@ -192,26 +202,30 @@ def test_a_run_knows_how_to_repeat_itself(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_symbols_are_those_of_the_figures(text: str, shown: str) -> None:
-    assert html(text) == shown
+    assert format_html(text) == shown
 
 
 def test_figures_on_a_page_stay_legible_on_a_phone(run: Run) -> None:
-    page_of_run = run_page(run, {"figure": image(overview(run), "svg")})
+    page_of_run = run_page(run, {"figure": figure_to_bytes(overview(run), "svg")})
     least = re.search(r"min-width:(\d+)px", page_of_run)
     assert least is not None
     assert int(least[1]) == 720  # of 10 inches: three quarters of them
 
 
 def test_the_same_figure_gives_the_same_svg(run: Run) -> None:
-    assert image(overview(run), "svg") == image(overview(run), "svg")
+    assert figure_to_bytes(overview(run), "svg") == figure_to_bytes(overview(run), "svg")
 
 
 def test_everything_that_is_not_html_is_escaped() -> None:
     found = check_page(
-        page(
+        build_page(
             NASTY,
-            section(NASTY, paragraph(NASTY), table([NASTY], [[NASTY], [1.0], [None], [True]])),
-            picture(image(sheet([["a"]], "t")[0], "svg"), NASTY),
+            build_section(
+                NASTY,
+                build_paragraph(NASTY),
+                build_table([NASTY], [[NASTY], [1.0], [None], [True]]),
+            ),
+            encode_picture(figure_to_bytes(create_panels([["a"]], "t")[0], "svg"), NASTY),
         )
     )
     assert found.text.count(NASTY) == 8  # once in the contents
@@ -230,7 +244,7 @@ def test_everything_that_is_not_html_is_escaped() -> None:
     ],
 )
 def test_values_as_html(value: object, text: str) -> None:
-    assert html(value) == text
+    assert format_html(value) == text
 
 
 def test_overview_has_a_panel_for_everything(run: Run, two_outputs: Run) -> None:
@@ -258,14 +272,14 @@ def test_a_diverged_run_is_drawn_up_to_where_it_did(run: Run) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         figure = overview(lost)
-        png(figure)
+        figure_to_png(figure)
     assert figure.axes[0].dataLim.y1 < 1e13
     assert "diverged at" in figure.axes[0].get_title(loc="left")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf", ".PNG"])
 def test_figures_are_written_whole(tmp_path: Path, suffix: str) -> None:
-    path = write(sheet([["a"]], "t")[0], tmp_path / "deep" / f"figure{suffix}")
+    path = write_figure(create_panels([["a"]], "t")[0], tmp_path / "deep" / f"figure{suffix}")
     assert path.stat().st_size > 1000
     assert [found.name for found in path.parent.iterdir()] == [path.name]
 
@@ -273,14 +287,14 @@ def test_figures_are_written_whole(tmp_path: Path, suffix: str) -> None:
 @pytest.mark.parametrize("name", ["figure.bmp", "figure", "figure.exe"])
 def test_an_unknown_suffix_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(FileError, match=r"\.png, \.pdf, \.svg"):
-        write(sheet([["a"]], "t")[0], tmp_path / name)
+        write_figure(create_panels([["a"]], "t")[0], tmp_path / name)
     assert not list(tmp_path.iterdir())
 
 
 def test_an_unwritable_path_is_a_file_error(tmp_path: Path, run: Run) -> None:
     (tmp_path / "file").write_text("not a folder", encoding="utf-8")
     with pytest.raises(FileError, match="cannot write"):
-        write_text(page("t"), tmp_path / "file" / "page.html")
+        write_text(build_page("t"), tmp_path / "file" / "page.html")
     with pytest.raises(FileError, match="cannot write"):
         plot(run, tmp_path / "file" / "figure.png")
 
@@ -333,7 +347,7 @@ def test_plot_without_a_path_returns_the_figure(
     monkeypatch.chdir(tmp_path)
     figure = plot(request.getfixturevalue(kind))
     assert isinstance(figure, Figure)
-    assert png(figure).startswith(b"\x89PNG")
+    assert figure_to_png(figure).startswith(b"\x89PNG")
     assert not list(tmp_path.iterdir())
 
 
@@ -342,17 +356,19 @@ def test_plot_draws_what_the_report_shows_first(
 ) -> None:
     assert title(plot(run)) == title(overview(run))
     first = next(iter(ensemble_figures(ensemble, ensemble.summary()).values()))
-    assert png(plot(ensemble)) == png(first)
+    assert figure_to_png(plot(ensemble)) == figure_to_png(first)
     observer = Certified(L=design.L, gamma=design.gamma, width_max=3.0)
-    gains = assess(resolve_scenario(msgspec.structs.replace(scene(), observer=observer))).gains
+    gains = assess_problem(
+        resolve_scenario(msgspec.structs.replace(scene(), observer=observer))
+    ).gains
     assert gains is not None
-    assert title(plot(design)) == title(positive_realness(gains.certificate))
+    assert title(plot(design)) == title(plot_positive_realness(gains.certificate))
     curves = [
         figure.axes[0].lines[-2].get_xydata()
-        for figure in (plot(design), positive_realness(gains.certificate))
+        for figure in (plot(design), plot_positive_realness(gains.certificate))
     ]
     np.testing.assert_allclose(curves[0], curves[1], rtol=1e-9)
-    assert png(plot(tuned)) == png(history(tuned))
+    assert figure_to_png(plot(tuned)) == figure_to_png(history(tuned))
 
 
 def test_a_lost_ensemble_is_drawn_over_time_or_refused(ensemble: Ensemble) -> None:
@@ -372,28 +388,28 @@ def test_plot_of_anything_else_says_what_it_expects(wrong: Any, tmp_path: Path) 
 
 
 def test_the_proof_of_a_design_holds(design: Design) -> None:
-    proof = proof_of(design)
+    proof = recheck_design(design)
     assert proof.certified
     assert proof.check.proved
     assert proof.margin == design.margin
     broken = msgspec.structs.replace(design, P=(-np.array(design.P)).tolist())
-    assert not proof_of(broken).certified
+    assert not recheck_design(broken).certified
 
 
 # --- The small parts of figures
 
 
 def test_panels_of_a_run() -> None:
-    assert rows_below(1, True) == [
+    assert layout_below(1, True) == [
         ["output 0"] * 6,
         ["error 0"] * 2 + ["widths 0"] * 2 + ["V"] * 2,
     ]
-    assert rows_below(2, True)[3] == ["error 1"] * 3 + ["widths 1"] * 3
-    assert rows_below(1, False)[1] == ["error 0"] * 3 + ["widths 0"] * 3
-    rows = rows_beside(3, True)
+    assert layout_below(2, True)[3] == ["error 1"] * 3 + ["widths 1"] * 3
+    assert layout_below(1, False)[1] == ["error 0"] * 3 + ["widths 0"] * 3
+    rows = layout_beside(3, True)
     assert rows[0] == ["output 0"] * 6 + ["error 0"] * 3 + ["widths 0"] * 3
     assert rows[-1] == ["V"] * 12
-    assert len(rows_beside(3, False)) == 3
+    assert len(layout_beside(3, False)) == 3
 
 
 @pytest.mark.parametrize(
@@ -411,8 +427,8 @@ def test_panels_of_joints(joints: int, rows: list[list[str]]) -> None:
 
 def test_an_offset_is_a_constant_difference() -> None:
     q = np.linspace(0.0, 1.0, 5)
-    assert offset(q + 0.25, q) == pytest.approx(0.25)
-    assert offset(q, 2 * q) is None
+    assert constant_offset(q + 0.25, q) == pytest.approx(0.25)
+    assert constant_offset(q, 2 * q) is None
 
 
 def test_bins_hold_all_values_on_the_scale_that_suits_them() -> None:
@@ -448,13 +464,13 @@ def test_the_ellipse_holds_the_deviations() -> None:
         "width": float(np.sqrt(right**2 + left**2 + both)),
         "centre": float(np.sqrt(right**2 + left**2 - both)) / 2,
     }
-    x, y = ellipse(std)
+    x, y = ellipse_border(std)
     reach = [np.abs(x).max(), np.abs(y).max(), np.abs(x + y).max(), np.abs(x - y).max() / 2]
     np.testing.assert_allclose(reach, ELLIPSE * np.array([*std.values()]), rtol=1e-3)
 
 
 def test_a_face_turned_to_the_eye_is_seen_whole() -> None:
     eye = np.array([0.0, -np.cos(TILT), np.sin(TILT)])
-    assert face_seen(eye, 0.0) == pytest.approx(1.0)
-    assert face_seen(np.array([1.0, 0.0, 0.0]), 0.0) == pytest.approx(0.0)
-    assert face_seen(np.array([1.0, 0.0, 0.0]), np.pi / 2) == pytest.approx(np.cos(TILT))
+    assert visible_face_share(eye, 0.0) == pytest.approx(1.0)
+    assert visible_face_share(np.array([1.0, 0.0, 0.0]), 0.0) == pytest.approx(0.0)
+    assert visible_face_share(np.array([1.0, 0.0, 0.0]), np.pi / 2) == pytest.approx(np.cos(TILT))

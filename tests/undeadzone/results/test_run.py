@@ -16,7 +16,7 @@ import pytest
 
 from scenes import scene
 from undeadzone.errors import FileError, InputError
-from undeadzone.results.files import without_times
+from undeadzone.results.files import drop_computing_time
 from undeadzone.results.run import Run
 from undeadzone.results.signals import RUN
 from undeadzone.simulation.simulate import simulate
@@ -47,7 +47,7 @@ def same(one: Run, other: Run) -> bool:
         (a is None and b is None) or (a.dtype == b.dtype and np.array_equal(a, b, equal_nan=True))
         for a, b in ((getattr(one, n), getattr(other, n)) for n in RUN.names)
     )
-    return arrays and without_times(one.info) == without_times(other.info)
+    return arrays and drop_computing_time(one.info) == drop_computing_time(other.info)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".csv"])

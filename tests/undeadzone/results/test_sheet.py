@@ -19,10 +19,10 @@ from undeadzone.results.signals import (
     SIGNALS,
     Layout,
     Signals,
-    final,
-    from_columns,
-    of_estimate,
-    unit_of,
+    last_values,
+    signal_unit,
+    signals_from_columns,
+    signals_from_estimate,
 )
 from undeadzone.scenario.schema import Units
 from undeadzone.simulation.simulate import simulate
@@ -46,7 +46,7 @@ def test_columns_and_back(layout: Layout) -> None:
     given = signals(layout)
     columns = Signals(layout, given).columns()
     assert len(columns) == sum(1 if name in SERIES else 4 for name in layout.names)
-    again = from_columns(columns, layout)
+    again = signals_from_columns(columns, layout)
     assert again.keys() == given.keys()
     for name, value in given.items():
         np.testing.assert_array_equal(again[name], value)
@@ -61,13 +61,13 @@ def test_every_quantity_is_a_signal_of_runs_or_of_none() -> None:
 
 def test_a_signal_holds_its_fields_in_turn_and_only_what_is_estimated() -> None:
     parts = {name: np.full((N, 2), float(k)) for k, name in enumerate(Estimate._fields)}
-    found = of_estimate(Estimate(**parts))
+    found = signals_from_estimate(Estimate(**parts))
     assert found.keys() == ESTIMATED.keys()
     right, left = (Estimate._fields.index(name) for name in ("gap_right", "gap_left"))
     np.testing.assert_array_equal(found["c_hat"][0], [right, left, right, left])
-    without = of_estimate(Estimate(**parts)._replace(gap_right=np.zeros((N, 0))))
+    without = signals_from_estimate(Estimate(**parts)._replace(gap_right=np.zeros((N, 0))))
     assert ESTIMATED.keys() - without.keys() == {"c_hat"}
-    known = of_estimate(Estimate(**parts)._replace(gap_right_std=np.zeros((N, 0))))
+    known = signals_from_estimate(Estimate(**parts)._replace(gap_right_std=np.zeros((N, 0))))
     assert ESTIMATED.keys() - known.keys() == {"c_hat", "c_std"}
 
 
@@ -78,7 +78,7 @@ def test_final_rows_by_their_kind() -> None:
         "refused": np.array([[2.0, 3.0]]),
         "consistent": np.array([[1.0]]),
     }
-    assert final(last, "c_hat", "gap_std", "b_hat", "refused", "consistent") == {
+    assert last_values(last, "c_hat", "gap_std", "b_hat", "refused", "consistent") == {
         "gap_right": [1.0, 3.0],
         "gap_left": [2.0, 4.0],
         "gap_std": 0.5,
@@ -102,7 +102,7 @@ def test_final_rows_by_their_kind() -> None:
     ],
 )
 def test_units(name: str, unit: str) -> None:
-    assert unit_of(name, UNITS) == unit
+    assert signal_unit(name, UNITS) == unit
 
 
 def test_signals_refuse_what_is_missing_and_what_is_strange() -> None:
@@ -126,18 +126,20 @@ def test_signals_are_attributes_also_of_a_copy() -> None:
 def test_a_row_is_said_once_for_all() -> None:
     found = {"gap_right": 0.25, "gap_left": 0.5, "gap_std": 0.015}
     found |= {"gap_right_std": 0.01, "gap_left_std": 0.02}
-    ((right, left, both),) = sheet.of_each(found, "gap", "rad", (0.24, 0.51))
-    assert right.words == "0.250 [0.230, 0.270] rad (true 0.24)"
-    assert left.cell == "0.500 [0.461, 0.539]"
-    assert both.head == "c_r^ + c_l^ [rad]"
-    assert sheet.in_text([both]) == {"gap_right + gap_left": "0.750 [0.721, 0.779] rad (true 0.75)"}
+    ((right, left, both),) = sheet.build_width_rows(found, "gap", "rad", (0.24, 0.51))
+    assert right.value_in_words == "0.250 [0.230, 0.270] rad (true 0.24)"
+    assert left.page_cell == "0.500 [0.461, 0.539]"
+    assert both.title_with_unit == "c_r^ + c_l^ [rad]"
+    assert sheet.rows_to_text([both]) == {
+        "gap_right + gap_left": "0.750 [0.721, 0.779] rad (true 0.75)"
+    }
     rms = sheet.Row(
         "rms z - r", "rms of z − r", 0.123456, key="rms", form=".4g", note=" (last 2 s)"
     )
-    assert sheet.in_json([rms]) == {"rms": 0.123456}
-    assert rms.words == "0.1235 (last 2 s)"
-    assert sheet.on_page([rms]) == {"rms of z − r": 0.123456}
-    assert rms._replace(value=float("inf")).words == "nan (last 2 s)"
+    assert sheet.rows_to_json([rms]) == {"rms": 0.123456}
+    assert rms.value_in_words == "0.1235 (last 2 s)"
+    assert sheet.rows_to_page([rms]) == {"rms of z − r": 0.123456}
+    assert rms._replace(value=float("inf")).value_in_words == "nan (last 2 s)"
 
 
 @pytest.mark.parametrize(
@@ -151,4 +153,4 @@ def test_a_row_is_said_once_for_all() -> None:
     ],
 )
 def test_intervals(low: str, high: str, words: str) -> None:
-    assert sheet.within("2", low, high) == words
+    assert sheet.format_bounds("2", low, high) == words

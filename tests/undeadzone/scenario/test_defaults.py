@@ -16,7 +16,7 @@ from undeadzone.observers.adaptive.gain import default_adaptation, default_gain
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
-from undeadzone.results.feedback import describe_feedback, is_open_loop
+from undeadzone.results.feedback import describe_feedback, has_weak_feedback
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, read_for_logs
 from undeadzone.simulation.feedback import feedback_shares
@@ -65,8 +65,8 @@ def test_kalman_listens_unless_it_is_told_not_to() -> None:
         error[name] = run.rms_estimation
         shares[name] = feedback_shares(resolve_scenario(scenario), run)
     assert error["usual"] < 0.1 < error["deaf"]
-    assert not is_open_loop(shares["usual"])
-    assert is_open_loop(shares["deaf"])
+    assert not has_weak_feedback(shares["usual"])
+    assert has_weak_feedback(shares["deaf"])
 
 
 def test_an_observer_without_gain_follows_its_model_alone() -> None:
@@ -86,7 +86,7 @@ def test_an_output_at_rest_tells_nothing_of_listening() -> None:
         simulation={"duration": 2.0},
     )
     assert np.isnan(feedback_shares(resolve_scenario(still), None)).all()
-    assert not is_open_loop([None])
+    assert not has_weak_feedback([None])
 
 
 def test_a_scenario_that_names_neither_gets_the_usual_ones() -> None:

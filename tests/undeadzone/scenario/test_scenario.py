@@ -33,7 +33,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.util.toml import tables
+from undeadzone.util.toml import to_tables
 
 SAMPLED = """
 # What runs on hardware: 100 Hz sampling, asymmetric widths, sensor noise, an inexact model.
@@ -862,14 +862,14 @@ def with_compare(compare: str, observed: str = OBSERVED) -> str:
 
 def test_a_rival_may_be_like_the_observer() -> None:
     scenario = parse(with_compare('like = "observer"\nblind = true'))
-    own = tables(scenario.observer)
+    own = to_tables(scenario.observer)
     assert own["noise"] == 0.02
     assert scenario.compare is not None
-    assert tables(scenario.compare) == own | {"blind": True}
+    assert to_tables(scenario.compare) == own | {"blind": True}
     assert str(parse(str(scenario))) == str(scenario)
     other = scenario | {"observer": {"noise": 0.5}, "compare": {"like": "observer", "x_std": 0.1}}
     assert other.compare is not None
-    assert tables(other.compare) == own | {"noise": 0.5, "x_std": 0.1}
+    assert to_tables(other.compare) == own | {"noise": 0.5, "x_std": 0.1}
 
 
 @pytest.mark.parametrize(

@@ -28,19 +28,19 @@ from undeadzone.feedforward.joint_path import (
 from undeadzone.feedforward.targets import linear_targets
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.robots import build
-from undeadzone.plants.robots.arm import Arm, Chain, arm
-from undeadzone.plants.robots.build import flat
+from undeadzone.plants.robots.arm import Arm, Chain, build_arm
+from undeadzone.plants.robots.build import build_flat_joints
 from undeadzone.plants.system import System
 from undeadzone.signals import paths
 from undeadzone.signals.exosystem import Exosystem, Signal, build_exosystem
 from undeadzone.signals.paths import Circle, FigureEight, Path, Quintic
-from undeadzone.util.arrays import Floats, decode
+from undeadzone.util.arrays import Floats, decode_array
 
 T = np.linspace(-0.9, 9.9, 541) + 0.003
 VIA = Quintic(points=[[0.0, 1.0], [1.0, -1.0], [0.5, 2.0], [0.0, 1.0]], times=[0.0, 1.0, 3.0, 4.0])
 CIRCLE = Circle(centre=[0.4, 0.1], radius=0.15, period=4.0, phase=0.3)
 EIGHT = FigureEight(centre=[0.35, 0.2], width=0.3, height=0.2, period=5.0)
-TWO_LINK = arm(build.two_link())
+TWO_LINK = build_arm(build.build_two_link())
 ELBOWS = [[0.3, 0.8], [0.8, -0.8]]
 UR5 = File(__file__).parents[3] / "examples" / "ur5.urdf"
 
@@ -90,7 +90,7 @@ def spatial(joints: int, **bounds: Floats) -> Arm:
         speed=free,
         friction=np.zeros((2, joints)),
     )
-    return arm(chain._replace(**bounds))
+    return build_arm(chain._replace(**bounds))
 
 
 def tips(given: Arm, q: Floats) -> Floats:
@@ -336,7 +336,7 @@ def test_task_space_needs_an_arm() -> None:
         "period": 2,
         "space": "joint",
     }
-    read = msgspec.convert(words, Signal, dec_hook=decode)
+    read = msgspec.convert(words, Signal, dec_hook=decode_array)
     assert build_exosystem("reference", read, 2).output_at(np.array([1.5]))[0] == pytest.approx(
         [0.5 * np.sin(1.25 * np.pi), 0.25 * np.sin(2.5 * np.pi)]
     )
@@ -430,7 +430,7 @@ def ur5() -> tuple[Arm, Floats]:
     pytest.importorskip("adam")
     from undeadzone.plants.robots import urdf
 
-    return arm(urdf.chain(UR5)), np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])
+    return build_arm(urdf.load_urdf_chain(UR5)), np.array([0.0, -1.2, 1.6, -1.9, -1.57, 0.0])
 
 
 def test_ur5_follows_without_turning() -> None:
@@ -468,7 +468,7 @@ def driven(given: Arm, limit: Floats) -> System:
         linear,
         nonlinear=True,
         arm=given,
-        flat=flat(given),
+        flat=build_flat_joints(given),
         limit=limit,
     )
 
@@ -553,12 +553,12 @@ def test_limits_of_the_joints() -> None:
         ),
     ]:
         with pytest.raises(TrackingError, match=r"^reference: the path needs a") as error:
-            joints(arm(chain), tip_path(CIRCLE), ELBOWS[0])
+            joints(build_arm(chain), tip_path(CIRCLE), ELBOWS[0])
         (t,) = number(words, error)
         extreme = q[:, 1] if "position" in words else np.abs(v[:, 0])
         assert extreme[round(t / 2e-3)] == pytest.approx(extreme.max(), abs=1e-5)
     joints(
-        arm(
+        build_arm(
             TWO_LINK.chain._replace(
                 limits=np.array([[-1.0, 1.4], [-0.2, 2.5]]), speed=np.abs(v).max(axis=0) + 0.01
             )
@@ -603,7 +603,7 @@ def test_too_few_joints() -> None:
         match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; "
         r"give the joints' path",
     ):
-        joints(arm(build.one_link()), tip_path(CIRCLE), [0.3])
+        joints(build_arm(build.build_one_link()), tip_path(CIRCLE), [0.3])
 
 
 @pytest.mark.parametrize("harmonics", [[1], [1, 2]])

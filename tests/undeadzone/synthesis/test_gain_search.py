@@ -29,13 +29,13 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
-from undeadzone.synthesis.design import design, rounds
+from undeadzone.synthesis.design import count_design_rounds, design
 from undeadzone.synthesis.gain_search import Weights
 from undeadzone.synthesis.task import (
-    candidate_of,
-    make_task,
+    add_frequencies,
+    build_task,
+    score_candidate,
     shrink_to_certified,
-    watch_frequencies,
 )
 from undeadzone.util.arrays import Floats
 
@@ -133,13 +133,13 @@ def naive(scenario: Any) -> tuple[Floats, Floats]:
 def test_gains_are_those_of_a_step_by_step_simulation() -> None:
     scenario = scene(simulation=SAMPLED)
     problem = resolve_scenario(scenario)
-    found = candidate_of(make_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
+    found = score_candidate(build_task(problem, 0.01), np.array([[1.0], [1.5]]), np.array([10.0]))
     noise, mismatch = naive(scenario)
     assert found.noise == pytest.approx(noise, rel=1e-9)
     assert found.mismatch == pytest.approx(mismatch, rel=1e-6)
     assert found.rate == pytest.approx(
         error_decay_rates(
-            problem.model.linear, found.L, found.gamma, make_task(problem, 0.01).schedule
+            problem.model.linear, found.L, found.gamma, build_task(problem, 0.01).schedule
         ).rate,
         rel=1e-12,
     )
@@ -158,8 +158,8 @@ def test_noise_gain_is_what_a_noisy_run_shows() -> None:
     run = simulate(scenario)
     late = run.t > 20
     error = np.hstack([run.z - run.z_hat, run.info.widths - run.d_hat])[late]
-    gain = candidate_of(
-        make_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])
+    gain = score_candidate(
+        build_task(resolve_scenario(scenario), 0.01), np.array([[1.0], [1.5]]), np.array([10.0])
     ).noise
     assert np.sqrt((error**2).sum(axis=1).mean()) == pytest.approx(gain * noise, rel=0.05)
 
@@ -177,8 +177,8 @@ def test_sampled_gains_tend_to_the_continuous_ones(changes: dict[str, Any]) -> N
     for simulation in ({"step": 1e-3}, {"time": "sampled", "step": 1e-3}):
         problem = resolve_scenario(scene(**changes, simulation=simulation))
         per_second = 1.0 if problem.model.Ts is None else 1e3
-        found = candidate_of(
-            make_task(problem, 0.01),
+        found = score_candidate(
+            build_task(problem, 0.01),
             problem.observer.params.L * per_second,
             problem.observer.params.gamma * per_second,
         )
@@ -196,7 +196,7 @@ def test_shrunk_gains_meet_the_margin_and_no_more(changes: dict[str, Any]) -> No
     """
     rng = np.random.default_rng(0)
     problem = resolve_scenario(scene(**changes))
-    task = make_task(problem, 0.05)
+    task = build_task(problem, 0.05)
     L, gamma, W = (
         rng.normal(size=(10, task.n, task.p)) * 5,
         rng.uniform(0.1, 20.0, (10, task.p)),
@@ -208,7 +208,7 @@ def test_shrunk_gains_meet_the_margin_and_no_more(changes: dict[str, Any]) -> No
             certify(problem.model.linear, task.units[:, None] * one, speed, problem.model.Ts)
             for one, speed in zip(shrunk, gamma, strict=True)
         ]
-        task = watch_frequencies(
+        task = add_frequencies(
             task, np.array([proof.frequency for proof in proofs if proof.frequency is not None])
         )
     for before, after, proof in zip(L, shrunk, proofs, strict=True):
@@ -274,7 +274,7 @@ def test_every_point_of_the_front_is_certified_and_undominated(knee: Design) -> 
 def test_a_design_is_reproducible_and_tells_its_rounds(quickest: Design) -> None:
     told: list[int] = []
     assert design(scene(), "rate", progress=told.append) == quickest
-    assert sum(told) == rounds("rate") < rounds("knee")
+    assert sum(told) == count_design_rounds("rate") < count_design_rounds("knee")
 
 
 def test_what_cannot_be_had_at_once_is_said(

@@ -17,7 +17,7 @@ from scenes import scene
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
 from undeadzone.ensemble import metrics
-from undeadzone.ensemble.batch import prepare
+from undeadzone.ensemble.batch import prepare_batch
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
 from undeadzone.results.scales import LIMIT
@@ -32,15 +32,21 @@ from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import outputs_of
 from undeadzone.simulation.simulate import prepare as prepare_loop
 from undeadzone.statistics.intervals import Interval
-from undeadzone.tuning.candidates import Frame, Objective, losses, row, statistic
-from undeadzone.tuning.parameters import parameters, values_at
-from undeadzone.tuning.result import HeldOut, Tuned, Worth, change
+from undeadzone.tuning.candidates import (
+    Frame,
+    Objective,
+    loss_statistic,
+    metric_losses,
+    metrics_from_outputs,
+)
+from undeadzone.tuning.parameters import resolve_parameters, values_at_shares
+from undeadzone.tuning.result import HeldOut, HeldOutCost, Tuned, estimate_change
 from undeadzone.tuning.tune import (
     FORBIDDEN,
     REACH,
     Evaluation,
     _penalise_margin,
-    gradient,
+    difference_gradient,
     sweep,
     tune,
 )
@@ -100,7 +106,9 @@ def test_numbers_of_the_options_by_address() -> None:
     ],
 )
 def test_an_address_names_entries(address: str, names: list[str]) -> None:
-    assert [p.name for p in parameters({address: Range(between=(0.0, 20.0))}, gusts())] == names
+    assert [
+        p.name for p in resolve_parameters({address: Range(between=(0.0, 20.0))}, gusts())
+    ] == names
 
 
 @pytest.mark.parametrize(
@@ -192,28 +200,30 @@ def test_a_candidate_is_the_run_of_its_own_scenario() -> None:
     on = of(Tune(entries=GAINS, runs=6), scenario, names, [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
     points = np.array([[1.0, 1.5, 10.0], [0.3, 8.0, 0.7], [4.0, 30.0, 20.0]])
     runs = on.test_runs[0]
-    together = runs.rows([resolve_scenario(on.scenario(0, point)) for point in points])
+    together = runs.simulate_candidates(
+        [resolve_scenario(on.candidate_scenario(0, point)) for point in points]
+    )
     for point, rows in zip(points, together, strict=True):
-        alone = prepare(with_numbers(scenario, dict(zip(names, point, strict=True))))
-        expected = alone.rows(np.arange(6), runs.values)[:, runs.values.shape[1] :]
+        alone = prepare_batch(with_numbers(scenario, dict(zip(names, point, strict=True))))
+        expected = alone.rows_of_runs(np.arange(6), runs.values)[:, runs.values.shape[1] :]
         np.testing.assert_allclose(rows, expected, rtol=1e-9)
 
 
 def test_the_gradient_by_lanes_is_that_of_single_candidates() -> None:
     what = Tune(entries=GAINS, runs=6)
-    tuned = parameters(what.entries, gusts())
+    tuned = resolve_parameters(what.entries, gusts())
     on = of(what, gusts(), [p.name for p in tuned], [[1.0, 1.5, 10.0], [2.0, 3.0, 4.0]])
 
     def evaluate(u: Floats) -> Evaluation:
-        problems = on.problems(values_at(tuned, u))
-        return Evaluation(on.costs(problems), np.full(len(u), np.inf))
+        problems = on.candidate_problems(values_at_shares(tuned, u))
+        return Evaluation(on.candidate_costs(problems), np.full(len(u), np.inf))
 
     def difference(u: Floats, step: Floats) -> float:
         ahead, behind = evaluate((u + step)[None]).cost[0], evaluate((u - step)[None]).cost[0]
         return (ahead - behind) / (2 * step.max())
 
     u = np.array([0.5, 0.7, 0.4])
-    worth, slopes = gradient(evaluate, u)
+    worth, slopes = difference_gradient(evaluate, u)
     assert worth.cost[0] == evaluate(u[None]).cost[0]
     for direction, slope in zip(np.eye(3), slopes.cost, strict=True):
         assert slope == pytest.approx(difference(u, REACH * direction), rel=1e-12)
@@ -225,7 +235,7 @@ def test_the_gradient_stays_in_the_box_and_off_what_is_refused() -> None:
         cost = np.where(u[:, 1] > 0.5, np.inf, (u**2).sum(axis=1))
         return Evaluation(cost, np.full(len(u), np.inf))
 
-    worth, slopes = gradient(evaluate, np.array([1.0, 0.5]))
+    worth, slopes = difference_gradient(evaluate, np.array([1.0, 0.5]))
     assert worth.cost[0] == 1.25
     np.testing.assert_allclose(slopes.cost, [2 - REACH, 1 - REACH])
     np.testing.assert_array_equal(slopes.margin, 0.0)
@@ -293,13 +303,15 @@ def test_a_rebuilt_option_is_a_lane_too() -> None:
     scenario = gusts(observer=HighGain(epsilon=0.2))
     names, probes = ["observer.epsilon", "controller.alpha"], [[0.2, 10.0], [0.1, 5.0], [0.3, 20.0]]
     on = of(Tune(runs=4), scenario, names, probes)
-    nominal, faster, too_fast = on.problems(np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]]))
+    nominal, faster, too_fast = on.candidate_problems(
+        np.array([[0.2, 10.0], [0.05, 3.0], [1e-4, 3.0]])
+    )
     assert too_fast is None  # for the sample time
-    cost = on.costs([nominal, faster])
+    cost = on.candidate_costs([nominal, faster])
     runs = on.test_runs[0]
     assert runs.graph == graph(faster[0])
-    alone = prepare(faster[0].scenario)
-    lost = losses("rms_tracking", runs, alone.rows(np.arange(4), runs.values)[:, 2:])
+    alone = prepare_batch(faster[0].scenario)
+    lost = metric_losses("rms_tracking", runs, alone.rows_of_runs(np.arange(4), runs.values)[:, 2:])
     assert cost[1] == pytest.approx(lost.mean(), rel=1e-9)
 
 
@@ -307,9 +319,9 @@ def test_an_observer_in_python_runs_the_same_runs() -> None:
     scenario = gusts(ensemble=None)
     runs = of(Tune(runs=3), scenario, ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
     problem = resolve_scenario(scenario)
-    for k, expected in enumerate(runs.rows([problem])[0]):
+    for k, expected in enumerate(runs.simulate_candidates([problem])[0]):
         start = prepare_loop(problem)._replace(exogenous=exogenous(problem, run=k))
-        metrics_of_run = row(problem, outputs_of(start))
+        metrics_of_run = metrics_from_outputs(problem, outputs_of(start))
         np.testing.assert_allclose(metrics_of_run[0], expected, rtol=1e-9)
     observer = ParticleFilter(right=[0.0, 2.0], particles=10, noise=0.1)
     particles = gusts(ensemble=None, observer=observer)
@@ -331,25 +343,25 @@ def test_another_structure_is_another_graph() -> None:
 
 def test_runs_that_diverge_cost_more_the_faster_they_do() -> None:
     runs = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]]).test_runs[0]
-    names = metrics.columns(resolve_scenario(gusts()).plant, "deadzone")
+    names = metrics.metric_names(resolve_scenario(gusts()).plant, "deadzone")
     rows = np.zeros((5, len(names)))
     rows[:, names.index("rms_tracking")] = [0.1, np.inf, np.nan, 3.0, 1e20]
     rows[:, names.index("diverged")] = [0, 1, 1, 0, 0]
     rows[:, names.index("peak_tracking")] = [1.0, 1e20, 1e20, 4.0, 1e3]
     rows[:, names.index("settling_time")] = [1.0, 3.0, 1.0, 4.0, 4.0]
-    lost = losses("rms_tracking", runs, rows)
+    lost = metric_losses("rms_tracking", runs, rows)
     assert lost[0] == 0.1
     assert lost[3] == 3.0
     assert LIMIT == lost[4] < lost[1] < lost[2] < 2 * LIMIT
     rows[:, names.index("d_right[0]")] = 5.0
-    errors = losses("d_right_error[0]", runs, rows[:1, None].repeat(2, axis=1))
+    errors = metric_losses("d_right_error[0]", runs, rows[:1, None].repeat(2, axis=1))
     np.testing.assert_allclose(errors[0], 5.0 - runs.values[:, 0])
 
 
 def test_statistics_of_losses() -> None:
     lost = np.random.default_rng(0).permutation(np.arange(1.0, 101.0))[None]
     expected = {"mean": 50.5, "median": 50.0, "p95": 95.0, "worst": 100.0}
-    assert {name: statistic(name, lost)[0] for name in expected} == expected
+    assert {name: loss_statistic(name, lost)[0] for name in expected} == expected
 
 
 def test_the_interval_of_the_change_covers_it() -> None:
@@ -357,7 +369,9 @@ def test_the_interval_of_the_change_covers_it() -> None:
     on = of(Tune(runs=2), gusts(), ["observer.gamma"], [[10.0], [5.0]])
     for seed in range(200):
         hard = rng.exponential(size=100)
-        found = change(on, [np.stack([hard, 0.9 * hard + 0.05 * rng.normal(size=100)])], seed)
+        found = estimate_change(
+            on, [np.stack([hard, 0.9 * hard + 0.05 * rng.normal(size=100)])], seed
+        )
         covered += found.low <= -0.1 <= found.high
     assert 0.90 <= covered / 200 <= 0.985
 
@@ -368,7 +382,7 @@ def test_better_means_fewer_diverge_or_a_change_that_chance_does_not_explain() -
     value = Interval(1.0, 0.9, 1.1)
 
     def improved(before: Interval, after: Interval, change: Interval) -> bool:
-        held_out = HeldOut(Worth(value, before), Worth(value, after), 8)
+        held_out = HeldOut(HeldOutCost(value, before), HeldOutCost(value, after), 8)
         return dataclasses.replace(found, held_out=(held_out,), change=change).improved
 
     assert improved(none, none, Interval(-1.0, -2.0, -0.1))
@@ -411,7 +425,7 @@ def test_runs_that_are_alike_are_one_run() -> None:
 def test_the_command(tmp_path: Path) -> None:
     scenario = tmp_path / "mine.toml"
     what = Tune(entries=GAMMA, runs=16, held_out=64, budget=40)
-    scenario.write_text(toml.dumps(gusts(tune=what)))
+    scenario.write_text(toml.to_toml(gusts(tune=what)))
     words = ["--over", "observer.L=0.01:100:log", "--json", "--out", str(tmp_path / "out")]
     run = CliRunner().invoke(group, ["tune", str(scenario), *words], standalone_mode=False)
     assert run.exception is None

@@ -57,7 +57,7 @@ def test_kill_9_of_a_command_with_workers_leaves_no_process_and_changes_no_bit(
     def make() -> object:
         return sines(605)
 
-    whole = run_blocks.run(make, tmp_path / "whole.partial")
+    whole = run_blocks.compute_job(make, tmp_path / "whole.partial")
     path, rng = tmp_path / "runs.partial", random.Random(7)
     command = [sys.executable, "-c", WITH_WORKERS, str(path)]
     for _ in range(3):
@@ -71,7 +71,7 @@ def test_kill_9_of_a_command_with_workers_leaves_no_process_and_changes_no_bit(
             running.stdout.read()  # ends when the last process that holds it has gone
         while members(running.pid):
             time.sleep(0.01)
-    run_blocks.run(make, path, resume=True).close()
+    run_blocks.compute_job(make, path, resume=True).close()
     assert path.read_bytes() == whole.path.read_bytes()
     whole.close()
 

@@ -12,7 +12,7 @@ import pytest
 
 from commands import undeadzone
 from undeadzone.errors import FileError
-from undeadzone.util.own_files import mark_toml, require_own, write_own
+from undeadzone.util.own_files import mark_toml, require_own_file, write_own_file
 from undeadzone_export.targets import MANIFEST, manifest_text, write_folder
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -22,25 +22,25 @@ MINE = "# mine\n"
 def test_a_text_is_own_until_someone_edits_it(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     for text in ("a = 1\n", "b = 2\n"):
-        write_own(text, path)
+        write_own_file(text, path)
         assert path.read_text().endswith(text)
     path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))  # by an editor of Windows
-    write_own("c = 3\n", path)
+    write_own_file("c = 3\n", path)
     whole = path.read_text()
     for edited in (whole + "\n", whole.replace("3", "4"), "c = 3\n", "", "\0", f" {whole}"):
         path.write_text(edited)
         with pytest.raises(FileError, match="--force"):
-            write_own("d = 4\n", path)
+            write_own_file("d = 4\n", path)
         assert path.read_text() == edited
-    write_own("d = 4\n", path, force=True)
-    require_own(path)
+    write_own_file("d = 4\n", path, force=True)
+    require_own_file(path)
     assert path.read_text() == mark_toml("d = 4\n")
 
 
 def test_a_link_is_someone_elses(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(FileError, match="exists already"):
-        require_own(tmp_path / "link")
+        require_own_file(tmp_path / "link")
 
 
 def test_what_is_no_plain_file_is_never_replaced(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from undeadzone.cli.watch import Kept
+from undeadzone.cli.watch import SavedWatch
 from undeadzone.errors import FileError
 from undeadzone.util.streams import WaitingFile
 
@@ -121,12 +121,12 @@ def test_a_save_that_fails_is_said_and_tried_again(
     part: Any = SimpleNamespace(KEPT=("count",), count=1, digest="d")
     part.clock = part.reader = part
     (tmp_path / "gone").touch()  # no folder can be made there
-    kept = Kept(tmp_path / "gone" / "state.npz", 0.0, part, part)
-    kept.save(when_due=True)
-    kept.save(when_due=True)
+    kept = SavedWatch(tmp_path / "gone" / "state.npz", 0.0, part, part)
+    kept.save_state(when_due=True)
+    kept.save_state(when_due=True)
     assert "not saved, 2 times by now" in capsys.readouterr().err
     with pytest.raises(FileError):
-        kept.save()
+        kept.save_state()
     (tmp_path / "gone").unlink()
-    kept.save(when_due=True)
+    kept.save_state(when_due=True)
     assert (tmp_path / "gone" / "state.npz").exists()

@@ -12,7 +12,7 @@ from scipy.stats import truncnorm
 
 import undeadzone as uz
 from scenes import scene
-from undeadzone.util.text import HALF_95, interval_95, with_interval
+from undeadzone.util.text import HALF_95, format_with_interval, interval_95
 
 
 @given(st.floats(-1.0, 3.0), st.floats(0.01, 10.0))
@@ -35,8 +35,8 @@ def test_a_range_that_excludes_the_estimate_is_the_interval() -> None:
 
 def test_a_number_without_a_range_has_a_symmetrical_interval() -> None:
     assert interval_95(1.0, 0.5) == pytest.approx((1 - 0.5 * HALF_95, 1 + 0.5 * HALF_95))
-    assert with_interval(1.0, 0.577) == "1.00 [-0.13, 2.13]"
-    assert with_interval(1.0, 0.577, 0.0, 2.0) == "1.00 [0.12, 1.88]"
+    assert format_with_interval(1.0, 0.577) == "1.00 [-0.13, 2.13]"
+    assert format_with_interval(1.0, 0.577, 0.0, 2.0) == "1.00 [0.12, 1.88]"
 
 
 @pytest.mark.parametrize("method", ["kalman", "censored", "auto"])

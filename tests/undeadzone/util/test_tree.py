@@ -43,18 +43,21 @@ def shape(leaf: Any) -> tuple[int, int]:
 
 @given(trees)
 def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> None:
-    packed = tree.pack(like)
-    assert packed.size == tree.size(like) == len(tree.names(like))
-    column, view = tree.symbols(like, "s")
-    shapes = [leaf.shape for _, leaf in tree.leaves(view)]
-    assert shapes == [shape(leaf) for _, leaf in tree.leaves(like)]
-    stack = ca.Function("stack", [column], [tree.stack(view)])
+    packed = tree.pack_tree(like)
+    assert packed.size == tree.count_numbers(like) == len(tree.number_addresses(like))
+    column, view = tree.create_symbols(like, "s")
+    shapes = [leaf.shape for _, leaf in tree.iterate_leaves(view)]
+    assert shapes == [shape(leaf) for _, leaf in tree.iterate_leaves(like)]
+    stack = ca.Function("stack", [column], [tree.stack_leaves(view)])
     assert stack(packed).full().ravel().tolist() == packed.tolist()
-    values = [ca.Function("leaf", [column], [leaf])(packed).full() for _, leaf in tree.leaves(view)]
-    again = tree.rebuild(like, iter(values))
+    values = [
+        ca.Function("leaf", [column], [leaf])(packed).full()
+        for _, leaf in tree.iterate_leaves(view)
+    ]
+    again = tree.rebuild_tree(like, iter(values))
     assert isinstance(again, Outer)
     assert again.inner.no_information is None
-    assert tree.pack(again).tolist() == packed.tolist()
+    assert tree.pack_tree(again).tolist() == packed.tolist()
 
 
 def test_names_address_each_number_in_packing_order() -> None:
@@ -74,25 +77,25 @@ def test_names_address_each_number_in_packing_order() -> None:
         "pair.1[0]",
         "pair.1[1]",
     ]
-    assert tree.names(like) == expected
-    assert tree.names(like, "p")[1] == "p.inner.A[0,0]"
-    assert tree.pack(like).tolist() == [1, 1, 3, 2, 4, 5, 6, 7, 8]
+    assert tree.number_addresses(like) == expected
+    assert tree.number_addresses(like, "p")[1] == "p.inner.A[0,0]"
+    assert tree.pack_tree(like).tolist() == [1, 1, 3, 2, 4, 5, 6, 7, 8]
 
 
 def test_empty_trees() -> None:
-    assert tree.pack(None).size == tree.size(()) == 0
-    assert tree.stack(None).shape == (0, 1)
+    assert tree.pack_tree(None).size == tree.count_numbers(()) == 0
+    assert tree.stack_leaves(None).shape == (0, 1)
 
 
 def test_an_empty_leaf_beside_one_number_has_no_rows() -> None:
     """CasADi cuts a row of no columns out of a single entry."""
-    view = tree.unpack((np.ones(1), np.empty(0)), ca.SX.sym("x", 1))
+    view = tree.unpack_column((np.ones(1), np.empty(0)), ca.SX.sym("x", 1))
     assert [part.shape for part in view] == [(1, 1), (0, 1)]
 
 
 def test_a_tree_needs_as_many_values_as_leaves() -> None:
     with pytest.raises(StopIteration):
-        tree.rebuild((1.0, 2.0), iter([1.0]))
+        tree.rebuild_tree((1.0, 2.0), iter([1.0]))
 
 
 def test_a_stack_holds_structural_zeros_too() -> None:
@@ -100,6 +103,6 @@ def test_a_stack_holds_structural_zeros_too() -> None:
 
     An entry that CasADi leaves out would shift all that follow it.
     """
-    stacked = tree.stack((ca.vertcat(ca.SX(2, 1), ca.SX.sym("a")), ca.SX.sym("b")))
+    stacked = tree.stack_leaves((ca.vertcat(ca.SX(2, 1), ca.SX.sym("a")), ca.SX.sym("b")))
     assert stacked.shape == (4, 1)
     assert stacked.nnz() == 4

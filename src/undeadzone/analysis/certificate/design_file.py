@@ -20,9 +20,9 @@ from undeadzone.analysis.error_dynamics import build_error_dynamics
 from undeadzone.errors import FileError, InputError, ProofError, ShapeError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util import shown, toml
-from undeadzone.util.arrays import Floats, matrix, vector
-from undeadzone.util.earlier import SCHEMA, translated_std
-from undeadzone.util.files import read_text, reason, write_text
+from undeadzone.util.arrays import Floats, require_matrix, require_vector
+from undeadzone.util.earlier import SCHEMA, translate_stds
+from undeadzone.util.files import failure_reason, read_text, write_text
 from undeadzone.util.own_files import mark_toml
 from undeadzone.util.toml import require_short_keys
 
@@ -112,18 +112,20 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Return A, B, C as arrays."""
         n = len(self.A)
         return Matrices(
-            matrix("A", self.A, n, n), matrix("B", self.B, n), matrix("C", self.C, None, n)
+            require_matrix("A", self.A, n, n),
+            require_matrix("B", self.B, n),
+            require_matrix("C", self.C, None, n),
         )
 
     @property
     def L(self) -> Floats:
         """Return the observer gains (n x p) [1/s]."""
-        return matrix("best.L", self.best.L, len(self.A), len(self.C))
+        return require_matrix("best.L", self.best.L, len(self.A), len(self.C))
 
     @property
     def gamma(self) -> Floats:
         """Return the adaptation gains (p) [1/s]."""
-        return vector("best.gamma", self.best.gamma, len(self.C))
+        return require_vector("best.gamma", self.best.gamma, len(self.C))
 
     def require_proof(self, model: Matrices, Ts: float | None, what: str) -> None:
         """Prove the gains again for a model from P and W, by eigenvalues alone.
@@ -143,7 +145,9 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 f"the model has {model.C.shape[1]} and {model.C.shape[0]}"
             )
         errors = build_error_dynamics(model, self.L, self.gamma, Ts)
-        proof = recheck_proof(errors, matrix("P", self.P, n, n), vector("W", self.W, p))
+        proof = recheck_proof(
+            errors, require_matrix("P", self.P, n, n), require_vector("W", self.W, p)
+        )
         if not proof.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality "
@@ -155,8 +159,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Return the gains, their proof and their trade-off as a table."""
         return [describe_design(msgspec.to_builtins(self))]
 
-    __repr__ = shown.in_text
-    _repr_html_ = shown.in_notebook
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
     plot = shown.plot
     """Draw it."""
@@ -173,7 +177,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises:
             FileError: if it cannot be written.
         """
-        return write_text(mark_toml(toml.dumps(self)), path)
+        return write_text(mark_toml(toml.to_toml(self)), path)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Design:
@@ -196,7 +200,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         try:
             design = msgspec.convert(tomllib.loads(require_short_keys(read_text(path))), cls)
         except OSError as error:
-            raise FileError(f"{path}: cannot read: {reason(error)}") from None
+            raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
         except (ValueError, RecursionError, msgspec.ValidationError):
             # Nothing of it is quoted: a scenario may name a file that is not its author's.
             raise FileError(
@@ -208,7 +212,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 def _of_today(design: Design, path: str) -> Design:
     """Return the design with deviations in the meanings of today."""
     known = design.identifiable
-    stds = translated_std([one.std for one in known], design.schema, path)
+    stds = translate_stds([one.std for one in known], design.schema, path)
     told = [msgspec.structs.replace(one, std=std) for one, std in zip(known, stds, strict=True)]
     return msgspec.structs.replace(design, identifiable=told, schema=SCHEMA)
 
@@ -226,7 +230,7 @@ def _recompute_design(design: Design, path: str) -> Design:
     design.require_proof(design.model, design.Ts, path)
     n, p = len(design.A), len(design.C)
     errors = build_error_dynamics(design.model, design.L, design.gamma, design.Ts)
-    margin, frequency = margin_of_dynamics(errors, vector("W", design.W, p))
+    margin, frequency = margin_of_dynamics(errors, require_vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
             f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}; "
@@ -235,7 +239,10 @@ def _recompute_design(design: Design, path: str) -> Design:
     _require_sizes(design, n, p)
     present = design.present
     if present is not None:
-        gains = matrix("present.L", present.L, n, p), vector("present.gamma", present.gamma, p)
+        gains = (
+            require_matrix("present.L", present.L, n, p),
+            require_vector("present.gamma", present.gamma, p),
+        )
         if not certify(design.model, *gains, design.Ts).certified:
             raise ProofError(
                 f"{path}: present: the file lists these gains as certified, they are not; "
@@ -249,14 +256,14 @@ def _recompute_design(design: Design, path: str) -> Design:
 
 def _require_sizes(design: Design, n: int, p: int) -> None:
     """Raise ShapeError if an entry of the file does not fit n states and p outputs."""
-    matrix("K", design.K, design.model.B.shape[1], n)
+    require_matrix("K", design.K, design.model.B.shape[1], n)
     stated = {"states": (len(design.states), n), "identifiable": (len(design.identifiable), p)}
     for key, (length, expected) in stated.items():
         if length != expected:
             raise ShapeError(f"{key}: expected {expected} entries, found {length}")
     for i, point in enumerate(design.front):
-        matrix(f"front[{i}].L", point.L, n, p)
-        vector(f"front[{i}].gamma", point.gamma, p)
+        require_matrix(f"front[{i}].L", point.L, n, p)
+        require_vector(f"front[{i}].gamma", point.gamma, p)
 
 
 class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -32,7 +32,7 @@ from undeadzone.analysis.error_dynamics import (
     largest_growth_rate,
 )
 from undeadzone.errors import InputError
-from undeadzone.util.arrays import Floats, matrix, vector
+from undeadzone.util.arrays import Floats, require_matrix, require_vector
 
 FLOOR = 1e-6  # smallest multiplier that is minimised to, in its own unit
 CEILING = 1e6  # the largest
@@ -70,11 +70,11 @@ def build_channels(
     n, p = errors.L.shape
     signals = []
     if E is not None:
-        E = matrix("E", E, n, None, "one row per state")
+        E = require_matrix("E", E, n, None, "one row per state")
         to_state = scaling.time * E / scaling.state[:, None]
         signals.append(Channel(to_state, np.zeros((p, E.shape[1]))))
     if noise is not None:
-        to_reading = np.diag(vector("noise", noise, p, "one per output") / scaling.output)
+        to_reading = np.diag(require_vector("noise", noise, p, "one per output") / scaling.output)
         signals.append(Channel(np.zeros((n, p)), to_reading))
     return signals
 
@@ -82,7 +82,11 @@ def build_channels(
 def output_rows(errors: Dynamics, scaling: Scaling, output: Floats | None) -> Floats:
     """Return the rows of z = output x~ (C by default) for scaled states (rows x n)."""
     n = errors.L.shape[0]
-    z = errors.C if output is None else matrix("output", output, None, n, "one column per state")
+    z = (
+        errors.C
+        if output is None
+        else require_matrix("output", output, None, n, "one column per state")
+    )
     return z * scaling.state
 
 
@@ -272,7 +276,7 @@ def ultimate_bound(
     """
     p = errors.L.shape[1]
     gamma = errors.gamma
-    widths = vector("widths", widths, 2 * p, "[right, left] of each output")
+    widths = require_vector("widths", widths, 2 * p, "[right, left] of each output")
     nothing = Ultimate(np.inf, np.inf, 0.0, identity_storage(errors), NO_PROOF)
     if not 0 <= sigma < np.inf:
         raise InputError(f"sigma: expected a number that is not negative, found {sigma:g}")

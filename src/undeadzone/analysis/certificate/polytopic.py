@@ -386,7 +386,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         InputError: where the output bends; from the bounds, where the model is not smooth.
     """
     n = model.n
-    p, params = tree.symbols(model.params, "p")
+    p, params = tree.create_symbols(model.params, "p")
     w = ca.SX.sym("w", n + model.m)  # [x, u]
     moved, z = model.move(params, w[:n], w[n:]), model.output(params, w[:n])
     if any(ca.which_depends(z, w, 2, True)):
@@ -395,7 +395,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
     A = A if model.Ts is None else (A - np.eye(n)) / model.Ts
     varying = np.flatnonzero(ca.which_depends(ca.vec(A), w, 1, True))
     columns, rows = np.divmod(varying, n)
-    numbers = tree.pack(model.params)[:, None]
+    numbers = tree.pack_tree(model.params)[:, None]
 
     def function(*values: ca.SX) -> ca.Function:
         """Return a CasADi function of (p, [x, u])."""

@@ -29,7 +29,7 @@ from undeadzone.analysis.dissipation import (
     check_inequality,
 )
 from undeadzone.linalg.matrices import Matrices, delta_form
-from undeadzone.util.arrays import Floats, matrix
+from undeadzone.util.arrays import Floats, require_matrix
 
 
 class Gain(NamedTuple):
@@ -150,7 +150,7 @@ def closed_loop(
         A_k, B_k, _ = delta_form(plant, Ts)
         dA, dB = A_k - A, B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
-    L = matrix("L", L, n, p, "states x outputs")
+    L = require_matrix("L", L, n, p, "states x outputs")
     of_outputs = np.hstack([np.zeros((p, n)), C])
     to_errors = np.vstack([np.zeros((n, p)), L])
     return error_dynamics.Dynamics(

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
-from undeadzone.plants.robots.arm import Arm, torque
-from undeadzone.util.arrays import Flags, Floats, runs
+from undeadzone.plants.robots.arm import Arm, inverse_dynamics
+from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
 FRICTION_SHARE = (
@@ -60,7 +60,7 @@ def flank_visits(tau: Floats, step: float, unheard: Floats) -> list[FlankVisits]
 def _keep_lasting_runs(flags: Flags, step: float) -> Flags:
     """Return the flags that belong to a run of at least LASTING seconds (N, bool)."""
     kept = np.zeros_like(flags)
-    for first, last in zip(*runs(flags), strict=True):
+    for first, last in zip(*bounds_of_runs(flags), strict=True):
         kept[first : last + 1] = (last + 1 - first) * step >= LASTING
     return kept
 
@@ -74,7 +74,9 @@ def torques_along_path(body: Arm, params: Floats, path: Floats) -> Floats:
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
     """
     q, v, a = (ca.SX.sym(name, body.size) for name in "qva")
-    needed = ca.Function("needed", [q, v, a], [torque(body, ca.SX(params), q, v, a)], {"cse": True})
+    needed = ca.Function(
+        "needed", [q, v, a], [inverse_dynamics(body, ca.SX(params), q, v, a)], {"cse": True}
+    )
     return np.asarray(needed.map(len(path))(*(path[:, k].T for k in range(3)))).T
 
 

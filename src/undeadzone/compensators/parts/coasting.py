@@ -17,7 +17,7 @@ from undeadzone.interfaces import Compensator, Estimate, Reading
 from undeadzone.nonlinearities.actuator import Belief, Drive
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, require_number
 
 VISIBLE = 0.25  # share of the largest reading of late from which an output is well visible
 FORGET = 0.2  # share of the largest reading that is forgotten from one coast to the next
@@ -71,12 +71,12 @@ def start_coasting(options: Coasts, model: System) -> tuple[Numbers | None, Stat
     Raises:
         InputError: for times that cannot be, or in continuous time.
     """
-    length = scalar("compensator.coast", options.coast, least=0.0)
-    every = scalar("compensator.every", options.every, above=0.0)
-    tolerance = scalar("compensator.tolerance", options.tolerance, least=0.0)
+    length = require_number("compensator.coast", options.coast, least=0.0)
+    every = require_number("compensator.every", options.every, above=0.0)
+    tolerance = require_number("compensator.tolerance", options.tolerance, least=0.0)
     until = np.inf
     if options.until is not None:
-        until = scalar("compensator.until", options.until, least=0.0)
+        until = require_number("compensator.until", options.until, least=0.0)
     if not length:
         return None, None
     if model.Ts is None:

@@ -21,7 +21,7 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.nonlinearities.sensor import Zone, offset, side
 from undeadzone.plants.system import System
 from undeadzone.util import tree
-from undeadzone.util.arrays import scalar
+from undeadzone.util.arrays import require_number
 
 KEY = "behind_play"
 ROUNDING = 1e-9  # share of r by which it may change without a turn
@@ -64,7 +64,7 @@ def lead_across_gap(
     """
     if rate is None:
         return controller
-    w = scalar(KEY, rate, above=0.0)
+    w = require_number(KEY, rate, above=0.0)
     if sensor.kind != "play":
         raise InputError(
             f'{KEY}: nothing is behind a sensor of kind "{sensor.kind}"; leave it out, or set '

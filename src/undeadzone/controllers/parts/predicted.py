@@ -23,7 +23,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
 from undeadzone.nonlinearities.actuator import Belief, through_line, through_zone
-from undeadzone.plants.system import System, held_inputs
+from undeadzone.plants.system import System, hold_integral
 from undeadzone.util import tree
 from undeadzone.util.arrays import LARGEST, Floats
 
@@ -84,7 +84,7 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
             controller.init(tree.drop_last_field(q, kind)), np.zeros(model.delay * model.m)
         )
 
-    numbers = DelayPrediction(model.params, held_inputs(model), low, high)
+    numbers = DelayPrediction(model.params, hold_integral(model), low, high)
     params = tree.append_field(controller.params, "ahead", numbers)
     step = partial(step_with_prediction, controller, model)
     return controller._replace(params=params, init=init, step=step)

@@ -16,7 +16,14 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.interfaces import NONE
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, array, matrix, scalar, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_array,
+    require_matrix,
+    require_number,
+    require_vector,
+)
 
 
 def to_width_pairs(key: str, value: Array, p: int) -> Floats:
@@ -26,10 +33,10 @@ def to_width_pairs(key: str, value: Array, p: int) -> Floats:
 
     Raises ShapeError that names the key.
     """
-    numbers = array(key, value)
+    numbers = require_array(key, value)
     if numbers.ndim < 2 and numbers.size in (1, 2):
         return np.broadcast_to(numbers, (p, 2)).astype(float)
-    return matrix(key, numbers, p, 2, "one [right, left] per output")
+    return require_matrix(key, numbers, p, 2, "one [right, left] per output")
 
 
 def read_initial_widths(widths0: Array, width_max: Array | None, p: int) -> tuple[Floats, Floats]:
@@ -49,7 +56,7 @@ def read_initial_widths(widths0: Array, width_max: Array | None, p: int) -> tupl
     if width_max is None:
         limit = np.full(p, np.inf)
     else:
-        limit = vector("observer.width_max", width_max, p, "one per output")
+        limit = require_vector("observer.width_max", width_max, p, "one per output")
     if (limit <= 0).any():
         raise InputError(f"observer.width_max: must be positive, found {limit.min():g}")
     widths = to_width_pairs("observer.widths0", widths0, p)
@@ -143,7 +150,7 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
         Raises:
             InputError: for a weight below 0.
         """
-        weight = scalar("observer.adaptation.weight", self.weight, least=0.0)
+        weight = require_number("observer.adaptation.weight", self.weight, least=0.0)
         return AdaptationLaw(np.float64(weight), lambda weight, y: 1 / (1 + weight * y**2))
 
 
@@ -171,8 +178,8 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
         Raises:
             InputError: for a rate below 0, or a share outside [0, 1).
         """
-        forgetting = scalar("observer.adaptation.forgetting", self.forgetting, least=0.0)
-        share = scalar("observer.adaptation.reset", self.reset, least=0.0)
+        forgetting = require_number("observer.adaptation.forgetting", self.forgetting, least=0.0)
+        share = require_number("observer.adaptation.reset", self.reset, least=0.0)
         if share >= 1:
             raise InputError(f"observer.adaptation.reset: must be below 1, found {share:g}")
         fade = forgetting if Ts is None else np.exp(-forgetting * Ts)
@@ -228,7 +235,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
         Raises:
             InputError: for a leak below 0.
         """
-        leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
+        leak = require_number("observer.adaptation.leak", self.leak, least=0.0)
         return AdaptationLaw(np.float64(leak), move=sigma_move)
 
 
@@ -260,7 +267,7 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
         Raises:
             InputError: for a leak below 0.
         """
-        leak = scalar("observer.adaptation.leak", self.leak, least=0.0)
+        leak = require_number("observer.adaptation.leak", self.leak, least=0.0)
         return AdaptationLaw(np.float64(leak), move=e_modification_move)
 
 

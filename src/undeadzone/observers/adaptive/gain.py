@@ -14,7 +14,7 @@ from undeadzone.analysis.certificate.passivity import certify, passive_gain
 from undeadzone.errors import ShapeError
 from undeadzone.linalg.matrices import Matrices, delta_form, state_response_sizes
 from undeadzone.plants.system import System, mean_pole
-from undeadzone.util.arrays import Array, Floats, array, matrix
+from undeadzone.util.arrays import Array, Floats, require_array, require_matrix
 
 STRENGTH: Final = 1.0  # C (-A)^-1 L: how far a lasting error moves z^, in that error
 ADAPTATION: Final = 3.0  # gamma, in mean poles of the plant
@@ -37,7 +37,7 @@ def innovation_gain(L: Array | None, model: System, key: str = "observer.L") -> 
     n, p = model.n, model.p
     if L is None:
         return default_gain(model)
-    gain = array(key, L)
+    gain = require_array(key, L)
     if gain.ndim == 1 and p == 1:
         gain = gain[:, None]
     if gain.ndim != 2:
@@ -45,7 +45,7 @@ def innovation_gain(L: Array | None, model: System, key: str = "observer.L") -> 
             f"{key}: expected {n} x {p} (states x outputs), "
             f"found {gain.size} number{'s' * (gain.size != 1)}"
         )
-    return matrix(key, gain, n, p, "states x outputs")
+    return require_matrix(key, gain, n, p, "states x outputs")
 
 
 def default_gain(model: System) -> Floats:

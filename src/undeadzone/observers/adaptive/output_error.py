@@ -24,7 +24,7 @@ from undeadzone.interfaces import (
 from undeadzone.nonlinearities.sensor import Zone, deadzone, jump, present
 from undeadzone.observers.adaptive.adaptation_laws import read_initial_widths
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Array, Floats, nonnegative
+from undeadzone.util.arrays import Array, Floats, require_nonnegative
 
 
 class Widths(NamedTuple):
@@ -78,7 +78,7 @@ def read_adapted_widths(
     gamma: Array, widths0: Array, width_max: Array | None, model: System, sensor: Zone
 ) -> Widths:
     """Return checked initial widths, bound and adaptation gain. Raises InputError, ShapeError."""
-    gain = nonnegative("observer.gamma", gamma, model.p, "one per output")
+    gain = require_nonnegative("observer.gamma", gamma, model.p, "one per output")
     if sensor.kind == "jump" and gain.any():
         raise InputError(
             "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "

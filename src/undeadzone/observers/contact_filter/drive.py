@@ -35,7 +35,7 @@ from undeadzone.observers.contact_filter.modes import (
 )
 from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.plants.robots.arm import Chain
-from undeadzone.plants.robots.geared import Geared, Gears, motion_of_geared_arm
+from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
@@ -70,8 +70,8 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
     def mobility(params: Any, x: Any) -> Any:
         """Return the change of [theta'; q'] (2N x N) by a unit impulse in each joint."""
         column = substitute_estimates(gears, params, x)
-        M = ca.densify(gears.arm.mass(gears.links(column), x[layout.slice_of("link")]))
-        return ca.vertcat(-ca.diag(1 / gears.number(column, "inertia")), ca.inv(M))
+        M = ca.densify(gears.arm.mass(gears.link_params(column), x[layout.slice_of("link")]))
+        return ca.vertcat(-ca.diag(1 / gears.gear_number(column, "inertia")), ca.inv(M))
 
     motors, links = tuple(range(N)), tuple(range(N, 2 * N))
     readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
@@ -117,11 +117,9 @@ def isolate_joint(gears: Geared, joint: int) -> Geared:
         turn=lambda _, __: ca.SX.eye(3),
         gravity=lambda _: ca.SX.zeros(3),
         plane=(0, 1),
-        **Chain.free(1),
+        **Chain.fields_without_limits(1),
     )
-    one = motion_of_geared_arm(
-        link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest
-    )
+    one = build_geared_arm(link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest)
     here = slice(joint, joint + 1)
     return one._replace(stiffness=gears.stiffness[here], damping=gears.damping[here])
 
@@ -240,7 +238,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         u: torque of the motors (N).
     """
     layout, params, body = Layout(gears.size), substitute_estimates(gears, model, mean), gears.arm
-    links = gears.links(params)
+    links = gears.link_params(params)
     q, turning, v = (mean[layout.slice_of(name)] for name in ("link", "motor_speed", "link_speed"))
     rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
     return Posture(
@@ -249,7 +247,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         q,
         v,
         turning - v,
-        u + mean[layout.slice_of("push")] - gears.friction(params, turning),
+        u + mean[layout.slice_of("push")] - gears.motor_friction_torque(params, turning),
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
@@ -269,7 +267,7 @@ def apply_gear_impulses(told: Sequence[Posterior], news: Any, arm: Posture) -> l
         news: by how much the readings moved the means of all unknowns.
         arm: all joints in the mean.
     """
-    layout, inertia = Layout(arm.gears.size), arm.gears.number(arm.params, "inertia")
+    layout, inertia = Layout(arm.gears.size), arm.gears.gear_number(arm.params, "inertia")
     impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
     gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
     free = Layout(1).contact_combinations.index((0,))
@@ -352,7 +350,7 @@ def update_joint_numbers(
         arm: all joints in the mean.
     """
     gears, N, body = arm.gears, arm.gears.size, arm.gears.arm
-    links, names = gears.links(arm.params), body.names
+    links, names = gears.link_params(arm.params), body.names
     carried = links[names.index("payload")]
     known = []
     for joint, (one, part) in enumerate(zip(ones, parts, strict=True)):
@@ -407,7 +405,7 @@ def _link_mobility(arm: Posture, touching: Any) -> Any:
 
     So a link answers to its own contact, which lasts longer than a stiff contact takes.
     """
-    N, inertia, rows = arm.gears.size, arm.gears.number(arm.params, "inertia"), []
+    N, inertia, rows = arm.gears.size, arm.gears.gear_number(arm.params, "inertia"), []
     for joint in range(N):
         turned = touching * inertia
         turned[joint] = 0.0
@@ -423,7 +421,7 @@ def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
     gears, N = arm.gears, arm.gears.size
-    frequency, inertia = (gears.number(arm.params, name) for name in ("contact", "inertia"))
+    frequency, inertia = (gears.gear_number(arm.params, name) for name in ("contact", "inertia"))
     K, damping = gears.stiffness * frequency**2, gears.damping * frequency
     own = ca.diag(arm.inverse)
     others = arm.inverse - ca.diag(own)

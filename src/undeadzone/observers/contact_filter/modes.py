@@ -341,8 +341,8 @@ def replace_diverged(told: Sequence[Posterior]) -> list[Posterior]:
 
 def _select_posterior(use: Any, one: Posterior, other: Posterior) -> Posterior:
     """Return the first of two posteriors if a condition holds, or the second if not."""
-    pairs = zip(tree.leaves(one), tree.leaves(other), strict=True)
-    chosen: Posterior = tree.rebuild(one, (ca.if_else(use, a, b) for (_, a), (_, b) in pairs))
+    pairs = zip(tree.iterate_leaves(one), tree.iterate_leaves(other), strict=True)
+    chosen: Posterior = tree.rebuild_tree(one, (ca.if_else(use, a, b) for (_, a), (_, b) in pairs))
     return chosen
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.hold import discretise_noise
 from undeadzone.observers.filtering.prior import Prior, require_sample_time
-from undeadzone.plants.system import System, arrival, state_units, time_scale
+from undeadzone.plants.system import System, arrival_time, state_units, time_scale
 from undeadzone.util.arrays import Floats
 
 SWING = 0.5  # rms, in largest widths, by which a disturbance moves z in a quarter period by default
@@ -48,7 +48,7 @@ def default_disturbance_rms(model: System, largest: float, correlation: float) -
         largest: largest claimed width [z].
         correlation: correlation time of the disturbance [s].
     """
-    white = white_disturbance_rms(model, SWING * largest, arrival(model.continuous, model.Ts))
+    white = white_disturbance_rms(model, SWING * largest, arrival_time(model.continuous, model.Ts))
     return white * np.sqrt(require_sample_time(model) / 2 / correlation)
 
 

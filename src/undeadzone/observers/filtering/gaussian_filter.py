@@ -19,7 +19,7 @@ from undeadzone.numerics.gaussian import (
     truncate_to_range,
 )
 from undeadzone.observers.filtering.prior import Prior
-from undeadzone.plants.system import System, held_inputs
+from undeadzone.plants.system import System, hold_integral
 from undeadzone.util.arrays import Floats
 
 
@@ -124,7 +124,7 @@ def build_filter_params(
         mean=np.concatenate([prior.mean[: model.n], widths, np.zeros(count)]),
         cov=cov[rows, columns],
         ranges=prior.ranges,
-        rate=np.linalg.inv(held_inputs(model)),
+        rate=np.linalg.inv(hold_integral(model)),
     )
 
 

@@ -79,7 +79,7 @@ from undeadzone.observers.filtering.recovery import (
     start_rejection_rate,
 )
 from undeadzone.observers.filtering.smoothing import Moments, Smoothing
-from undeadzone.plants.system import System, in_units
+from undeadzone.plants.system import System, scale_states
 from undeadzone.util.arrays import Floats
 
 
@@ -139,7 +139,7 @@ def build_branch_filter(
         levels: how many rms of the disturbance are weighed (`levelled`).
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
     """
-    model = in_units(plant, units)
+    model = scale_states(plant, units)
     prior = scale_prior(prior, units)
     gaps = gap_numbers(sensor, prior)
     zones = zone_numbers(model.actuator)

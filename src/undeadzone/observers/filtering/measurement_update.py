@@ -30,7 +30,7 @@ from undeadzone.numerics.gaussian import (
 from undeadzone.observers.filtering.constant_states import backlash_offset, information_shares
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
 from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
-from undeadzone.plants.system import System, pace, time_scale
+from undeadzone.plants.system import System, plant_pace, time_scale
 from undeadzone.util.arrays import Floats
 
 # A silent sensor counts where the belief contradicts it by more than 5 %.
@@ -126,7 +126,9 @@ def silence_pause(model: System, sensor: Zone, lasting: float) -> float:
     if sensor.kind == "jump" or model.flow is None or model.Ts is None:
         return lasting
     quarter = time_scale(model.flow, model.Ts) / model.Ts
-    return max(min(lasting, quarter), readings_of_motion(model.Ts, pace(model.flow, model.Ts)))
+    return max(
+        min(lasting, quarter), readings_of_motion(model.Ts, plant_pace(model.flow, model.Ts))
+    )
 
 
 def update_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:

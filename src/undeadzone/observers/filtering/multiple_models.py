@@ -130,16 +130,16 @@ def share_step_graph(step: Callable[..., Step], *like: Any) -> Callable[..., Ste
         step: of a member.
         like: arguments of the shapes of those of every call.
     """
-    shapes = [leaf for _, leaf in tree.leaves(like)]
+    shapes = [leaf for _, leaf in tree.iterate_leaves(like)]
     symbols = [ca.SX.sym(f"a{i}", *ca.SX(leaf).shape) for i, leaf in enumerate(shapes)]
-    result = step(*tree.rebuild(like, iter(symbols)))
-    leaves = [ca.SX(leaf) for _, leaf in tree.leaves(result)]
+    result = step(*tree.rebuild_tree(like, iter(symbols)))
+    leaves = [ca.SX(leaf) for _, leaf in tree.iterate_leaves(result)]
     graph = ca.Function("member", symbols, leaves)
 
     def call(*arguments: Any) -> Step:
         """Return the result of the graph for the arguments of a step."""
-        given = [leaf for _, leaf in tree.leaves(arguments)]
-        found: Step = tree.rebuild(result, iter(graph.call(given)))
+        given = [leaf for _, leaf in tree.iterate_leaves(arguments)]
+        found: Step = tree.rebuild_tree(result, iter(graph.call(given)))
         return found
 
     return call

@@ -14,7 +14,14 @@ from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.nonlinearities.play import largest_gap
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System, state_units, time_scale
-from undeadzone.util.arrays import Array, Floats, array, nonnegative, scalar, vector
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_array,
+    require_nonnegative,
+    require_number,
+    require_vector,
+)
 
 FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
@@ -115,12 +122,12 @@ def build_prior(
     if claims.x_std is None:
         spread = reach * largest * state_units(model.continuous, Ts)
     else:
-        spread = nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
+        spread = require_nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
     drift, worn = claims.drift, 0.0
     if drift is None:
         worn = wear**2 * np.pi / 2 * Ts / time_scale(model.continuous, Ts)
-    growth = scalar("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
-    x0 = vector("observer.start", start, model.n, "one per state")
+    growth = require_number("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
+    x0 = require_vector("observer.start", start, model.n, "one per state")
     return Prior(
         mean=np.concatenate([x0, ranges.mean(axis=1)]),
         std=np.concatenate([spread, span / np.sqrt(12)]),
@@ -168,7 +175,7 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     That is twice the centre, which is claimed. A range stands for the uniform distribution over it.
     Raises InputError, ShapeError.
     """
-    value = array("observer.centre", claimed)
+    value = require_array("observer.centre", claimed)
     if value.ndim == 0:
         value = np.full(2, float(value))
     if value.shape not in ((2,), (p, 2)):
@@ -190,7 +197,7 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
 
 def _read_noise(noise: Array, p: int) -> Floats:
     """Return the assumed rms of a reading (p) [z]. Raises InputError for 0."""
-    rms = nonnegative("observer.noise", noise, p, "one per output")
+    rms = require_nonnegative("observer.noise", noise, p, "one per output")
     if not rms.all():
         raise InputError(
             "observer.noise: must be positive, found 0; leave it out for a sensor without noise"
@@ -229,7 +236,9 @@ def read_width_ranges(right: Array, left: Array | None, p: int) -> Floats:
 
 def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
     """Return the ranges of a branch (p x 2) [z]. Raises InputError, ShapeError."""
-    given = require_pairs(key, array(key, value), p, "the declared range [lo, hi]", "per output")
+    given = require_pairs(
+        key, require_array(key, value), p, "the declared range [lo, hi]", "per output"
+    )
     ranges = np.broadcast_to(given, (p, 2))
     if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
         raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")
@@ -328,7 +337,7 @@ def outlier_reach(prior: Prior) -> Floats:
 
 def outlier_probability(claimed: float) -> float:
     """Return the assumed probability of an outlier [1]. Raises InputError."""
-    share = scalar("observer.glitches", claimed, least=0.0)
+    share = require_number("observer.glitches", claimed, least=0.0)
     if share > 0.5:
         raise InputError(f"observer.glitches: must be at most 0.5, found {share:g}")
     return share

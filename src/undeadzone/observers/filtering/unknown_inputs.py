@@ -19,8 +19,8 @@ from undeadzone.linalg.matrices import Matrices, change_state_units
 from undeadzone.numerics.gaussian import Gaussian, Products, joseph_update
 from undeadzone.observers.filtering.constant_states import information_shares
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
-from undeadzone.plants.system import System, held_inputs, in_units, state_units, time_scale
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.plants.system import System, hold_integral, scale_states, state_units, time_scale
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
 OFFSET = 0.25  # bias, in disturbances, unless it is claimed
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
@@ -116,7 +116,7 @@ def build_colour(correlation: float, washout: float | None, Ts: float) -> Colour
 
 def read_time_span(key: str, value: Any, Ts: float) -> float:
     """Return a time that the samples resolve [s]. Raises InputError."""
-    time = scalar(f"observer.{key}", value, above=0.0)
+    time = require_number(f"observer.{key}", value, above=0.0)
     if not 0.1 * Ts <= time <= 1e6 * Ts:
         raise InputError(
             f"observer.{key}: must lie between 0.1 and 1e6 sample times of {Ts:g} s, "
@@ -129,7 +129,7 @@ def resolve_input_rms(key: str, claimed: Array | None, default: Floats) -> Float
     """Return an rms as given, or its default (m) [u]. Raises InputError, ShapeError."""
     if claimed is None:
         return default
-    return nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
+    return require_nonnegative(f"observer.{key}", claimed, np.size(default), "one per input")
 
 
 def resolve_correlation_time(claimed: float | None, flow: Matrices, Ts: float) -> float:
@@ -287,7 +287,7 @@ class Tolerance(NamedTuple):
             plant.
         entries: rows and columns of the entries in [A, B].
         values: the entries themselves (K).
-        held: `plants.system.held_inputs` (n x n).
+        held: `plants.system.hold_integral` (n x n).
         changed: changed(params, theta) is the parameters of a nonlinear plant as theta (K) changes
             them.
     """
@@ -309,7 +309,7 @@ def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     """
     std = {}
     for name, value in stds.items():
-        std[name] = scalar(f"observer.uncertain.{name}", value, above=0.0)
+        std[name] = require_number(f"observer.uncertain.{name}", value, above=0.0)
     unknown = sorted(set(std) - set(model.names))
     if unknown:
         raise InputError(
@@ -349,7 +349,7 @@ def read_tolerance(
         claimed = _dynamic_entries(AB, places, claimed)
     std, entries = [], []
     for name, value in claimed.items():
-        relative = scalar(f"observer.tolerance.{name}", value, least=0.0)
+        relative = require_number(f"observer.tolerance.{name}", value, least=0.0)
         if name not in places or AB[places[name]] == 0.0:
             uncertain = ", ".join(name for name, at in places.items() if AB[at] != 0.0)
             raise InputError(
@@ -358,14 +358,14 @@ def read_tolerance(
         if relative:
             std.append(relative)
             entries.append(places[name])
-    even = in_units(model, np.ones(model.n) if units is None else units)
+    even = scale_states(model, np.ones(model.n) if units is None else units)
     AB = np.hstack(even.continuous[:2])
     return Tolerance(
         np.array(std),
         zoh_entry_slopes(AB, entries, model.Ts),
         tuple(entries),
         np.array([AB[at] for at in entries]),
-        held_inputs(even),
+        hold_integral(even),
     )
 
 
@@ -375,7 +375,7 @@ def _read_parameter_tolerance(model: System, claimed: float | dict[str, float]) 
         raise InputError(
             "observer.tolerance: a nonlinear plant takes one number, for all of its parameters"
         )
-    std = scalar("observer.tolerance", claimed, least=0.0)
+    std = require_number("observer.tolerance", claimed, least=0.0)
     count = np.size(model.params) if std else 0
     return Tolerance(np.full(count, std), np.zeros((0, model.n + model.m)))
 

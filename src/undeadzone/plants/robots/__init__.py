@@ -1,1 +1,1 @@
-"""Robot arms as plants: planar ones, an elastic joint, URDF files."""
+"""Robot arms as plants: planar arms, an elastic joint, URDF files."""

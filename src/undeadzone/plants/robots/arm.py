@@ -14,14 +14,16 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.util.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, require_number
 
 Numbers = Mapping[str, Any]  # an arm's parameters, by name
 SIGNLESS = r"payload|([mlIJkbf]|half|inertia|friction|viscous|contact)\d*"  # those without a sign
 
 
 class Chain(NamedTuple):
-    """The links alone: N joints, of angles q [rad] or displacements [m].
+    """Links of an arm without payload and friction:
+
+    N joints, of angles q [rad] or displacements [m].
 
     Attributes:
         joints: names of the joints (N).
@@ -55,7 +57,7 @@ class Chain(NamedTuple):
     slides: bool = False
 
     @staticmethod
-    def free(N: int) -> dict[str, Any]:
+    def fields_without_limits(N: int) -> dict[str, Any]:
         """Return the fields of N joints without limits or friction."""
         endless = np.full(N, np.inf)
         bounds = {"limits": np.outer(endless, [-1, 1]), "torque": endless, "speed": endless}
@@ -63,7 +65,7 @@ class Chain(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """A chain with payload and friction.
+    """Chain with payload and friction.
 
     Each function's first argument is the column of the parameters, in the order of `names`.
 
@@ -92,11 +94,11 @@ class Arm(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Return number of joints."""
+        """Return the number of joints."""
         return len(self.chain.joints)
 
 
-def arm(chain: Chain, rest: float = 0.05) -> Arm:
+def build_arm(chain: Chain, rest: float = 0.05) -> Arm:
     """Return the arm of a chain.
 
     Args:
@@ -117,38 +119,38 @@ def arm(chain: Chain, rest: float = 0.05) -> Arm:
     J = ca.jacobian(tip, q)
     swing = ca.jtimes(ca.jtimes(tip, q, v), q, v)  # the tip's acceleration at constant v
     bias = chain.bias(numbers, q, v) + load * J.T @ (swing - chain.gravity(numbers))
-    b, f = _column(numbers, viscous), _column(numbers, coulomb)
+    b, f = _stack_numbers(numbers, viscous), _stack_numbers(numbers, coulomb)
     return Arm(
         chain,
         tuple(parameters),
         np.array(list(parameters.values()), float),
-        _function("mass", [params, q], chain.mass(numbers, q) + load * J.T @ J),
-        _function("bias", [params, q, v], bias),
-        _function("friction", [params, v], b * v + f * v / ca.sqrt(v**2 + rest**2)),
-        _function("points", [params, q], points),
-        _function("turn", [params, q], chain.turn(numbers, q)),
-        _function("tip", [params, q], tip[list(chain.plane)]),
+        _build_shared_function("mass", [params, q], chain.mass(numbers, q) + load * J.T @ J),
+        _build_shared_function("bias", [params, q, v], bias),
+        _build_shared_function("friction", [params, v], b * v + f * v / ca.sqrt(v**2 + rest**2)),
+        _build_shared_function("points", [params, q], points),
+        _build_shared_function("turn", [params, q], chain.turn(numbers, q)),
+        _build_shared_function("tip", [params, q], tip[list(chain.plane)]),
     )
 
 
-def _column(numbers: Numbers, names: Iterable[str]) -> Any:
+def _stack_numbers(numbers: Numbers, names: Iterable[str]) -> Any:
     """Return some of the numbers as a CasADi column."""
     return ca.vertcat(*[numbers[name] for name in names])
 
 
-def _function(name: str, inputs: list[ca.SX], value: ca.SX) -> ca.Function:
+def _build_shared_function(name: str, inputs: list[ca.SX], value: ca.SX) -> ca.Function:
     """Return a function whose common subexpressions are computed once."""
     return ca.Function(name, inputs, [value], {"cse": True})
 
 
-def acceleration(body: Arm, params: Any, q: Any, v: Any, torque: Any) -> Any:
-    """Return forward dynamics: the joints' acceleration (N) under a torque (N)."""
+def forward_dynamics(body: Arm, params: Any, q: Any, v: Any, torque: Any) -> Any:
+    """Return the acceleration of the joints (N) [rad/s^2] under a torque (N)."""
     D, L, order = ca.ldl(ca.densify(body.mass(params, q)))
     return ca.ldl_solve(torque - body.bias(params, q, v) - body.friction(params, v), D, L, order)
 
 
-def torque(body: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
-    """Return inverse dynamics: the torque (N) for an acceleration (N)."""
+def inverse_dynamics(body: Arm, params: Any, q: Any, v: Any, a: Any) -> Any:
+    """Return the torque of the joints (N) [N m] for an acceleration (N)."""
     return body.mass(params, q) @ a + body.bias(params, q, v) + body.friction(params, v)
 
 
@@ -169,14 +171,14 @@ def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
     return values[..., 0] if f.size2_out(0) == 1 else values
 
 
-def signless(name: str) -> bool:
+def is_signless(name: str) -> bool:
     """Return whether a parameter of an arm has no sign: masses, lengths, inertias, stiffness,
     friction.
     """
     return re.fullmatch(SIGNLESS, name) is not None
 
 
-def numbers(
+def change_arm_numbers(
     names: tuple[str, ...], values: Floats, changes: Mapping[str, float], key: str
 ) -> Floats:
     """Return the values of an arm's parameters, some of them changed by name.
@@ -199,8 +201,8 @@ def numbers(
             )
     parameters = dict(zip(names, values, strict=True))
     for name, value in changes.items():
-        parameters[name] = scalar(f"{key}.parameters.{name}", value)
+        parameters[name] = require_number(f"{key}.parameters.{name}", value)
     for name, value in parameters.items():
-        if value < 0 and signless(name):
+        if value < 0 and is_signless(name):
             raise InputError(f"{key}.parameters.{name}: must not be negative, found {value:g}")
     return np.array(list(parameters.values()), float)

@@ -17,16 +17,31 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.limits import require_pairs
 from undeadzone.plants.options import URDF, ArmOptions, ElasticJoint, OneLink, Plant, Rigid
-from undeadzone.plants.robots.arm import Arm, Chain, Numbers, acceleration, arm, numbers, torque
-from undeadzone.plants.robots.geared import Geared, motion_of_geared_arm
-from undeadzone.plants.system import Flat, System, with_linearisation
-from undeadzone.util.arrays import Array, Floats, array, positive, scalar, vector
+from undeadzone.plants.robots.arm import (
+    Arm,
+    Chain,
+    Numbers,
+    build_arm,
+    change_arm_numbers,
+    forward_dynamics,
+    inverse_dynamics,
+)
+from undeadzone.plants.robots.geared import Geared, build_geared_arm
+from undeadzone.plants.system import Flat, System, linearise_plant
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_array,
+    require_number,
+    require_positive,
+    require_vector,
+)
 
 POSTURES = 8  # random ones, in which the mass matrix is checked
 POSITIVE = "mlIJk"  # first letters of masses, lengths, inertias and a spring's stiffness
 
 
-def robot(plant: Plant, options: ArmOptions, key: str) -> System:
+def build_robot_plant(plant: Plant, options: ArmOptions, key: str) -> System:
     """Return the continuous-time plant of an arm.
 
     Args:
@@ -38,38 +53,43 @@ def robot(plant: Plant, options: ArmOptions, key: str) -> System:
         InputError: or a subclass, that names the key.
     """
     if isinstance(options, ElasticJoint):
-        return elastic(plant, options, key)
-    return _rigid(plant, options, key)
+        return build_elastic_plant(plant, options, key)
+    return _build_rigid(plant, options, key)
 
 
-def _rigid(plant: Plant, options: Rigid, key: str) -> System:
+def _build_rigid(plant: Plant, options: Rigid, key: str) -> System:
     """Return the continuous-time plant of an arm with rigid joints."""
-    chain = _with_limits(options, _chain(options, plant, key), key)
+    chain = _override_limits(options, _build_chain(options, plant, key), key)
     if options.gears is not None:
         return _build_geared(plant, options, chain, key)
-    body = arm(chain, scalar(f"{key}.arm.rest", options.rest, above=0.0))
-    params = numbers(body.names, body.values, plant.parameters, key)
+    body = build_arm(chain, require_number(f"{key}.arm.rest", options.rest, above=0.0))
+    params = change_arm_numbers(body.names, body.values, plant.parameters, key)
     _require_mass(body, params, key)
     N = body.size
-    offset = vector(f"{key}.arm.reference", options.reference, N, "one per joint")
-    hold = _stops(options, chain, key)
+    offset = require_vector(f"{key}.arm.reference", options.reference, N, "one per joint")
+    hold = _build_stops(options, chain, key)
 
     def move(p: Any, x: Any, u: Any) -> Any:
+        """Return x' (2 N)."""
         q, v = x[:N], x[N:]
-        return ca.vertcat(v, acceleration(body, p, q, v, u + hold(q, v)))
+        return ca.vertcat(v, forward_dynamics(body, p, q, v, u + hold(q, v)))
 
     def output(p: Any, x: Any) -> Any:
+        """Return z: positions about the reference posture, or speeds (N)."""
         return x[:N] - offset if options.measured == "position" else x[N:]
 
-    x_eq = _equilibrium(plant, N, key)
+    x_eq = _equilibrium_state(plant, N, key)
     load = np.asarray(body.bias(params, x_eq[:N], np.zeros(N))).ravel()
     u_eq = _equilibrium_input(plant, load, key)
-    plain = with_linearisation(key, params, move, output, x_eq, u_eq)
-    return plain._replace(arm=body, flat=flat(body), limit=chain.torque, names=body.names)
+    plain = linearise_plant(key, params, move, output, x_eq, u_eq)
+    return plain._replace(
+        arm=body, flat=build_flat_joints(body), limit=chain.torque, names=body.names
+    )
 
 
 def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
-    """Return the continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z = q.
+    """Return the continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z =
+    q.
 
     With encoders at motors and links z = [q; theta]. It is linearised on the flanks that carry the
     links, locked both ways.
@@ -81,39 +101,46 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
             f"{key}.arm.{word}: encoders of an arm with gears read positions, and have no zone "
             "about a posture; leave it out"
         )
-    rest = scalar(f"{key}.arm.rest", options.rest, above=0.0)
-    gears = motion_of_geared_arm(chain, options.gears, rest, plant.parameters, key)
+    rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
+    gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
     params, N = gears.values, gears.size
-    _require_mass(gears.arm, gears.links(params), key)
-    hold = _stops(options, chain, key)
+    _require_mass(gears.arm, gears.link_params(params), key)
+    hold = _build_stops(options, chain, key)
     at, given = _linearisation_state(plant)
-    x_eq = start(gears, given, f"{key}.{at}")
+    x_eq = require_geared_start(gears, given, f"{key}.{at}")
     if at == "x0":
         x_eq[2 * N :] = 0.0
-    load = np.asarray(gears.arm.bias(gears.links(params), x_eq[N : 2 * N], np.zeros(N))).ravel()
+    load = np.asarray(
+        gears.arm.bias(gears.link_params(params), x_eq[N : 2 * N], np.zeros(N))
+    ).ravel()
     u_eq = _equilibrium_input(plant, load, key)
     carrying = np.where(load < 0, -1.0, 1.0)
 
     def move(p: Any, x: Any, u: Any, contact: Any = None) -> Any:
+        """Return x' (4 N)."""
         return gears.motion(p, x, u, contact, hold(x[N : 2 * N], x[3 * N :]))[0]
 
     def locked(p: Any, x: Any, u: Any) -> Any:
+        """Return x' (4 N) with the gears on the flanks that carry the load."""
         return move(p, x, u, carrying)
 
     def links(p: Any, x: Any) -> Any:
+        """Return the positions of the links (N)."""
         return x[N : 2 * N]
 
     def both(p: Any, x: Any) -> Any:
+        """Return the positions of the links, then of the motors (2 N)."""
         return ca.vertcat(x[N : 2 * N], x[:N])
 
     def motors(p: Any, x: Any) -> Any:
+        """Return the positions of the motors (N)."""
         return x[:N]
 
     output = both if gears.measured == "both" else links
-    return with_linearisation(key, params, locked, output, x_eq, u_eq)._replace(
+    return linearise_plant(key, params, locked, output, x_eq, u_eq)._replace(
         move=move,
         arm=gears.arm,
-        flat=_flat_of_links(gears),
+        flat=_build_flat_links(gears),
         limit=chain.torque,
         names=gears.names,
         gears=gears,
@@ -121,21 +148,22 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
     )
 
 
-def _flat_of_links(gears: Geared) -> Flat:
+def _build_flat_links(gears: Geared) -> Flat:
     """Return the links as flat coordinates, their motors in the middle of the gaps."""
 
     def solve(p: Any, path: Any) -> tuple[Any, Any]:
+        """Return (x, u) on a path of the links."""
         q, v, a = ca.horzsplit(path)
-        tau = torque(gears.arm, gears.links(p), q, v, a)
-        u = tau + gears.number(p, "inertia") * a + gears.friction(p, v)
-        return ca.vertcat(q - gears.number(p, "centre"), q, v, v), u
+        tau = inverse_dynamics(gears.arm, gears.link_params(p), q, v, a)
+        u = tau + gears.gear_number(p, "inertia") * a + gears.motor_friction_torque(p, v)
+        return ca.vertcat(q - gears.gear_number(p, "centre"), q, v, v), u
 
     return Flat(2, solve)
 
 
-def start(gears: Geared, x: Array | None, key: str) -> Floats:
-    """Return a state [theta; q; theta'; q'] (4 N) as given, or of links [q; q'] (2 N) on their
-    flanks.
+def require_geared_start(gears: Geared, x: Array | None, key: str) -> Floats:
+    """Return a state [theta; q; theta'; q'] (4 N) as given, or with links [q; q'] (2 N) on
+    their flanks.
 
     Args:
         gears: the arm.
@@ -147,20 +175,21 @@ def start(gears: Geared, x: Array | None, key: str) -> Floats:
     """
     N = gears.size
     if x is not None and np.size(x) == 4 * N:
-        return vector(key, x, 4 * N).copy()
+        return require_vector(key, x, 4 * N).copy()
     why = "the angles of the links, then their speeds; or motors and links, then their speeds"
-    q, v = np.split(vector(key, np.zeros(2 * N) if x is None else x, 2 * N, why), 2)
-    return np.concatenate([np.asarray(gears.resting(gears.values, q)).ravel(), q, v, v])
+    q, v = np.split(require_vector(key, np.zeros(2 * N) if x is None else x, 2 * N, why), 2)
+    return np.concatenate([np.asarray(gears.motors_at_rest(gears.values, q)).ravel(), q, v, v])
 
 
-def flat(body: Arm) -> Flat:
+def build_flat_joints(body: Arm) -> Flat:
     """Return the joints of a rigid arm as flat coordinates: two derivatives give state and
     torque.
     """
 
     def solve(p: Any, path: Any) -> tuple[Any, Any]:
+        """Return (x, u) on a path of the joints."""
         q, v, a = ca.horzsplit(path)
-        return ca.vertcat(q, v), torque(body, p, q, v, a)
+        return ca.vertcat(q, v), inverse_dynamics(body, p, q, v, a)
 
     return Flat(2, solve)
 
@@ -171,13 +200,13 @@ def _linearisation_state(plant: Plant) -> tuple[str, Array | None]:
 
 
 def _equilibrium_input(plant: Plant, load: Floats, key: str) -> Floats:
-    """Return u_eq: as given, or what holds a load (m). Raises ShapeError."""
+    """Return u_eq: as given, or the input that holds a load (m). Raises ShapeError."""
     if plant.u_eq is None:
         return load
-    return vector(f"{key}.u_eq", plant.u_eq, load.size, "one per input")
+    return require_vector(f"{key}.u_eq", plant.u_eq, load.size, "one per input")
 
 
-def _equilibrium(plant: Plant, N: int, key: str) -> Floats:
+def _equilibrium_state(plant: Plant, N: int, key: str) -> Floats:
     """Return x_eq (2 N): as given, or at rest in the position of x0.
 
     Raises ShapeError, also for x0.
@@ -185,32 +214,36 @@ def _equilibrium(plant: Plant, N: int, key: str) -> Floats:
     rest = np.zeros(2 * N)
     if plant.x0 is not None:
         why = "the angle of each joint, then its speed"
-        rest[:N] = vector(f"{key}.x0", plant.x0, 2 * N, why)[:N]
+        rest[:N] = require_vector(f"{key}.x0", plant.x0, 2 * N, why)[:N]
     if plant.x_eq is None:
         return rest
-    return vector(f"{key}.x_eq", plant.x_eq, 2 * N, "one per state")
+    return require_vector(f"{key}.x_eq", plant.x_eq, 2 * N, "one per state")
 
 
-def _chain(options: Rigid, plant: Plant, key: str) -> Chain:
+def _build_chain(options: Rigid, plant: Plant, key: str) -> Chain:
     """Return the links of a rigid arm."""
     if isinstance(options, URDF):
         from undeadzone.plants.robots import urdf
 
-        return urdf.chain(options.path, options.joints, options.tip, options.gravity)
-    chain = one_link() if isinstance(options, OneLink) else two_link()
-    check(change_parameters(chain.parameters, plant.parameters), key)
+        return urdf.load_urdf_chain(options.path, options.joints, options.tip, options.gravity)
+    chain = build_one_link() if isinstance(options, OneLink) else build_two_link()
+    require_arm_parameters(change_parameters(chain.parameters, plant.parameters), key)
     return chain
 
 
-def _with_limits(options: Rigid, chain: Chain, key: str) -> Chain:
+def _override_limits(options: Rigid, chain: Chain, key: str) -> Chain:
     """Return the chain with the limits that the scenario gives in place of its own."""
     N = len(chain.joints)
     if options.torque_max is not None:
-        torque_max = positive(f"{key}.arm.torque_max", options.torque_max, N, "one per joint")
+        torque_max = require_positive(
+            f"{key}.arm.torque_max", options.torque_max, N, "one per joint"
+        )
         chain = chain._replace(torque=torque_max)
     if options.limits is not None:
         where = f"{key}.arm.limits"
-        limits = require_pairs(where, array(where, options.limits), N, "[lo, hi]", "per joint")
+        limits = require_pairs(
+            where, require_array(where, options.limits), N, "[lo, hi]", "per joint"
+        )
         if (limits[..., 0] >= limits[..., 1]).any():
             raise InputError(
                 f"{where}: a range [lo, hi] must have lo < hi, found {limits.tolist()}"
@@ -219,12 +252,13 @@ def _with_limits(options: Rigid, chain: Chain, key: str) -> Chain:
     return chain
 
 
-def _stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
+def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
     """Return the torque (N) of the mechanical stops, a function of q and v."""
     if options.stops is None:
         return lambda q, v: 0.0
     stiffness, damping = (
-        scalar(f"{key}.arm.stops[{i}]", value, least=0.0) for i, value in enumerate(options.stops)
+        require_number(f"{key}.arm.stops[{i}]", value, least=0.0)
+        for i, value in enumerate(options.stops)
     )
     if not np.isfinite(chain.limits).any():
         raise InputError(
@@ -234,6 +268,7 @@ def _stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
 
     def hold(q: Any, v: Any) -> Any:
+        """Return the torque of the stops (N) [N m]."""
         beyond = ca.fmax(q - high, 0.0) + ca.fmin(q - low, 0.0)
         return -stiffness * beyond - damping * v * (beyond != 0)
 
@@ -241,7 +276,7 @@ def _stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any], Any]:
 
 
 def _require_mass(body: Arm, params: Floats, key: str) -> None:
-    """Raise InputError where the mass matrix is not positive definite in some random postures."""
+    """Raise InputError if the mass matrix is not positive definite in some random postures."""
     for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, body.size)):
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
@@ -252,7 +287,7 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
             )
 
 
-def one_link() -> Chain:
+def build_one_link() -> Chain:
     """Return one link; q from the x axis, gravity along -y.
 
     Parameters: m mass [kg], l length [m], c centre of mass from the joint [m], I inertia about that
@@ -262,15 +297,19 @@ def one_link() -> Chain:
     """
 
     def mass(p: Numbers, q: Any) -> Any:
+        """Return the inertia about the joint [kg m^2]."""
         return p["I"] + p["m"] * p["c"] ** 2
 
     def bias(p: Numbers, q: Any, v: Any) -> Any:
+        """Return the torque of gravity [N m]."""
         return p["m"] * p["c"] * p["g"] * ca.cos(q)
 
-    return _planar_chain({"m": 1.2, "l": 0.5, "c": 0.25, "I": 0.025, "g": 9.81}, ("l",), mass, bias)
+    return _build_planar_chain(
+        {"m": 1.2, "l": 0.5, "c": 0.25, "I": 0.025, "g": 9.81}, ("l",), mass, bias
+    )
 
 
-def two_link() -> Chain:
+def build_two_link() -> Chain:
     """Return two links; q1 from the x axis, q2 from the first link, gravity along -y.
 
     Parameters, of link i = 1, 2: mi mass [kg], li length [m], ci centre of mass from joint i [m],
@@ -280,12 +319,14 @@ def two_link() -> Chain:
     """
 
     def mass(p: Numbers, q: Any) -> Any:
+        """Return the mass matrix (2 x 2) [kg m^2]."""
         cross = p["m2"] * p["l1"] * p["c2"] * ca.cos(q[1])
         outer = p["I2"] + p["m2"] * p["c2"] ** 2
         inner = p["I1"] + p["m1"] * p["c1"] ** 2 + p["m2"] * p["l1"] ** 2
         return ca.blockcat([[inner + outer + 2 * cross, outer + cross], [outer + cross, outer]])
 
     def bias(p: Numbers, q: Any, v: Any) -> Any:
+        """Return the torques of gravity and rotation (2) [N m]."""
         swing = p["m2"] * p["l1"] * p["c2"] * ca.sin(q[1])
         outer = p["m2"] * p["c2"] * p["g"] * ca.cos(q[0] + q[1])
         inner = (p["m1"] * p["c1"] + p["m2"] * p["l1"]) * p["g"] * ca.cos(q[0])
@@ -296,19 +337,17 @@ def two_link() -> Chain:
     lengths = {"l1": 0.4, "l2": 0.3, "c1": 0.2, "c2": 0.15}
     inertias = {"I1": 0.04, "I2": 0.015}
     numbers = masses | lengths | inertias | {"g": 9.81}
-    return _planar_chain(numbers, ("l1", "l2"), mass, bias)
+    return _build_planar_chain(numbers, ("l1", "l2"), mass, bias)
 
 
 def change_parameters(
     parameters: Mapping[str, float], changes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the parameters of a chain, with the changes to them; changes of other names are left
-    out.
-    """
+    """Return the parameters of a chain with changes; changes of unknown names are ignored."""
     return {name: changes.get(name, value) for name, value in parameters.items()}
 
 
-def check(parameters: Mapping[str, float], key: str = "plant") -> None:
+def require_arm_parameters(parameters: Mapping[str, float], key: str = "plant") -> None:
     """Raise InputError unless all numbers are finite and those of `POSITIVE` positive.
 
     Those are masses, lengths, inertias and stiffness. Then the mass matrix is positive definite in
@@ -319,10 +358,12 @@ def check(parameters: Mapping[str, float], key: str = "plant") -> None:
         key: name of the table of `parameters` in messages.
     """
     for name, value in parameters.items():
-        scalar(f"{key}.parameters.{name}", value, above=0.0 if name[0] in POSITIVE else None)
+        require_number(
+            f"{key}.parameters.{name}", value, above=0.0 if name[0] in POSITIVE else None
+        )
 
 
-def _planar_chain(
+def _build_planar_chain(
     parameters: dict[str, float],
     lengths: tuple[str, ...],
     mass: Callable[[Numbers, Any], Any],
@@ -334,6 +375,7 @@ def _planar_chain(
     N = len(lengths)
 
     def points(p: Numbers, q: Any) -> Any:
+        """Return the positions of the joints and of the tip (N + 1 x 3) [m]."""
         angle = ca.cumsum(q)  # of each link from the x axis
         length = ca.vertcat(*[p[name] for name in lengths])
         links = ca.horzcat(length * ca.cos(angle), length * ca.sin(angle), ca.DM.zeros(N))
@@ -345,27 +387,29 @@ def _planar_chain(
         mass=mass,
         bias=bias,
         points=points,
-        turn=_turn,
-        gravity=_gravity,
+        turn=_last_link_rotation,
+        gravity=_planar_gravity,
         plane=(0, 1),
-        **Chain.free(N),
+        **Chain.fields_without_limits(N),
     )
 
 
-def _turn(p: Numbers, q: Any) -> Any:
-    """Return rotation matrix (3 x 3) of the last link, whose angle is the sum of the joints'."""
+def _last_link_rotation(p: Numbers, q: Any) -> Any:
+    """Return the rotation matrix (3 x 3) of the last link, whose angle is the sum of the
+    joints'.
+    """
     angle = ca.sum1(q)
     return ca.blockcat(
         [[ca.cos(angle), -ca.sin(angle), 0], [ca.sin(angle), ca.cos(angle), 0], [0, 0, 1]]
     )
 
 
-def _gravity(p: Numbers) -> Any:
+def _planar_gravity(p: Numbers) -> Any:
     """Return gravity along -y (3) [m/s^2]."""
     return ca.vertcat(0, -p["g"], 0)
 
 
-def joint() -> Chain:
+def build_elastic_chain() -> Chain:
     """Return motor and link as a chain of two angles [motor; link], both from the x axis.
 
     The motor's inertia J, a spring of stiffness k, and `one_link`. Parameters: those of the link, J
@@ -373,12 +417,14 @@ def joint() -> Chain:
     comes with `arm`. Points and turn are the link's; at [motor; motor] they are those of a motor's
     hand of the same length.
     """
-    link = one_link()
+    link = build_one_link()
 
     def mass(p: Numbers, q: Any) -> Any:
+        """Return the inertias of motor and link (2 x 2) [kg m^2]."""
         return ca.diagcat(p["J"], link.mass(p, q[1]))
 
     def bias(p: Numbers, q: Any, v: Any) -> Any:
+        """Return the torques of spring and gravity (2) [N m]."""
         spring = p["k"] * (q[0] - q[1])
         return ca.vertcat(spring, link.bias(p, q[1], v[1]) - spring)
 
@@ -389,11 +435,11 @@ def joint() -> Chain:
         bias=bias,
         points=lambda p, q: link.points(p, q[1]),
         turn=lambda p, q: link.turn(p, q[1]),
-        **Chain.free(2),
+        **Chain.fields_without_limits(2),
     )
 
 
-def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
+def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
     """Return the plant of an elastic joint.
 
     x = [motor angle; link angle; their speeds], u = the motor's torque [N m], z = the angle of
@@ -410,42 +456,48 @@ def elastic(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
     Raises:
         InputError: or a subclass, that names the key.
     """
-    body = arm(joint(), scalar(f"{key}.arm.rest", options.rest, above=0.0))
-    check(change_parameters(body.chain.parameters, plant.parameters), key)
-    params = numbers(body.names, body.values, plant.parameters, key)
-    offset = scalar(f"{key}.arm.reference", options.reference)
+    body = build_arm(
+        build_elastic_chain(), require_number(f"{key}.arm.rest", options.rest, above=0.0)
+    )
+    require_arm_parameters(change_parameters(body.chain.parameters, plant.parameters), key)
+    params = change_arm_numbers(body.names, body.values, plant.parameters, key)
+    offset = require_number(f"{key}.arm.reference", options.reference)
     limit = np.inf
     if options.torque_max is not None:
-        limit = scalar(f"{key}.arm.torque_max", options.torque_max, above=0.0)
+        limit = require_number(f"{key}.arm.torque_max", options.torque_max, above=0.0)
 
     def move(p: Any, x: Any, u: Any) -> Any:
+        """Return x' (4)."""
         q, v = x[:2], x[2:]
-        return ca.vertcat(v, acceleration(body, p, q, v, ca.vertcat(u, 0)))
+        return ca.vertcat(v, forward_dynamics(body, p, q, v, ca.vertcat(u, 0)))
 
     def output(p: Any, x: Any) -> Any:
+        """Return the angle of the motor or of the link about the reference."""
         return x[body.chain.joints.index(options.measured)] - offset
 
-    solve = _inverse(body)
+    solve = _build_elastic_inverse(body)
     x_eq, u_eq = _elastic_equilibrium(plant, params, solve, key)
-    plain = with_linearisation(key, params, move, output, x_eq, u_eq)
+    plain = linearise_plant(key, params, move, output, x_eq, u_eq)
     return plain._replace(arm=body, flat=Flat(4, solve), limit=np.array([limit]), names=body.names)
 
 
 def _elastic_equilibrium(
     plant: Plant, params: Floats, solve: ca.Function, key: str
 ) -> tuple[Floats, Floats]:
-    """Return (x_eq, u_eq): as given, or where the motor holds the link still at its angle in x0."""
+    """Return (x_eq, u_eq): as given, or with the link held still by the motor at its angle in
+    x0.
+    """
     (at, given), why = (
         _linearisation_state(plant),
         "the angles of motor and link, then their speeds",
     )
-    x = vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
+    x = require_vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
     at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
     still, hold = (np.asarray(part).ravel() for part in solve(params, at_rest))
     return x if at == "x_eq" else still, _equilibrium_input(plant, hold, key)
 
 
-def _inverse(body: Arm) -> ca.Function:
+def _build_elastic_inverse(body: Arm) -> ca.Function:
     """Return (params, the link's angle and four derivatives of it (1 x 5)) -> (x, u).
 
     The link's equation gives the motor's angle, the motor's the torque.
@@ -453,11 +505,12 @@ def _inverse(body: Arm) -> ca.Function:
     p, path = ca.SX.sym("p", len(body.names)), ca.SX.sym("path", 1, 5)
 
     def rate(value: Any) -> Any:
+        """Return the time derivative of a value along the path."""
         return ca.jtimes(value, path[:, :-1], path[:, 1:])
 
     q, v, a = path[0], path[1], path[2]
-    spring = torque(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[1]
+    spring = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[1]
     motor = q + spring / p[body.names.index("k")]
     x = ca.vertcat(motor, q, rate(motor), v)
-    u = torque(body, p, x[:2], x[2:], ca.vertcat(rate(rate(motor)), a))[0]
+    u = inverse_dynamics(body, p, x[:2], x[2:], ca.vertcat(rate(rate(motor)), a))[0]
     return ca.Function("inverse", [p, path], [x, u], {"cse": True})

@@ -21,12 +21,20 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from undeadzone.plants.robots.arm import Arm, Chain, acceleration, arm, numbers
-from undeadzone.util.arrays import Array, Floats, nonnegative, positive, scalar, vector
+from undeadzone.plants.robots.arm import Arm, Chain, build_arm, change_arm_numbers, forward_dynamics
+from undeadzone.util.arrays import (
+    Array,
+    Floats,
+    require_nonnegative,
+    require_number,
+    require_positive,
+    require_vector,
+)
 
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gears with a gap between motors and links; each array is one number or one per joint (N).
+    """Gears with a gap between motors and links; each array is a number or a value per joint
+    (N).
 
     Attributes:
         half: half of the gap, as the link can turn to either side while the motor is held [rad].
@@ -52,7 +60,7 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Geared(NamedTuple):
-    """An arm with gears, as pure functions of expressions.
+    """Arm with gears, as pure functions of expressions.
 
     The state is x = [theta; q; theta'; q'] (4 N). The parameters stand in a column in the order of
     `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
@@ -77,45 +85,48 @@ class Geared(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Return number of joints."""
+        """Return the number of joints."""
         return self.arm.size
 
-    def links(self, params: Any) -> Any:
+    def link_params(self, params: Any) -> Any:
         """Return the parameters of `arm` in a column of parameters."""
         return params[: len(self.arm.names)]
 
-    def number(self, params: Any, name: str) -> Any:
+    def gear_number(self, params: Any, name: str) -> Any:
         """Return a number of the gears, such as "half", in a column of parameters (N)."""
         first = self.names.index(f"{name}1")
         return params[first : first + self.size]
 
-    def angle(self, params: Any, x: Any) -> Any:
-        """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half in
-        contact.
+    def gear_angle(self, params: Any, x: Any) -> Any:
+        """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half
+        in contact.
         """
         N = self.size
-        return x[:N] - x[N : 2 * N] + self.number(params, "centre")
+        return x[:N] - x[N : 2 * N] + self.gear_number(params, "centre")
 
-    def widths(self, params: Any) -> tuple[Any, Any]:
-        """Return (right, left): how far each link may be ahead of its motor, and behind it [rad].
+    def gap_widths(self, params: Any) -> tuple[Any, Any]:
+        """Return (right, left), the largest lead and lag of each link relative to its
+        motor [rad].
 
         right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
         the motors come last, with 0.
         """
-        half, centre = self.number(params, "half"), self.number(params, "centre")
+        half, centre = self.gear_number(params, "half"), self.gear_number(params, "centre")
         motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
         return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
 
-    def friction(self, params: Any, turning: Any) -> Any:
-        """Return torque of friction at motors of these speeds (N)."""
+    def motor_friction_torque(self, params: Any, turning: Any) -> Any:
+        """Return the torque of friction at motors of these speeds (N) [N m]."""
         sliding = turning / ca.sqrt(turning**2 + self.rest**2)
-        viscous = self.number(params, "viscous") * turning
-        return viscous + self.number(params, "friction") * sliding
+        viscous = self.gear_number(params, "viscous") * turning
+        return viscous + self.gear_number(params, "friction") * sliding
 
-    def torque(self, params: Any, x: Any, contact: Any = None) -> Any:
-        """Return tau, what the gears transmit to the links (N) [N m]. contact: as of `motion`."""
-        N, half, xi = self.size, self.number(params, "half"), self.angle(params, x)
-        frequency = self.number(params, "contact")
+    def gear_torque(self, params: Any, x: Any, contact: Any = None) -> Any:
+        """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
+        `motion`.
+        """
+        N, half, xi = self.size, self.gear_number(params, "half"), self.gear_angle(params, x)
+        frequency = self.gear_number(params, "contact")
         if contact is None:
             closed = ca.fabs(xi) > half
             pressed = ca.fmax(xi - half, 0.0) + ca.fmin(xi + half, 0.0)
@@ -141,20 +152,24 @@ class Geared(NamedTuple):
         """
         N = self.size
         q, turning, v = x[N : 2 * N], x[2 * N : 3 * N], x[3 * N :]
-        tau = self.torque(params, x, contact)
-        spun = (u - self.friction(params, turning) - tau) / self.number(params, "inertia")
-        swung = acceleration(self.arm, self.links(params), q, v, tau + load)
+        tau = self.gear_torque(params, x, contact)
+        spun = (u - self.motor_friction_torque(params, turning) - tau) / self.gear_number(
+            params, "inertia"
+        )
+        swung = forward_dynamics(self.arm, self.link_params(params), q, v, tau + load)
         return ca.vertcat(turning, v, spun, swung), tau
 
-    def resting(self, params: Any, q: Any) -> Any:
-        """Where the motors hold links still at q (N), each on the flank that carries its load."""
-        tau = self.arm.bias(self.links(params), q, ca.DM.zeros(self.size))
-        K = self.stiffness * self.number(params, "contact") ** 2
-        flank = ca.sign(tau) * self.number(params, "half")
-        return q - self.number(params, "centre") + flank + tau / K
+    def motors_at_rest(self, params: Any, q: Any) -> Any:
+        """Return the motor angles that hold links still at q (N) [rad], on the flanks that
+        carry the load.
+        """
+        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.size))
+        K = self.stiffness * self.gear_number(params, "contact") ** 2
+        flank = ca.sign(tau) * self.gear_number(params, "half")
+        return q - self.gear_number(params, "centre") + flank + tau / K
 
 
-def motion_of_geared_arm(
+def build_geared_arm(
     chain: Chain,
     gears: Gears,
     rest: float = 0.05,
@@ -173,32 +188,34 @@ def motion_of_geared_arm(
     Raises:
         InputError: or a subclass, that names the key.
     """
-    body = arm(chain, rest)
-    table = _numbers(gears, body.size, f"{key}.arm.gears")
+    body = build_arm(chain, rest)
+    table = _require_gear_numbers(gears, body.size, f"{key}.arm.gears")
     names = body.names
     for name in table:
         names += tuple(f"{name}{i + 1}" for i in range(body.size))
-    values = numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
-    damping = scalar(f"{key}.arm.gears.damping", gears.damping, least=0.0)
+    values = change_arm_numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
+    damping = require_number(f"{key}.arm.gears.damping", gears.damping, least=0.0)
     first = names.index("inertia1")
-    rotors = positive(f"{key}.parameters.inertia", values[first : first + body.size], body.size)
-    links = np.diag(np.asarray(body.mass(_without_payload(body, values), np.zeros(body.size))))
+    rotors = require_positive(
+        f"{key}.parameters.inertia", values[first : first + body.size], body.size
+    )
+    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.size))))
     reduced = rotors * links / (rotors + links)
     return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
 
 
-def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
+def _require_gear_numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
     """Return each number of the gears that is a parameter (N each).
 
     Raises InputError, ShapeError.
     """
     checks = {
-        "half": nonnegative,
-        "centre": vector,
-        "inertia": positive,
-        "friction": nonnegative,
-        "viscous": nonnegative,
-        "contact": positive,
+        "half": require_nonnegative,
+        "centre": require_vector,
+        "inertia": require_positive,
+        "friction": require_nonnegative,
+        "viscous": require_nonnegative,
+        "contact": require_positive,
     }
     why = f"one per joint, there are {N}"
     return {
@@ -206,7 +223,7 @@ def _numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:
     }
 
 
-def _without_payload(body: Arm, values: Floats) -> Floats:
+def _drop_payload(body: Arm, values: Floats) -> Floats:
     """Return the parameters of the links, without payload."""
     links = values[: len(body.names)].copy()
     links[body.names.index("payload")] = 0.0

@@ -1,4 +1,4 @@
-"""What a URDF file says of an arm: its joints, its reach, and the torques that hold it."""
+"""Survey of an arm in a URDF file: its joints, its reach, and its holding torques."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.plants.robots import urdf
-from undeadzone.plants.robots.arm import Arm, arm, evaluate_rows
+from undeadzone.plants.robots.arm import Arm, build_arm, evaluate_rows
 from undeadzone.plants.robots.urdf_elements import MOVABLE, Joint, Robot, read_urdf
-from undeadzone.util.arrays import Array, Floats, vector
+from undeadzone.util.arrays import Array, Floats, require_vector
 
 POSTURES = 4096  # random ones, from the best of which the reach is climbed
 CLIMBS = 8
@@ -22,7 +22,7 @@ NEAR = 0.1  # of the range between two limits: a joint that stands closer to one
 
 
 class Survey(NamedTuple):
-    """An arm of N joints in one posture.
+    """Arm of N joints in one posture.
 
     Attributes:
         body: the arm.
@@ -51,13 +51,13 @@ class Survey(NamedTuple):
     reach: float | None
 
 
-def survey(
+def survey_urdf(
     path: str | os.PathLike[str],
     joints: Sequence[str] | None = None,
     tip: str | None = None,
     at: Array | None = None,
 ) -> Survey:
-    """What a URDF file says of an arm.
+    """Return the survey of an arm in a URDF file.
 
     Args:
         path: the file.
@@ -70,12 +70,16 @@ def survey(
         FileError: the file, or its contents.
         InputError: joints, tip, at; or adam-robotics is missing.
     """
-    body = arm(urdf.chain(path, joints, tip))
+    body = build_arm(urdf.load_urdf_chain(path, joints, tip))
     robot = read_urdf(Path(path))
     moving, tip = urdf.select_joints(robot, joints, tip)
     limits = body.chain.limits
-    q = _posture(limits) if at is None else vector("at", at, body.size, "one per moving joint")
-    _require_within(moving, q)
+    q = (
+        _default_posture(limits)
+        if at is None
+        else require_vector("at", at, body.size, "one per moving joint")
+    )
+    _require_within_limits(moving, q)
     movable = [joint.name for joint in robot.joints if joint.kind in MOVABLE]
     return Survey(
         body=body,
@@ -88,12 +92,14 @@ def survey(
         q=q,
         place=body.points(body.values, q).full()[-1],
         holding=body.bias(body.values, q, np.zeros(body.size)).full().ravel(),
-        reach=_reach(body, moving),
+        reach=_compute_reach(body, moving),
     )
 
 
-def _posture(limits: Floats) -> Floats:
-    """Return 0, or the middle between two limits, one of which is near 0 or beyond it."""
+def _default_posture(limits: Floats) -> Floats:
+    """Return 0, or the middle between two limits if 0 is near a limit or beyond it (N) [rad or
+    m].
+    """
     q = np.zeros(len(limits))
     for i, (low, high) in enumerate(limits):
         room = NEAR * (high - low)
@@ -104,8 +110,8 @@ def _posture(limits: Floats) -> Floats:
     return q
 
 
-def _require_within(moving: list[Joint], q: Floats) -> None:
-    """Raise InputError where a posture lies beyond the limits."""
+def _require_within_limits(moving: list[Joint], q: Floats) -> None:
+    """Raise InputError if a posture lies beyond the limits."""
     for i, (joint, value) in enumerate(zip(moving, q, strict=True)):
         low, high = joint.limits
         if not low <= value <= high:
@@ -114,7 +120,7 @@ def _require_within(moving: list[Joint], q: Floats) -> None:
             )
 
 
-def _reach(body: Arm, moving: list[Joint]) -> float | None:
+def _compute_reach(body: Arm, moving: list[Joint]) -> float | None:
     """Return the greatest distance of the tip from the first joint: climbed from the best
     postures.
     """
@@ -138,6 +144,7 @@ def _reach(body: Arm, moving: list[Joint]) -> float | None:
     slope = ca.Function("slope", [q], [squared, ca.gradient(squared, q)])
 
     def value(at: Floats) -> tuple[float, Floats]:
+        """Return the value and its gradient at a posture."""
         found, gradient = slope(at)
         return float(found), gradient.full().ravel()
 

@@ -15,8 +15,15 @@ import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.robots.arm import Chain, Numbers
-from undeadzone.plants.robots.urdf_elements import MOVABLE, Body, Joint, Robot, read_urdf, suggest
-from undeadzone.util.arrays import Array, Floats, vector
+from undeadzone.plants.robots.urdf_elements import (
+    MOVABLE,
+    Body,
+    Joint,
+    Robot,
+    read_urdf,
+    suggest_name,
+)
+from undeadzone.util.arrays import Array, Floats, require_vector
 
 # Entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost
 # products in every step.
@@ -25,7 +32,7 @@ LEVEL = [0.0, 0.0, 0.0]  # no turn
 
 
 class Frames(NamedTuple):
-    """The moving joints at angle 0, all in the base's coordinates.
+    """Moving joints at angle 0, all in the base's coordinates.
 
     Nothing but their own angles turns one against the next.
 
@@ -55,33 +62,33 @@ def straighten_chain(robot: Robot, moving: list[Joint], tip: str) -> Frames:
         moving: the moving joints, from base to tip (N).
         tip: the link in which the arm ends.
     """
-    poses = {link: _pose(robot.way(link)) for link in robot.links}
-    axes = np.array([exact(poses[joint.child][1] @ joint.axis) for joint in moving])
+    poses = {link: _pose_in_base(robot.joints_to_link(link)) for link in robot.links}
+    axes = np.array([snap_to_units(poses[joint.child][1] @ joint.axis) for joint in moving])
     origins = np.array([poses[joint.child][0] for joint in moving])
-    anchors, bodies = _anchors(moving, axes, origins), _bodies(robot, moving, poses)
+    anchors, bodies = _anchor_points(moving, axes, origins), _collect_bodies(robot, moving, poses)
     return Frames(axes, origins, anchors, bodies, *poses[tip])
 
 
-def exact(values: Floats) -> Floats:
-    """Return the values, those next to 0, 1 or -1 replaced by it."""
+def snap_to_units(values: Floats) -> Floats:
+    """Return the values, rounded to 0, 1 or -1 if next to it."""
     near = np.clip(np.round(values), -1, 1)
     tolerance = np.where(near == 0, ZERO, ONE)
     return np.where(np.abs(values - near) < tolerance, near, values) + 0.0
 
 
-def _pose(way: list[Joint]) -> tuple[Floats, Floats]:
-    """Place and turn in the base's coordinates after these joints, at angle 0."""
+def _pose_in_base(way: list[Joint]) -> tuple[Floats, Floats]:
+    """Return the place and turn in the base's coordinates after these joints, at angle 0."""
     place: Floats = np.zeros(3)
     turn: Floats = np.eye(3)
     for joint in way:
         place = place + turn @ joint.place
-        turn = exact(turn @ joint.turn)
+        turn = snap_to_units(turn @ joint.turn)
     return place, turn
 
 
-def _anchors(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
-    """Return the point of each axis nearest to the anchor before (N x 3); a sliding joint keeps
-    it.
+def _anchor_points(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
+    """Return the point of each axis nearest to the anchor before (N x 3); a sliding joint
+    keeps it.
     """
     anchors, anchor = [], np.zeros(3)
     for joint, axis, origin in zip(moving, axes, origins, strict=True):
@@ -91,14 +98,16 @@ def _anchors(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
     return np.array(anchors)
 
 
-def _bodies(
+def _collect_bodies(
     robot: Robot, moving: list[Joint], poses: dict[str, tuple[Floats, Floats]]
 ) -> list[Body]:
-    """What moves with each joint up to the next, as one body, in the base's coordinates (N)."""
+    """Return the links that move with each joint up to the next, as one body, in the base's
+    coordinates (N).
+    """
     groups: dict[str, list[Body]] = {joint.name: [] for joint in moving}
     for link, body in robot.links.items():
         place, turn = poses[link]
-        before = [joint.name for joint in robot.way(link) if joint.name in groups]
+        before = [joint.name for joint in robot.joints_to_link(link) if joint.name in groups]
         if before:
             centre = place + turn @ body.centre
             inertia = turn @ body.inertia @ turn.T
@@ -107,7 +116,7 @@ def _bodies(
 
 
 def _join_bodies(bodies: list[Body]) -> Body:
-    """Return bodies fixed to each other as one."""
+    """Return the combined body of bodies fixed to each other."""
     mass = sum(body.mass for body in bodies)
     centre = sum((body.mass * body.centre for body in bodies), np.zeros(3)) / (mass or 1)
     inertia = np.zeros((3, 3))
@@ -115,28 +124,30 @@ def _join_bodies(bodies: list[Body]) -> Body:
         d = body.centre - centre
         inertia += body.inertia + body.mass * (d @ d * np.eye(3) - np.outer(d, d))
     scale = np.abs(inertia).max() or 1
-    return Body(mass, centre, scale * exact(inertia / scale))
+    return Body(mass, centre, scale * snap_to_units(inertia / scale))
 
 
 class _Kit(NamedTuple):
-    """The classes of adam-robotics and of urdf_parser_py that links and joints are made of."""
+    """Classes of adam-robotics and of urdf_parser_py for links and joints."""
 
     space: Any  # adam's mathematics on CasADi expressions
     link_class: Any
     joint_class: Any
     urdf: Any
 
-    def link(self, name: str, inertial: Any = None) -> Any:
+    def build_link(self, name: str, inertial: Any = None) -> Any:
         """Return a link, without mass by default."""
-        return self.link_class(self.urdf.Link(name, inertial=inertial), self.space)
+        return self.link_class(self.urdf.Link(name, build_inertial=inertial), self.space)
 
-    def inertial(self, body: Body, mass: ca.SX, anchor: Floats) -> Any:
-        """Return the mass of a body about an anchor, its inertia in proportion to the mass [kg]."""
+    def build_inertial(self, body: Body, mass: ca.SX, anchor: Floats) -> Any:
+        """Return the mass of a body about an anchor, its inertia in proportion to the mass
+        [kg].
+        """
         triangle = body.inertia[np.triu_indices(3)]  # xx, xy, xz, yy, yz, zz
         inertia = self.urdf.Inertia(*[mass / body.mass * entry for entry in triangle])
-        return self.urdf.Inertial(mass, inertia, self.pose(body.centre - anchor))
+        return self.urdf.Inertial(mass, inertia, self.build_pose(body.centre - anchor))
 
-    def joint(
+    def build_joint(
         self,
         name: str,
         ends: tuple[str, str],
@@ -145,7 +156,7 @@ class _Kit(NamedTuple):
         axis: Sequence[float] = (1.0, 0.0, 0.0),
         index: int | None = None,
     ) -> Any:
-        """Return a joint, which does not move by default.
+        """Return a joint, fixed by default.
 
         Args:
             name: name of the joint.
@@ -155,18 +166,18 @@ class _Kit(NamedTuple):
             axis: axis of motion, a unit vector (3).
             index: number of the joint among those that move.
         """
-        words = self.urdf.Joint(name, *ends, kind, list(axis), self.pose(place))
+        words = self.urdf.Joint(name, *ends, kind, list(axis), self.build_pose(place))
         joint = self.joint_class(words, self.space, index)
         if kind == "prismatic":  # adam 0.5.0 gives these 12 rows for 6
             joint.motion_subspace = lambda: self.space.asarray([*axis, 0.0, 0.0, 0.0])
         return joint
 
-    def pose(self, place: Floats) -> Any:
+    def build_pose(self, place: Floats) -> Any:
         """Return a place (3) [m] without a turn."""
-        return self.urdf.Pose(exact(place).tolist(), LEVEL)
+        return self.urdf.Pose(snap_to_units(place).tolist(), LEVEL)
 
 
-def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
+def build_adam_algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
     """Return adam's algorithms for an arm.
 
     Its frames are "base", "link i", "origin i" (where joint i stands in the file) and "tip".
@@ -189,36 +200,36 @@ def algorithms(moving: list[Joint], frames: Frames, masses: ca.SX) -> Any:
             "plant.arm.kind: a URDF needs adam-robotics: pip install 'undeadzone[robots]'"
         ) from None
     kit = _Kit(SpatialMath(), StdLink, StdJoint, urdf)
-    links, marks, joints = _parts(kit, moving, frames, masses)
+    links, marks, joints = _build_parts(kit, moving, frames, masses)
     tree = Tree.build_tree(links, joints)
     names = [f"joint {i}" for i in range(len(moving))]
     tables = [{part.name: part for part in parts} for parts in (links, marks, joints)]
     return RBDAlgorithms(Model("arm", *tables, tree, len(moving), names), kit.space)
 
 
-def _parts(
+def _build_parts(
     kit: _Kit, moving: list[Joint], frames: Frames, masses: ca.SX
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Return links with mass, massless links at the joints' places, and joints, from base to
     tip.
     """
-    links, marks, joints = [kit.link("base")], [], []
+    links, marks, joints = [kit.build_link("base")], [], []
     before, parent = np.zeros(3), "base"  # the anchor and link up to here
     for i, (anchor, body) in enumerate(zip(frames.anchors, frames.bodies, strict=True)):
         here, mark = f"link {i}", f"origin {i}"
-        links.append(kit.link(here, kit.inertial(body, masses[i], anchor)))
+        links.append(kit.build_link(here, kit.build_inertial(body, masses[i], anchor)))
         turning = moving[i].kind, frames.axes[i].tolist(), i
-        joints.append(kit.joint(f"joint {i}", (parent, here), anchor - before, *turning))
-        marks.append(kit.link(mark))
-        joints.append(kit.joint(f"to {mark}", (here, mark), frames.origins[i] - anchor))
+        joints.append(kit.build_joint(f"joint {i}", (parent, here), anchor - before, *turning))
+        marks.append(kit.build_link(mark))
+        joints.append(kit.build_joint(f"to {mark}", (here, mark), frames.origins[i] - anchor))
         before, parent = anchor, here
-    payload = kit.urdf.Inertial(masses[-1], kit.urdf.Inertia(), kit.pose(np.zeros(3)))
-    links.append(kit.link("tip", payload))
-    joints.append(kit.joint("to tip", (parent, "tip"), frames.tip - before))
+    payload = kit.urdf.Inertial(masses[-1], kit.urdf.Inertia(), kit.build_pose(np.zeros(3)))
+    links.append(kit.build_link("tip", payload))
+    joints.append(kit.build_joint("to tip", (parent, "tip"), frames.tip - before))
     return links, marks, joints
 
 
-def chain(
+def load_urdf_chain(
     path: str | os.PathLike[str],
     joints: Sequence[str] | None = None,
     tip: str | None = None,
@@ -242,15 +253,16 @@ def chain(
         FileError: the file, or its contents.
         InputError: joints, tip, gravity; or adam-robotics is missing.
     """
-    g = vector("plant.arm.gravity", gravity, 3, "x, y, z")
+    g = require_vector("plant.arm.gravity", gravity, 3, "x, y, z")
     robot = read_urdf(Path(path))
     moving, tip = select_joints(robot, joints, tip)
     frames = straighten_chain(robot, moving, tip)
     _require_masses(path, moving, frames)
     parameters = {f"m{i + 1}": body.mass for i, body in enumerate(frames.bodies)} | {"payload": 0.0}
-    mass, bias, points, turn = _functions(moving, frames, g)
+    mass, bias, points, turn = _build_functions(moving, frames, g)
 
     def masses(numbers: Numbers) -> Any:
+        """Return the masses as a CasADi column."""
         return ca.vertcat(*[numbers[name] for name in parameters])
 
     return Chain(
@@ -271,7 +283,7 @@ def chain(
 
 
 def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: Frames) -> None:
-    """Raise FileError where a link moves that has no mass."""
+    """Raise FileError if a moving link has no mass."""
     for joint, body in zip(moving, frames.bodies, strict=True):
         if body.mass == 0:
             raise FileError(
@@ -297,14 +309,14 @@ def select_joints(
     for i, name in enumerate(joints or ()):
         if name not in movable:
             what = "a fixed joint" if name in known else "no joint"
-            advice = suggest(name, movable)
+            advice = suggest_name(name, movable)
             raise InputError(f"plant.arm.joints[{i}]: {what} {name!r}; {advice}")
     if tip is not None and tip not in robot.links:
-        raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest(tip, robot.links)}")
+        raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest_name(tip, robot.links)}")
     moved = movable if joints is None else joints
     if tip is None:
-        tip = _end(robot, moved)
-    way = [joint.name for joint in robot.way(tip)]
+        tip = _find_arm_end(robot, moved)
+    way = [joint.name for joint in robot.joints_to_link(tip)]
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
         raise InputError(
@@ -312,12 +324,14 @@ def select_joints(
             f"movable joints: {', '.join(movable) or 'none'}"
         )
     if joints is not None:
-        _require_order(joints, way, serial, tip)
+        _require_joint_order(joints, way, serial, tip)
     _require_uncoupled(robot, serial)
     return [known[name] for name in serial], tip
 
 
-def _require_order(joints: Sequence[str], way: list[str], serial: list[str], tip: str) -> None:
+def _require_joint_order(
+    joints: Sequence[str], way: list[str], serial: list[str], tip: str
+) -> None:
     """Raise InputError unless the user names the moving joints from base to tip.
 
     Args:
@@ -339,7 +353,7 @@ def _require_order(joints: Sequence[str], way: list[str], serial: list[str], tip
 
 
 def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
-    """Raise InputError where a moving joint mimics another one or is mimicked."""
+    """Raise InputError if a moving joint mimics a joint or is mimicked."""
     for joint in robot.joints:
         if joint.mimics is not None and (joint.name in serial or joint.mimics in serial):
             raise InputError(
@@ -348,17 +362,18 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
             )
 
 
-def _end(robot: Robot, moved: Sequence[str]) -> str:
-    """Return the one link without children to which all of these joints lead."""
+def _find_arm_end(robot: Robot, moved: Sequence[str]) -> str:
+    """Return the single link without children to which all of these joints lead."""
     parents = {joint.parent for joint in robot.joints}
     ends = []
     for link in robot.links:
-        way = {joint.name for joint in robot.way(link)}
+        way = {joint.name for joint in robot.joints_to_link(link)}
         if link not in parents and set(moved) <= way:
             ends.append(link)
     if not ends:
         raise InputError(
-            f"plant.arm.tip: the movable joints branch at {_parting(robot, moved)!r}: the arm must "
+            f"plant.arm.tip: the movable joints branch at {_find_branching_link(robot, moved)!r}: "
+            "the arm must "
             "be a serial chain; name the link in which it ends, such as that one (joints elsewhere "
             "are fixed at 0)"
         )
@@ -367,15 +382,15 @@ def _end(robot: Robot, moved: Sequence[str]) -> str:
     return ends[0]
 
 
-def _parting(robot: Robot, moved: Sequence[str]) -> str:
+def _find_branching_link(robot: Robot, moved: Sequence[str]) -> str:
     """Return the link at which the ways to these joints part."""
     joints = {joint.name: joint for joint in robot.joints}
-    ways = [robot.way(joints[name].child) for name in moved]
+    ways = [robot.joints_to_link(joints[name].child) for name in moved]
     above: set[str] = set()
     for way in ways:
         above.update(joint.name for joint in way[:-1])
     last = [way[:-1] for way in ways if way[-1].name not in above]
-    link = next(name for name in robot.links if not robot.way(name))
+    link = next(name for name in robot.links if not robot.joints_to_link(name))
     for together in zip(*last, strict=False):
         if len({joint.name for joint in together}) > 1:
             break
@@ -383,15 +398,18 @@ def _parting(robot: Robot, moved: Sequence[str]) -> str:
     return link
 
 
-def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> tuple[ca.Function, ...]:
+def _build_functions(
+    moving: list[Joint], frames: Frames, gravity: Floats
+) -> tuple[ca.Function, ...]:
     """Return M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`, by adam."""
     N = len(moving)
     masses = ca.SX.sym("m", N + 1)
     q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
-    adam = algorithms(moving, frames, masses)
+    adam = build_adam_algorithms(moving, frames, masses)
     H = ca.SX(np.eye(4))  # pose of the base
 
     def pose(frame: str) -> Any:
+        """Return the pose of a frame (4 x 4)."""
         return adam.forward_kinematics(frame, H, q).array
 
     base_twist, base_gravity = ca.SX(6, 1), ca.SX(np.r_[gravity, 0, 0, 0])
@@ -401,13 +419,13 @@ def _functions(moving: list[Joint], frames: Frames, gravity: Floats) -> tuple[ca
     tip = pose("tip")
     points = ca.vertcat(ca.SX(1, 3), *origins, tip[:3, 3].T)
     return (
-        _function("mass", [masses, q], M[6:, 6:]),
-        _function("bias", [masses, q, v], h[6:]),
-        _function("points", [q], points),
-        _function("turn", [q], tip[:3, :3] @ ca.SX(frames.turn)),
+        _build_dense_function("mass", [masses, q], M[6:, 6:]),
+        _build_dense_function("bias", [masses, q, v], h[6:]),
+        _build_dense_function("points", [q], points),
+        _build_dense_function("turn", [q], tip[:3, :3] @ ca.SX(frames.turn)),
     )
 
 
-def _function(name: str, inputs: list[ca.SX], value: Any) -> ca.Function:
+def _build_dense_function(name: str, inputs: list[ca.SX], value: Any) -> ca.Function:
     """Return a dense function whose common subexpressions are computed once."""
     return ca.Function(name, inputs, [ca.densify(value)], {"cse": True})

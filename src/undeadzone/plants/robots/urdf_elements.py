@@ -1,4 +1,4 @@
-"""URDF files: joints and links of a tree, their numbers, each checked.
+"""Elements of URDF files: joints and links of a tree, their numbers, each checked.
 
 What reads an element raises ValueError, which names it; `read` adds the key and the file.
 """
@@ -15,15 +15,15 @@ from xml.etree.ElementTree import Element, ParseError, fromstring
 import numpy as np
 
 from undeadzone.errors import FileError
-from undeadzone.util.arrays import Floats, numeric
-from undeadzone.util.files import read_bytes, reason
+from undeadzone.util.arrays import Floats, to_float_array
+from undeadzone.util.files import failure_reason, read_bytes
 
 MOVABLE = "revolute", "continuous", "prismatic"
 TRIANGLE = 1e-9  # of an inertia's largest principal moment: rounding of the file's digits
 
 
 class Joint(NamedTuple):
-    """A <joint> of the file.
+    """Element <joint> of the file.
 
     Attributes:
         name: name of the joint.
@@ -54,7 +54,7 @@ class Joint(NamedTuple):
 
 
 class Body(NamedTuple):
-    """A rigid body.
+    """Rigid body: mass, centre of mass and inertia.
 
     Attributes:
         mass: mass of the body [kg].
@@ -67,8 +67,10 @@ class Body(NamedTuple):
     inertia: Floats
 
 
-def rotation(roll: float, pitch: float, yaw: float) -> Floats:
-    """Return rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y, then z."""
+def rotation_matrix(roll: float, pitch: float, yaw: float) -> Floats:
+    """Return the rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y,
+    then z.
+    """
     (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(
         [
@@ -79,9 +81,9 @@ def rotation(roll: float, pitch: float, yaw: float) -> Floats:
     )
 
 
-def joint_of(element: Element) -> Joint:
+def parse_joint(element: Element) -> Joint:
     """Return a <joint>. Raises ValueError."""
-    name, kind = name_of(element), element.get("type", "")
+    name, kind = require_element_name(element), element.get("type", "")
     where = f"joint {name}"
     if kind not in (*MOVABLE, "fixed"):
         raise ValueError(
@@ -91,11 +93,11 @@ def joint_of(element: Element) -> Joint:
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
         raise ValueError(f"{where}: needs <parent link=...> and <child link=...>")
-    axis = _axis(element, kind, where)
-    limits, effort, velocity = _limits(element.find("limit"), kind, where)
-    friction = _friction(element.find("dynamics"), where)
+    axis = _parse_axis(element, kind, where)
+    limits, effort, velocity = _parse_limits(element.find("limit"), kind, where)
+    friction = _parse_friction(element.find("dynamics"), where)
     mimic = element.find("mimic")
-    place, turn = _pose(element, where)
+    place, turn = _parse_origin(element, where)
     return Joint(
         name=name,
         kind=kind,
@@ -112,27 +114,27 @@ def joint_of(element: Element) -> Joint:
     )
 
 
-def _axis(element: Element, kind: str, where: str) -> Floats:
-    """Return the unit axis (3) of a <joint>, which a fixed one need not have. Raises ValueError."""
-    axis = _numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
+def _parse_axis(element: Element, kind: str, where: str) -> Floats:
+    """Return the unit axis (3) of a <joint>, optional for a fixed joint. Raises ValueError."""
+    axis = _parse_attribute_vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0), where)
     length = np.linalg.norm(axis)
     if not length > 0 and kind != "fixed":
         raise ValueError(f"{where}: its axis is zero")
     return axis / (length or 1)
 
 
-def _limits(
+def _parse_limits(
     limit: Element | None, kind: str, where: str
 ) -> tuple[tuple[float, float], float, float]:
-    """Return (lower and upper position, effort, velocity) of a <limit>, infinite where it has none.
+    """Return (lower and upper position, effort, velocity) of a <limit>, infinite if absent.
 
     Raises ValueError unless a joint that is not fixed can move.
     """
     bounded = None if kind == "continuous" else limit
-    lower = _number(bounded, "lower", -math.inf, where)
-    upper = _number(bounded, "upper", math.inf, where)
-    effort = _number(limit, "effort", math.inf, where)
-    velocity = _number(limit, "velocity", math.inf, where)
+    lower = _parse_attribute(bounded, "lower", -math.inf, where)
+    upper = _parse_attribute(bounded, "upper", math.inf, where)
+    effort = _parse_attribute(limit, "effort", math.inf, where)
+    velocity = _parse_attribute(limit, "velocity", math.inf, where)
     if not lower < upper and kind != "fixed":
         raise ValueError(
             f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; "
@@ -146,10 +148,10 @@ def _limits(
     return (lower, upper), effort, velocity
 
 
-def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
+def _parse_friction(dynamics: Element | None, where: str) -> tuple[float, float]:
     """Return viscous and Coulomb coefficients of a <dynamics>. Raises ValueError."""
-    viscous = _number(dynamics, "damping", 0.0, where)
-    coulomb = _number(dynamics, "friction", 0.0, where)
+    viscous = _parse_attribute(dynamics, "damping", 0.0, where)
+    coulomb = _parse_attribute(dynamics, "friction", 0.0, where)
     if min(viscous, coulomb) < 0:
         raise ValueError(
             f"{where}: damping and friction must not be negative, found {viscous:g} and {coulomb:g}"
@@ -157,26 +159,27 @@ def _friction(dynamics: Element | None, where: str) -> tuple[float, float]:
     return viscous, coulomb
 
 
-def body_of(element: Element) -> Body:
+def parse_body(element: Element) -> Body:
     """Return the body of a <link>, in its coordinates. Raises ValueError."""
-    inertial, where = element.find("inertial"), f"link {name_of(element)}"
+    inertial, where = element.find("inertial"), f"link {require_element_name(element)}"
     if inertial is None:
         return Body(0.0, np.zeros(3), np.zeros((3, 3)))
-    centre, turn = _pose(inertial, where)
-    mass = _number(inertial.find("mass"), "value", 0.0, where)
-    inertia = _inertia(inertial.find("inertia"), where)
+    centre, turn = _parse_origin(inertial, where)
+    mass = _parse_attribute(inertial.find("mass"), "value", 0.0, where)
+    inertia = _parse_inertia(inertial.find("inertia"), where)
     if mass < 0:
         raise ValueError(f"{where}: mass must not be negative, found {mass:g}")
     return Body(mass, centre, turn @ inertia @ turn.T)
 
 
-def _inertia(element: Element | None, where: str) -> Floats:
+def _parse_inertia(element: Element | None, where: str) -> Floats:
     """Return the matrix (3 x 3) [kg m^2] of an <inertia>.
 
     Raises ValueError unless a body can have it.
     """
     xx, xy, xz, yy, yz, zz = (
-        _number(element, f"i{pair}", 0.0, where) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
+        _parse_attribute(element, f"i{pair}", 0.0, where)
+        for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
     )
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     a, b, c = np.linalg.eigvalsh(inertia)  # the principal moments, the largest last
@@ -193,35 +196,35 @@ def _inertia(element: Element | None, where: str) -> Floats:
     return inertia
 
 
-def name_of(element: Element) -> str:
-    """Return the name of an element. Raises ValueError where it has none."""
+def require_element_name(element: Element) -> str:
+    """Return the name of an element. Raises ValueError for an element without a name."""
     name = element.get("name", "")
     if not name:
         raise ValueError(f"a <{element.tag}> has no name")
     return name
 
 
-def _pose(element: Element, where: str) -> tuple[Floats, Floats]:
+def _parse_origin(element: Element, where: str) -> tuple[Floats, Floats]:
     """Return <origin> as place (3) [m] and turn (3 x 3)."""
     origin = element.find("origin")
-    place = _numbers(origin, "xyz", (0.0, 0.0, 0.0), where)
-    return place, rotation(*_numbers(origin, "rpy", (0.0, 0.0, 0.0), where))
+    place = _parse_attribute_vector(origin, "xyz", (0.0, 0.0, 0.0), where)
+    return place, rotation_matrix(*_parse_attribute_vector(origin, "rpy", (0.0, 0.0, 0.0), where))
 
 
-def _number(element: Element | None, name: str, otherwise: float, where: str) -> float:
-    """Return the number of an attribute, or another one where there is none."""
-    return float(_numbers(element, name, (otherwise,), where)[0])
+def _parse_attribute(element: Element | None, name: str, otherwise: float, where: str) -> float:
+    """Return the number of an attribute, or the default if absent."""
+    return float(_parse_attribute_vector(element, name, (otherwise,), where)[0])
 
 
-def _numbers(
+def _parse_attribute_vector(
     element: Element | None, name: str, otherwise: tuple[float, ...], where: str
 ) -> Floats:
-    """Return numbers of an attribute, as many as it has otherwise. Raises ValueError."""
+    """Return the numbers of an attribute, as many as its default has. Raises ValueError."""
     text = None if element is None else element.get(name)
     if element is None or text is None:
         return np.array(otherwise)
     try:
-        numbers = numeric([float(word) for word in text.split()])
+        numbers = to_float_array([float(word) for word in text.split()])
     except ValueError:
         numbers = np.empty(0)
     if numbers.size != len(otherwise):
@@ -234,7 +237,7 @@ def _numbers(
 
 
 class Robot(NamedTuple):
-    """A tree.
+    """Tree of joints and links.
 
     Attributes:
         links: the bodies of the links, by name; massless without <inertial>.
@@ -244,7 +247,7 @@ class Robot(NamedTuple):
     links: dict[str, Body]
     joints: list[Joint]
 
-    def way(self, link: str) -> list[Joint]:
+    def joints_to_link(self, link: str) -> list[Joint]:
         """Return the joints from the base to a link."""
         above = {joint.child: joint for joint in self.joints}
         upward = []
@@ -267,31 +270,31 @@ def read_urdf(path: Path, key: str = "plant.arm.path") -> Robot:
     try:
         root = fromstring(read_bytes(path))
     except (OSError, ValueError, LookupError) as error:
-        raise FileError(f"{key}: {path}: cannot read: {reason(error)}") from None
+        raise FileError(f"{key}: {path}: cannot read: {failure_reason(error)}") from None
     except ParseError as error:
         raise FileError(f"{key}: {path}: not XML: {error}") from None
     try:
-        return _robot(root)
+        return _parse_robot(root)
     except ValueError as error:
         raise FileError(f"{key}: {path}: {error}") from None
 
 
-def suggest(name: str, known: Iterable[str]) -> str:
-    """Which of the known names may be meant."""
+def suggest_name(name: str, known: Iterable[str]) -> str:
+    """Return advice with the nearest of the known names, or with all of them."""
     known = list(known)
     near = difflib.get_close_matches(name, known, 1)
     return f"did you mean {near[0]!r}?" if near else f"the file has {', '.join(known) or 'none'}"
 
 
-def _robot(root: Element) -> Robot:
+def _parse_robot(root: Element) -> Robot:
     """Return the tree under <robot>. Raises ValueError."""
     if root.tag != "robot":
         raise ValueError("not a URDF: its first element is not <robot>")
     if any("xacro" in element.tag for element in root.iter()):
         raise ValueError("holds xacro macros: expand them first (xacro arm.xacro > arm.urdf)")
     elements = root.findall("link")
-    links = {name_of(element): body_of(element) for element in elements}
-    joints = [joint_of(element) for element in root.findall("joint")]
+    links = {require_element_name(element): parse_body(element) for element in elements}
+    joints = [parse_joint(element) for element in root.findall("joint")]
     if len(elements) != len(links):
         raise ValueError("two links have the same name")
     if len(joints) != len({joint.name for joint in joints}):
@@ -299,13 +302,15 @@ def _robot(root: Element) -> Robot:
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ValueError(f"joint {joint.name}: no link {end!r}; {suggest(end, links)}")
+                raise ValueError(f"joint {joint.name}: no link {end!r}; {suggest_name(end, links)}")
     _require_tree(list(links), joints)
     return Robot(links, joints)
 
 
 def _require_tree(links: list[str], joints: list[Joint]) -> None:
-    """Raise ValueError unless the joints connect the links to one base, each by one way."""
+    """Raise ValueError unless the joints connect the links to a single base, each by a single
+    way.
+    """
     children = [joint.child for joint in joints]
     twice = sorted({child for child in children if children.count(child) > 1})
     if twice:

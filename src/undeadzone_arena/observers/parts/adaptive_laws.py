@@ -12,7 +12,7 @@ import numpy as np
 from undeadzone.errors import StepError
 from undeadzone.interfaces import NONE
 from undeadzone.plants.system import System
-from undeadzone.util.arrays import Floats, scalar
+from undeadzone.util.arrays import Floats, require_number
 
 
 class AdaptiveLaw(NamedTuple):
@@ -48,7 +48,7 @@ def gradient_law(model: System, gain: float, leak: float, size: int) -> Adaptive
     Raises:
         InputError: for a leak below 0.
     """
-    leak = scalar("observer.leak", leak, least=0.0)
+    leak = require_number("observer.leak", leak, least=0.0)
     per_step = model.per_step
 
     def move(numbers: Any, W: Any, spread: Any, zeta: Any, e: Any, used: Any) -> tuple[Any, Any]:
@@ -78,7 +78,7 @@ def least_squares_law(model: System, gain: float, forgetting: float, size: int) 
     Raises:
         InputError, StepError: for a rate below 0, or one that the step is too coarse for.
     """
-    forgetting = scalar("observer.forgetting", forgetting, least=0.0)
+    forgetting = require_number("observer.forgetting", forgetting, least=0.0)
     count = size * model.p
     per_step = model.per_step
     if model.Ts is not None and forgetting * per_step >= 1:

@@ -38,8 +38,8 @@ def map_boxes(f: Callable[..., Any], *boxes: Boxes) -> Boxes:
     """Apply f to every part: f(part of the first, part of the second, ...)."""
     columns = []
     for box in boxes:
-        columns.append([leaf for _, leaf in tree.leaves(box)])
-    return tree.rebuild(boxes[0], map(f, *columns))
+        columns.append([leaf for _, leaf in tree.iterate_leaves(box)])
+    return tree.rebuild_tree(boxes[0], map(f, *columns))
 
 
 def intersect_bounds(a: Bounds, b: Bounds) -> Bounds:

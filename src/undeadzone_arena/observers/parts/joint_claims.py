@@ -24,7 +24,7 @@ from undeadzone.observers.filtering.prior import (
 )
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, nonnegative, scalar
+from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
 CROWD = 100  # readings in a quarter period beyond which each is given more noise
 
@@ -120,11 +120,13 @@ def build_joint_prior(
         reach=defaults.x_std,
         wear=defaults.drift,
     )
-    swing = scalar("observer.swing", claims.swing, least=0.0)
+    swing = require_number("observer.swing", claims.swing, least=0.0)
     if claims.disturbance is None:
         rms = white_disturbance_rms(model, swing * largest)
     else:
-        rms = nonnegative("observer.disturbance", claims.disturbance, model.m, "one per input")
+        rms = require_nonnegative(
+            "observer.disturbance", claims.disturbance, model.m, "one per input"
+        )
     return JointPrior(prior, rms**2, ranges)
 
 

@@ -33,7 +33,7 @@ from undeadzone.observers.filtering.recovery import (
     reset_if_invalid,
     start_rejection_rate,
 )
-from undeadzone.plants.system import System, in_units
+from undeadzone.plants.system import System, scale_states
 from undeadzone_arena.observers.parts.joint_claims import JointPrior, zone_reading
 
 Sight = Callable[[Any], Any]
@@ -103,7 +103,7 @@ def build_joint_filter(
     """
     share = outlier_probability(glitches)
     units = power_of_two_units(model)
-    model = in_units(model, units)
+    model = scale_states(model, units)
     prior = prior._replace(prior=scale_prior(prior.prior, units))
     augmentation = white_disturbance(model, prior.variance)
     doubt = doubt_numbers(model, sensor, prior.prior, share, claimed=False)

@@ -20,7 +20,7 @@ from undeadzone.nonlinearities.sensor import Zone, present
 from undeadzone.numerics.gaussian import linearise
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
-from undeadzone.util.arrays import Array, Floats, positive
+from undeadzone.util.arrays import Array, Floats, require_positive
 from undeadzone_arena.approximators import Basis
 from undeadzone_arena.gain_defaults import injection_gain, rate_or_default, width_hiding_speed
 from undeadzone_arena.observers.parts.adaptive_laws import AdaptiveLaw, gradient_law
@@ -290,6 +290,6 @@ def build_residual_observer(
         """Return the basis functions at z^ (N) [1]."""
         return basis.phi(params, z)
 
-    scale = positive("observer.reach", reach, model.p, "one per output")
+    scale = require_positive("observer.reach", reach, model.p, "one per output")
     compensator = WeightedFunctions(basis.params, psi, basis.size, False, scale)
     return build_gradient_observer(model, sensor, options, compensator, poles=6.0, gain=30.0)
