@@ -38,7 +38,7 @@ def prepare(work: Work, *, rtol: float | None = 1e-6) -> Callable[[], Result]:
 
     def one(s: Any, d: Any) -> Any:
         solution = diffrax.diffeqsolve(
-            density_terms=diffrax.ODETerm(move),
+            terms=diffrax.ODETerm(move),
             solver=diffrax.Tsit5(),
             t0=0.0,
             t1=end,

@@ -108,7 +108,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
         squares(path, resume=False)
     with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
         Answers(path, {"a": 2}, "squares", True)
-    monkeypatch.setattr("undeadzone.util.answers.versions", lambda: {"numpy": "1.0"})
+    monkeypatch.setattr("undeadzone.util.answers.package_versions", lambda: {"numpy": "1.0"})
     with pytest.raises(InputError, match="numpy"):
         squares(path)
     path.write_text('{"somebody": "else"}\n')

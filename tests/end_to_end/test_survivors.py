@@ -60,7 +60,9 @@ def test_the_state_that_shifts_is_that_of_the_lost_edge(
     """Of output 1: its right edge hides behind x[0], its left one behind x[1]."""
     monkeypatch.setattr(nonlinear, "symmetric", lambda model, change: False)
     hidden: Any = SimpleNamespace(scale=np.ones(4), basis=np.eye(4)[:, 2:])
-    hidden.within = lambda part: SimpleNamespace(basis=hidden.basis, width=lambda i, name: False)
+    hidden.restrict_to_part = lambda part: SimpleNamespace(
+        basis=hidden.basis, width=lambda i, name: False
+    )
     known: Any = SimpleNamespace(hidden=hidden, follow=np.eye(2, 4, k=2))
     model: Any = SimpleNamespace(arm=None, n=2)
     words = nonlinear._describe_state_shift(model, known, 1, lost, "edge", "rest")

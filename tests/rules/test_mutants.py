@@ -23,11 +23,11 @@ place = next(place for place in places(package, file) if place.what.startswith("
 print(*noticed(package, file, mutant(package, place), sys.argv[1:], 3.0))
 """
 NOTICES = """
-from undeadzone.util.text import with_interval
+from undeadzone.util.text import format_with_interval
 
 
 def test_an_interval():
-    assert with_interval(1.0, 0.1) == "1.00 [0.80, 1.20]"
+    assert format_with_interval(1.0, 0.1) == "1.00 [0.80, 1.20]"
 """
 
 

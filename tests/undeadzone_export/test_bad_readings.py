@@ -38,7 +38,7 @@ def test_float_refuses_what_double_refuses(method: str, tmp_path: Path) -> None:
     observer = {"method": method} | OBSERVERS[method][1]
     scenario = small("sampled", sensor=sensor, observer=observer)
     step = exported_step.build_step(resolve_scenario(scenario))
-    rows, places = broken(step, scenario), accuracy.places_of(step.outputs)
+    rows, places = broken(step, scenario), accuracy.field_slices(step.outputs)
     single, double = (
         accuracy.CompiledStep(build_code(step, kind), tmp_path)(rows) for kind in (True, False)
     )
@@ -68,7 +68,7 @@ def test_the_side_of_an_export_is_that_of_online(sensor: dict[str, Any], tmp_pat
     rows = 0.1 * np.cumsum(random.standard_normal((500, 2)), axis=0)
     rows[random.random(500) < 0.05, 0] = np.nan
     shown = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
-    shown = shown[:, accuracy.places_of(step.outputs)["side"]]
+    shown = shown[:, accuracy.field_slices(step.outputs)["side"]]
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
     _, sides = online.update_many(rows[:, :1], rows[:, 1:])
     np.testing.assert_array_equal(shown, sides)

@@ -177,7 +177,7 @@ def test_certified_has_the_bits_of_online(tmp_path: Path) -> None:
     rows[37, 0] = np.nan
     values = accuracy.CompiledStep(build_code(step, False), tmp_path)(rows)
     online = uz.Online(scenario.observer, scenario.plant, scenario.sensor, scenario.simulation.step)
-    places = accuracy.places_of(step.outputs)
+    places = accuracy.field_slices(step.outputs)
     for k, row in enumerate(rows):
         estimate = online.update(row[:1], row[1:])
         for name in ("x", "z", "right", "left", "z_inverse", "innovation"):

@@ -352,7 +352,7 @@ def test_a_servo_with_a_gap_for_certain_is_none_where_another_model_is_likelier(
         servos.append(identify_servo_gap(log))
         return servos[-1]
 
-    monkeypatch.setattr(servo, "servo_gap", kept)
+    monkeypatch.setattr(servo, "identify_servo_gap", kept)
     assert asked(make(25007, "play and zone"), order=2, delay=0).verdict == "both"
     assert [one.is_gap_reported for one in servos] == [True]
 

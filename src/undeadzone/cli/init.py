@@ -28,7 +28,6 @@ from undeadzone.cli.common import (
 from undeadzone.cli.output import Output, add_output_options
 from undeadzone.errors import InputError
 from undeadzone.util.files import read_text, write_text
-from undeadzone.util.toml import require_short_keys
 
 OTHERS: Final = {
     "samples.csv": "A log for undeadzone watch and estimate, of asymmetric_noise",
@@ -163,6 +162,8 @@ def _examples_folder() -> Path:
 
 def _load_tables(path: Path) -> dict[str, Any]:
     """Return the tables of a scenario."""
+    from undeadzone.util.toml import require_short_keys
+
     return tomllib.loads(require_short_keys(read_text(path)))
 
 

@@ -106,9 +106,7 @@ def second_order_terms(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
     covariance.
     """
     rows = [row for row, bends in enumerate(ca.which_depends(b, X, 2, True)) if bends]
-    hessians = ca.substitute(
-        [ca.negative_hessian(b[row], X)[0] for row in rows], [X], [belief.mean]
-    )
+    hessians = ca.substitute([ca.hessian(b[row], X)[0] for row in rows], [X], [belief.mean])
     products = [H @ belief.cov for H in hessians]
     shift, excess = ca.SX(b.shape[0], 1), ca.SX(b.shape[0], b.shape[0])
     for row, M in zip(rows, products, strict=True):

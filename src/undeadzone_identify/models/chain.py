@@ -8,6 +8,7 @@ averages. A curve has neither widths nor an inverse.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -270,9 +271,7 @@ def fit_chains(
         fits.append(_best_order(plants, scanned, partial(_model_of, name)))
     plain = [scan_input(plant, PLAIN) for plant in plants]
     taps = [np.array(one) for one in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
-    longer = [
-        [Begun(one.cost, np.append(one.theta, f)) for one in row for f in taps] for row in plain
-    ]
+    longer = [_with_taps(row, taps) for row in plain]
     fits.append(_best_order(plants, longer, lambda one: ChainModel(one, taps=TAPS)))
     zoned, widths = starts.plant, starts.widths
     if "dead_zone" in places:
@@ -292,6 +291,12 @@ def fit_chains(
 def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
     """Return a plant behind an element of the input."""
     return ChainModel(simulator, name)
+
+
+def _with_taps(starts: Sequence[Begun], taps: Sequence[Floats]) -> list[Begun]:
+    """Return each start with each of the filters behind the zone."""
+    pairs = itertools.product(starts, taps)
+    return [Begun(one.cost, np.append(one.theta, filtered)) for one, filtered in pairs]
 
 
 class Begun(NamedTuple):

@@ -145,7 +145,7 @@ def _directions(fit: FittedModel[Any]) -> dict[str, Floats]:
     """Return what a wrong model would leave, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
-    read, u = model.readings(z, theta), data.u[:, 0]
+    read, u = model.noise_free_readings(z, theta), data.u[:, 0]
     turn_u, turn_z = _last_turn(u), _last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
@@ -194,7 +194,7 @@ def _through_plant(fit: FittedModel[Any], columns: Floats) -> Floats:
     layout, theta = fit.model.simulator.layout, fit.theta
     numerator = np.append(0.0, theta[layout.b][: layout.n])
     out = np.empty_like(columns)
-    for part in fit.model.simulator.data.records():
+    for part in fit.model.simulator.data.record_slices():
         denominator = layout.denominator(theta[layout.a])
         out[part] = lfilter(numerator, denominator, columns[part], axis=0)
     return out

@@ -179,17 +179,17 @@ def test_a_terminal_of_few_characters_is_no_error(scenario: Path) -> None:
 
 STOPPED = """
 import sys, time
-from undeadzone.cli.ending import ended
+from undeadzone.cli.ending import run_to_exit_code
 from undeadzone.ensemble import run_blocks
 import functools, pathlib
 from tests.jobs import say, sines
 
 def command():
     make, path = functools.partial(sines, 605, 0.05), pathlib.Path(sys.argv[1])
-    run_blocks.run(make, path, workers=int(sys.argv[2]) or None, progress=say)
+    run_blocks.compute_job(make, path, workers=int(sys.argv[2]) or None, progress=say)
 
 if __name__ == "__main__":
-    sys.exit(ended(command))
+    sys.exit(run_to_exit_code(command))
 """
 
 

@@ -126,7 +126,7 @@ def test_batches_are_neither_too_short_nor_too_large_and_end_together(
 def test_workers_with_other_versions_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask: LocalCluster
 ) -> None:
-    here = dask_cluster.versions() | {"llvmlite": "0.1", "casadi": "3.0"}
+    here = dask_cluster.package_versions() | {"llvmlite": "0.1", "casadi": "3.0"}
     monkeypatch.setattr(dask_cluster, "package_versions", lambda: here)
     words = (
         r"a worker of the cluster has other versions: "

@@ -234,7 +234,7 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job
     make, path = functools.partial(sines, 605, 0.05), pathlib.Path(sys.argv[1])
     try:
-        run_blocks.run(make, path, workers=2, progress=say)
+        run_blocks.compute_job(make, path, workers=2, progress=say)
     except KeyboardInterrupt as error:
         say(error)
 """

@@ -411,7 +411,7 @@ def test_observers_in_python_take_a_limit_for_a_bound(build: Any) -> None:
 )
 def test_which_readings_are_surely_exact(before: float, last: float, y: float, sure: bool) -> None:
     numbers: Any = SimpleNamespace(gate=0.1, ends=RangeLimits(low=-2.0, high=1.0, gate=0.1))
-    setup: Any = SimpleNamespace(jump=False)
+    setup: Any = SimpleNamespace(is_jump_sensor=False)
     values = (ca.SX(y), ca.SX(last), ca.SX(before))
     assert bool(ca.evalf(is_surely_exact(setup, numbers, *values, ca.SX(1.0)))) == sure
     assert not bool(ca.evalf(is_surely_exact(setup, numbers, *values, ca.SX(2.0))))

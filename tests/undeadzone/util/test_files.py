@@ -31,7 +31,7 @@ from undeadzone.ensemble import run_blocks
 
 if __name__ == "__main__":
     make, path = functools.partial(sines, 605, 0.01), pathlib.Path(sys.argv[1])
-    run_blocks.run(make, path, resume=True, workers=2, progress=say).close()
+    run_blocks.compute_job(make, path, resume=True, workers=2, progress=say).close()
 """
 
 
@@ -236,7 +236,7 @@ def test_whoever_stops_the_arena_waits_for_no_task() -> None:
 STOPPED_AT_THE_START = """
 import os, signal, threading, time
 from multiprocessing import active_children
-from undeadzone_arena.contest.processes import as_done
+from undeadzone_arena.contest.processes import iterate_results
 
 def press():
     while not active_children():
@@ -247,7 +247,7 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=press, daemon=True).start()
     try:
-        next(as_done(1, time.sleep, {0: (1e5,)}))
+        next(iterate_results(1, time.sleep, {0: (1e5,)}))
     except KeyboardInterrupt:
         print("stopped")
 """

@@ -56,7 +56,7 @@ def test_pack_and_unpack_are_inverse_and_casadi_stacks_alike(like: Outer) -> Non
     ]
     again = tree.rebuild_tree(like, iter(values))
     assert isinstance(again, Outer)
-    assert again.inner.no_information is None
+    assert again.inner.nothing is None
     assert tree.pack_tree(again).tolist() == packed.tolist()
 
 

@@ -137,7 +137,7 @@ class _Kit(NamedTuple):
 
     def build_link(self, name: str, inertial: Any = None) -> Any:
         """Return a link, without mass by default."""
-        return self.link_class(self.urdf.Link(name, build_inertial=inertial), self.space)
+        return self.link_class(self.urdf.Link(name, inertial=inertial), self.space)
 
     def build_inertial(self, body: Body, mass: ca.SX, anchor: Floats) -> Any:
         """Return the mass of a body about an anchor, its inertia in proportion to the mass
