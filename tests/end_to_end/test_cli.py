@@ -130,7 +130,8 @@ def test_help_imports_nothing_heavy() -> None:
 def test_a_command_keeps_the_memory_that_it_frees() -> None:
     """Arrays that come and go take pages once, not each time."""
     code = (
-        "import resource, sys\nimport numpy as np\nfrom undeadzone.cli import _retain_freed_memory\n"
+        "import resource, sys\nimport numpy as np\n"
+        "from undeadzone.cli import _retain_freed_memory\n"
         "if 'keep' in sys.argv: _retain_freed_memory()\n"
         "for _ in range(40): [np.ones(10_000) for _ in range(200)]\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt)"
