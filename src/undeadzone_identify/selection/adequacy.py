@@ -9,14 +9,14 @@ leave, after whatever a change of the model's own numbers explains is taken out 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
-from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel
+from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel, Model
 
 SHARE = 0.05  # of the innovations' variance, from which a direction is real
 SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
@@ -84,7 +84,7 @@ class Remainder(NamedTuple):
         ]
 
 
-def largest_remainder(fit: FittedModel[Any], word: str) -> Remainder | None:
+def largest_remainder(fit: FittedModel[Model], word: str) -> Remainder | None:
     """Return what a model's innovations depend on most, if that is real; else None.
 
     Args:
@@ -99,7 +99,7 @@ def largest_remainder(fit: FittedModel[Any], word: str) -> Remainder | None:
     return max(real, key=lambda one: one.share, default=None)
 
 
-def remainders(fit: FittedModel[Any]) -> list[Remainder]:
+def remainders(fit: FittedModel[Model]) -> list[Remainder]:
     """Return what a model's innovations depend on, direction by direction.
 
     Args:
@@ -141,7 +141,7 @@ def _left_over(own: Floats, columns: Floats) -> Floats | None:
     return np.asarray(basis[:, sizes > ALIKE * sizes[0]] * math.sqrt(len(left)))
 
 
-def _directions(fit: FittedModel[Any]) -> dict[str, Floats]:
+def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     """Return what a wrong model would leave, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
@@ -189,12 +189,12 @@ def _late(signal: Floats, lag: int) -> Floats:
     return np.append(np.full(lag, signal[0]), signal[:-lag])
 
 
-def _through_plant(fit: FittedModel[Any], columns: Floats) -> Floats:
+def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:
     """Return what the plant makes of columns at its first input (N x K)."""
     layout, theta = fit.model.simulator.layout, fit.theta
     numerator = np.append(0.0, theta[layout.b][: layout.n])
     out = np.empty_like(columns)
     for part in fit.model.simulator.data.record_slices():
-        denominator = layout.denominator(theta[layout.a])
+        denominator = layout.full_denominator(theta[layout.a])
         out[part] = lfilter(numerator, denominator, columns[part], axis=0)
     return out
