@@ -150,7 +150,7 @@ def test_a_command_keeps_the_memory_that_it_frees() -> None:
 def test_numpy_names_all_that_it_has_after_the_import_of_scipy() -> None:
     code = (
         "import numpy as np\nbefore = np.__all__, dir(np)\n"
-        "from undeadzone.cli.output import Output\nOutput(None, True, False).folder('x')\n"
+        "from undeadzone.cli.output import Output\nOutput(None, True, False).choose_folder('x')\n"
         "import scipy.linalg\nassert before == (np.__all__, dir(np))\nassert np.f2py, np.random"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -61,7 +61,7 @@ def test_the_state_that_shifts_is_that_of_the_lost_edge(
     monkeypatch.setattr(nonlinear, "symmetric", lambda model, change: False)
     hidden: Any = SimpleNamespace(scale=np.ones(4), basis=np.eye(4)[:, 2:])
     hidden.restrict_to_part = lambda part: SimpleNamespace(
-        basis=hidden.basis, width=lambda i, name: False
+        basis=hidden.basis, is_width_known=lambda i, name: False
     )
     known: Any = SimpleNamespace(hidden=hidden, follow=np.eye(2, 4, k=2))
     model: Any = SimpleNamespace(arm=None, n=2)

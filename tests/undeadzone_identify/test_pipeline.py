@@ -346,7 +346,7 @@ def test_filter_without_disturbance_is_singles() -> None:
     simulator = PlantSimulator(data, 2)
     theta = np.array([*A, 0.4, 0.3, 0, 0, 0.8, 0.5, math.log(0.1), 0])
     z = simulator.simulate_z(theta)
-    by_sample = single_densities(data.readings(), z, ZoneNoise(0.8, 0.5, 0.1, 0.0)).value
+    by_sample = single_densities(data.select_readings(), z, ZoneNoise(0.8, 0.5, 0.1, 0.0)).value
     settled = slice(200, None)  # the filter's first state is forgotten by then
     assert by_filter[settled] == pytest.approx(by_sample[settled], rel=2e-3, abs=2e-3)
 
