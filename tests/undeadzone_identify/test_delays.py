@@ -49,7 +49,7 @@ def beyond(data: RecordData) -> list[OrderFit]:
 def test_of_orders_that_predict_alike_one_that_can_be_written_is_chosen() -> None:
     def fit(n: int, bic: float, error: float, poles: list[float]) -> OrderFit:
         simulator = SimpleNamespace(
-            poles=lambda theta: np.array(poles, complex), is_at_limit=lambda theta: False
+            plant_poles=lambda theta: np.array(poles, complex), is_at_limit=lambda theta: False
         )
         pairs = SimpleNamespace(bic=bic, theta=None, objective=SimpleNamespace(simulator=simulator))
         return OrderFit(n, pairs, pairs, error, 1.0, True)
