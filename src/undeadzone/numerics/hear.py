@@ -29,6 +29,78 @@ class DeadzoneMemory(NamedTuple):
 
     Attributes:
         last, previous: the last two readings, 0 where one was missing [y].
+        right, left: readings to wait until that edge is heard again.
+    """
+
+    last: float = 0.0
+    previous: float = 0.0
+    right: int = 0
+    left: int = 0
+
+
+class DeadzoneUpdate(NamedTuple):
+    """What is known after a reading.
+
+    Attributes:
+        mean: in the shape that was given.
+        cov: covariance (N x N).
+        ear: for the next reading.
+        side: 1 or -1 where the reading was used on that side; 0: silent, unsure or missing.
+        innovation: what was read less what was expected [z]; 0 where side is 0.
+        innovation_std: standard deviation of that [z]; 0 where side is 0.
+    """
+
+    mean: Floats
+    cov: Floats
+    ear: DeadzoneMemory
+    side: int
+    innovation: float = 0.0
+    innovation_std: float = 0.0
+
+
+class Gauss(NamedTuple):
+    """A mean (N) and its covariance (N x N)."""
+
+    mean: Floats
+    cov: Floats
+
+
+class Edge(NamedTuple):
+    """One edge: the width is row @ mean + known.
+
+    Attributes:
+        sign: 1 on the right, -1 on the left.
+        row: that reads the width from the mean (N); 0 where it is known.
+        known: the width, where it is known [z].
+    """
+
+    sign: int
+    row: Floats
+    known: float
+
+
+def deadzone_update(
+    mean: Array,
+    cov: Array,
+    C: Array,
+    y: float,
+    *,
+    right: Array,
+    left: Array,
+    noise: float,
+    ear: DeadzoneMemory,
+    rest: int,
+    noise_before: float = 0.0,
+    slope: float = 1.0,
+) -> DeadzoneUpdate:
+    """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
+    behind.
+
+    Args:
+        mean: of the filter's state, after its prediction (N, or N x 1).
+        cov: covariance of that (N x N).
+        C: row that reads z from the mean (N).
+        y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
         right: width d_r: a number if it is known [z], inf if there is no such edge, or the row that
             reads it from the mean (N).
         left: the same for d_l.
