@@ -111,14 +111,8 @@ class Commands(click.Group):
             return False
 
     def _command_usage(self, ctx: click.Context, name: str) -> tuple[str, str]:
-        """Return the usage of a command, and its summary.
-
-        A command of another package that cannot be loaded is named with the reason.
-        """
-        try:
-            command = self.get_command(ctx, name)
-        except InputError as error:
-            return name, f"cannot be loaded: {error}"
+        """Return the command line of a command that is usable, and its summary."""
+        command = self.get_command(ctx, name)
         assert command is not None
         arguments = [each for each in command.params if isinstance(each, click.Argument)]
         typed = [name, *(each.make_metavar(ctx) for each in arguments)]

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from undeadzone.errors import InputError
+from undeadzone.util.earlier import SCHEMA as SCHEMA
 from undeadzone.util.files import read_text, require_folder
 from undeadzone.util.shown import Block
 from undeadzone.util.shown import format_blocks as text_of
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from undeadzone.results.info import LogInfo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-SCHEMA = 3  # of JSON: raised when a key goes or changes its meaning; keys may be added
 COLOURS = {"yes": "green", "OPEN LOOP": "yellow"}  # of verdicts; of others red
 # Where a cell begins, or after what is judged: right yes, left NO.
 VERDICT = re.compile(

@@ -105,8 +105,8 @@ def deadzone_update(
             reads it from the mean (N).
         left: the same for d_l.
         noise: rms of the noise behind the zone [y].
-        ear: what the last call returned, at first `Ear()`. A filter that has none would cut off
-            the same tail at every sample.
+        ear: what the last call returned, at first `DeadzoneMemory()`. A filter that has
+            none would cut off the same tail at every sample.
         rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
             correlation time of its disturbance if that is longer, up to a quarter period.
         noise_before: rms of the noise ahead of the zone [z].

@@ -14,7 +14,9 @@ from typing import Any, Final
 
 from undeadzone.errors import EarlierMeaning, InputError
 
-SCHEMA: Final = 3  # number of the meanings that keys have, the same as that of --json
+# Number of the meanings that keys have, in files and in --json alike: raised when a key goes or
+# changes its meaning; keys may be added.
+SCHEMA: Final = 3
 BEFORE: Final = 2  # the one that is still understood
 ASSUMPTION_TABLES: Final = (
     "observer",
