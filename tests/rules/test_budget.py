@@ -137,12 +137,13 @@ def test_a_decision_is_a_reason_and_no_report() -> None:
     assert not long
 
 
-def test_a_gap_is_one_line() -> None:
-    """Grouped by who is hurt."""
+def test_known_gaps_stay_short() -> None:
+    """Limits by symptom, at most 75 lines; figures belong to the results of the benchmarks."""
     lines = (HOME / "KNOWN_GAPS.md").read_text(encoding="utf-8").splitlines()
     body = lines[lines.index(next(line for line in lines if line.startswith("## "))) :]
-    assert all(line.startswith(("- ", "## ")) for line in body if line)
-    assert max(map(len, lines)) <= 115
+    assert all(line.startswith(("- ", "  ", "## ")) for line in body if line)
+    assert max(map(len, lines)) <= 120
+    assert sum(map(bool, lines)) <= 75
 
 
 def test_every_table_of_results_names_the_commit_of_the_code_that_made_it() -> None:
