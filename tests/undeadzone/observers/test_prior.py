@@ -260,7 +260,7 @@ def test_gears_that_contact_claims_had_this_meaning_before() -> None:
 
 @pytest.mark.parametrize("schema", [1, 4, "3", True, [3]])
 def test_a_schema_that_is_not_known_is_refused(schema: Any) -> None:
-    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files; found"):
+    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files, found"):
         convert(claiming(0.0, schema=schema))
 
 
