@@ -86,9 +86,9 @@ def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
         node_budget.rename_rooms(budget, nodes, [("cli", "zones")])
 
 
-def test_the_page_of_the_house_names_what_is_there() -> None:
-    """Every `room/file.name` of docs/house.md is in the code, and every room has a line there."""
-    page = (HOME / "docs" / "house.md").read_text(encoding="utf-8")
+def test_the_architecture_page_names_existing_code() -> None:
+    """Every `room/file.name` of docs/architecture.md is in the code, and every package has a line there."""
+    page = (HOME / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert len(page.splitlines()) <= 200
     named = set(re.findall(r"`((?:\w+/)*\w+)\.([A-Z_]\w+(?:\.\w+)?|[a-z_]\w*)`", page))
     assert len(named) > 50
