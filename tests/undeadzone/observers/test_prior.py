@@ -189,7 +189,7 @@ def formulas() -> Iterator[tuple[str, str]]:
 
 def test_wherever_a_formula_is_called_centre_it_is_the_middle() -> None:
     found = list(formulas())
-    assert {"docs/glossary.md", "docs/json.md", "docs/scenario.md"} <= {where for where, _ in found}
+    assert {"docs/notation.md", "docs/json.md", "docs/scenario.md"} <= {where for where, _ in found}
     for where, formula in found:
         words = re.sub(r"[dcb]_r\^?", str(RIGHT), formula.replace("−", "-"))
         words = re.sub(r"[dcb]_l\^?", str(LEFT), words)
