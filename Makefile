@@ -7,7 +7,7 @@ MUTANTS ?= 300
 # Starts of Python that keep no bytecode cost a quarter of the tests' time.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: paper test test-wheel wheel tools bench docs fuzz mutants coverage clean
+.PHONY: paper test quick test-wheel wheel tools bench docs fuzz mutants coverage clean
 
 paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
@@ -17,6 +17,12 @@ test: .venv/tested            ## everything: format, lint, types, tests, docs
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/pytest -n 2
+
+quick: .venv/tested           ## the same without the tests that take a second or more (tests/slow.txt), three minutes
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/pytest -n 2 -m "not slow"
 
 test-wheel: .venv/tested      ## the tests against an installed wheel in place of src
 	$(BIN)/python tests/packed.py -n 2

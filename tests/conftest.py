@@ -63,10 +63,57 @@ LONGEST = ("design", "test_docs", "test_exporting", "test_to_scenario", "test_od
            "test_notebook", "test_pipeline", "test_servo")  # fmt: skip
 
 
+SLOW = Path(__file__).with_name("slow.txt")  # tests that take a CPU second or more
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--order", type=int, metavar="SEED", help="files, and tests within them, in random order"
     )
+    parser.addoption(
+        "--write-slow",
+        action="store_true",
+        help="write tests/slow.txt from the CPU times of this run",
+    )
+
+
+def function_of(nodeid: str) -> str:
+    """Return the file and the function of a test, without its parameters."""
+    return nodeid.partition("[")[0]
+
+
+def cpu_seconds() -> float:
+    """Return the CPU time of this process and of those that it has waited for [s]."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Note the CPU time of a test, which reaches the process that writes reports."""
+    before = cpu_seconds()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("cpu", cpu_seconds() - before))
+
+
+CPU: dict[str, float] = {}  # longest case of each function [s]
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    seconds = dict(report.user_properties).get("cpu")
+    if report.when == "teardown" and isinstance(seconds, float):
+        name = function_of(report.nodeid)
+        CPU[name] = max(CPU.get(name, 0.0), seconds)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Write the list of slow tests; tests that did not run keep their line."""
+    if session.config.getoption("--write-slow") and not hasattr(session.config, "workerinput"):
+        known = {name for name in SLOW.read_text().split() if name not in CPU}
+        slow = known | {name for name, seconds in CPU.items() if seconds >= 1.0}
+        SLOW.write_text("".join(f"{name}\n" for name in sorted(slow)))
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -191,7 +238,11 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> InFiles:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What takes longest first; or shuffle files, and the tests of each."""
+    """Mark slow tests. Put the longest first, or shuffle files and the tests of each."""
+    slow = set(SLOW.read_text().split())
+    for item in items:
+        if function_of(item.nodeid) in slow:
+            item.add_marker(pytest.mark.slow)
     seed = config.getoption("order")
     if seed is None:
         place = {name: k for k, name in enumerate(LONGEST)}
