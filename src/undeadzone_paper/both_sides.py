@@ -9,17 +9,33 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+import casadi as ca
 import numpy as np
 
-from undeadzone.linalg.matrices import Matrices
+from undeadzone.interfaces import Reading, require_graph
+from undeadzone.linalg.matrices import Matrices, companion_form
+from undeadzone.linalg.poles import observer_gain
 from undeadzone.linalg.riccati import paper_riccati
-from undeadzone.plants.build import linear_matrices
+from undeadzone.nonlinearities.sensor import resolve, saturation_bound
+from undeadzone.plants.build import linear_matrices, system
 from undeadzone.results.run import Run
+from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
-from undeadzone_paper.example import ALPHA, L_PRINTED, L_REPAIRED, OMEGA, D, example_as_printed
+from undeadzone_paper.evidence import RESTING, Evidence
+from undeadzone_paper.example import (
+    ALPHA,
+    L_PRINTED,
+    L_REPAIRED,
+    OMEGA,
+    POLES,
+    READINGS,
+    D,
+    example_as_printed,
+    example_as_repaired,
+)
+from undeadzone_paper.trials import SHARPNESS, pole_error
 
-SHARPNESS: Final = 100.0  # k_s of (8)
 SIGMA: Final = 1.0  # of (25)
 
 
@@ -81,22 +97,18 @@ class ErrorSignals(NamedTuple):
         return np.stack([1.0 * (self.side > 0), -1.0 * (self.side < 0)], axis=1)
 
 
-def compare_sides(theorem: Run, begun: Run, repaired: Run) -> dict[int, BothSides]:
-    """Compute both sides of every equation, by its number.
-
-    Args:
-        theorem: with law (29), d - d^ given, from x1 = 5 with d^(0) = d
-        begun: the example as printed, with (42), from x1 = 5
-        repaired: the example as repaired
-    """
+def compare_sides(evidence: Evidence) -> dict[int, BothSides]:
+    """Compute both sides of every equation, by its number."""
+    theorem, repaired = evidence.law[0], evidence.repaired[0]
     linear = linear_matrices(example_as_printed(1.0).plant)
     printed, mended = _signals_of(theorem), _signals_of(repaired)
     compared = {
         **_sides_of_sensor(printed, mended),
         **_sides_of_observer(printed, mended, linear),
         **_sides_of_errors(printed, mended, linear),
-        **_sides_of_law(printed, mended, linear, begun),
+        **_sides_of_law(printed, mended, linear),
         **_sides_of_V(printed, linear, m.lyapunov_rise(repaired)),
+        30: _sides_of_positivity(evidence.printed[RESTING][0], repaired),
         **_sides_of_example(printed, linear),
     }
     return dict(sorted(compared.items()))
@@ -142,18 +154,19 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     side_error = _largest(mended_side - mended_branch)
     offset_error = _largest((q.y - (q.z - taken_mended))[read])
     of_z = np.stack([p.z > 0, p.z < 0], axis=1) * 1.0
-    least = _largest(sat) - abs(D - D)
     mended_sat = _largest((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
     return {
         1: BothSides("y that was read, and Dz(x) by branches", _largest(p.y - branches), None),
-        2: BothSides("largest |Sat x|, and the least d_M of the bound", max(0.0, least), 0.0),
+        2: BothSides(
+            "largest |Sat x|, and the least d_M of the bound",
+            max(0.0, _largest(sat) - abs(D - D)),
+            max(0.0, _largest(sat) - saturation_bound(D, D)),
+        ),
         3: BothSides("y that was read, and x - Sat(x)", _largest(p.y - (p.z - sat)), None),
         4: BothSides(
             "x - y that was read, and Sat(x) by branches", _largest(p.z - p.y - sat), None
         ),
-        5: BothSides(
-            "chi_r, and whether x > d_r", _largest(of_z[:, 0] - branch[:, 0]), side_error
-        ),
+        5: BothSides("chi_r, and whether x > d_r", _largest(of_z[:, 0] - branch[:, 0]), side_error),
         6: BothSides(
             "chi_l, and whether x < -d_l", _largest(of_z[:, 1] - branch[:, 1]), side_error
         ),
@@ -173,19 +186,14 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
             "y, and x - chi_l d_l - chi_r d_r", _largest(p.y - (p.z - taken)), offset_error
         ),
         12: BothSides("y, and x - chi_bar d", _largest(p.y - (p.z - taken)), offset_error),
-        13: BothSides(
-            "|Sat|, and |chi_bar d|", _largest(np.abs(sat) - np.abs(taken)), mended_sat
-        ),
+        13: BothSides("|Sat|, and |chi_bar d|", _largest(np.abs(sat) - np.abs(taken)), mended_sat),
         21: BothSides("chi_bar d, and Sat x", _largest(taken - sat), offset_error),
     }
 
 
-def _sides_of_observer(
-    p: ErrorSignals, q: ErrorSignals, linear: Matrices
-) -> dict[int, BothSides]:
+def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (14)-(20), as printed along p, as mended along q."""
-    A, B, C = linear
-    chain = np.diag(np.ones(len(A) - 1), 1)
+    A, _, C = linear
     L, L_mended = np.array(L_PRINTED), np.array(L_REPAIRED)
     z_sat = _saturation_by_branches(p.z, D, D)
     estimated_sat = _saturation_by_branches(p.z_hat, p.d_hat[:, 0], p.d_hat[:, 1])
@@ -199,15 +207,41 @@ def _sides_of_observer(
     moved = "x^', and its right side"
     return {
         14: BothSides("y that was read, and C x - Sat(C x)", _largest(p.y - p.z + z_sat), None),
-        15: BothSides("A of (39), and A of (15)", _largest(A - chain), 0.0),
+        15: BothSides(
+            "A of (39), and A of (15)",
+            _largest(A - companion_form(np.zeros(len(A))).A),
+            _largest(A - companion_form(-A[-1]).A),
+        ),
         16: BothSides(
-            "x^', and x', if x^ = x and d^ = d", _largest(np.outer(p.u, B[:, 0])), 0.0
+            "x^', and x', if x^ = x and d^ = d",
+            motion_at_truth(example_as_printed(1.0), p),
+            motion_at_truth(example_as_repaired(1.0), p),
         ),
         17: BothSides("y^, and y, if x^ = x and d^ = d", _largest(p.y - (p.z - z_sat)), None),
         18: BothSides(moved, _largest(np.outer(p.e - of_18, L)), mended_difference),
         19: BothSides(moved, _largest(np.outer(p.e - of_19, L)), mended_difference),
         20: BothSides(moved, _largest(np.outer(p.e - of_20, L)), mended_difference),
     }
+
+
+def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
+    """Return the largest |x^' - x'| of an observer with x^ = x and d^ = d, by its own graph.
+
+    Args:
+        scenario: of the observer and the plant
+        s: signals at whose x, u and y both are taken
+    """
+    model = system(scenario.plant)
+    sensor = resolve(scenario.sensor, 1, scenario.simulation.step)
+    observer = require_graph(scenario.observer.build(model, sensor))
+    x, u, y, side = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("y"), ca.SX.sym("side")
+    widths = np.array([D])
+    state = observer.init(observer.params)._replace(x=x, right=widths, left=widths)
+    moved, _ = observer.step(observer.params, state, u, Reading(y, side))
+    apart = moved.x - model.move(model.params, x, u)
+    function = ca.Function("apart", [x, u, y, side], [apart])
+    values = function.map(len(s.u))(s.x.T, s.u[None], s.y[None], s.side[None])
+    return _largest(np.asarray(values))
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
@@ -238,9 +272,7 @@ def _state_error_forms(
     return first, second, third
 
 
-def _sides_of_errors(
-    p: ErrorSignals, q: ErrorSignals, linear: Matrices
-) -> dict[int, BothSides]:
+def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (22)-(24), (27), (28), as printed along p, as mended along q."""
     A, B, C = linear
     L, L_mended = np.array(L_PRINTED), np.array(L_REPAIRED)
@@ -267,34 +299,51 @@ def _sides_of_errors(
     }
 
 
-def _sides_of_law(
-    p: ErrorSignals, q: ErrorSignals, linear: Matrices, begun: Run
-) -> dict[int, BothSides]:
+def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (25), (26), (29), (42), as printed along p, as mended along q."""
     _, B, C = linear
     P, L = _printed_P(linear), np.array(L_PRINTED)
-    taken_up = np.abs(p.e[:, None] * float(C[0] @ P @ L) * p.chi)
+    # With x^ = x: y~ = -chi_bar d~, on the measured side.
+    of_widths = (p.mended_chi * p.d_error).sum(axis=1)[:, None]
+    printed_step = SIGMA * of_widths * float(C[0] @ P @ L) * p.chi
+    mended_step = of_widths * p.mended_chi
     restored = p.y + (p.chi * p.d_hat).sum(axis=1)
     of_26 = p.z - (p.chi * p.d_error).sum(axis=1)
     read = q.side != 0
     mended = q.y + (q.mended_chi * q.d_hat).sum(axis=1)
     of_26_mended = q.z - (q.mended_chi * q.d_error).sum(axis=1)
     unknown = ALPHA * float(B[:, 0] @ P @ L) * ((p.chi * p.d_error).sum(axis=1) + p.e)
-    halves = 2 * _largest(begun.u - begun.r)
+    halves = 2 * ALPHA * _largest(np.outer(p.e, B[:, 0] @ P))
     return {
         25: BothSides(
-            "d^' / sigma, and y~ P L C chi_bar, which (35) needs it to be",
-            2 * _largest(taken_up),
-            None,
+            "rise of |d~|^2 / 2 by d^' with x^ = x, and 0 [1/s]",
+            _largest_rise(printed_step, p.d_error),
+            _largest_rise(mended_step, p.d_error),
         ),
         26: BothSides(
             "y + chi_bar d^, and C {x - (d - d^) chi_bar}",
             _largest(restored - of_26),
             _largest((mended - of_26_mended)[read]),
         ),
-        29: BothSides("u with d - d^ given, and by (28) with x^ = x", _largest(unknown), 0.0),
-        42: BothSides("alpha B'P y~, and -k_p y~ - k_d y~'", halves, 0.0),
+        29: BothSides("u with d - d^ given, and by (28) with x^ = x", _largest(unknown), None),
+        42: BothSides("alpha B'P [y~ y~], and -k_p y~ - k_d y~", halves, None),
     }
+
+
+def _largest_rise(step: Floats, error: Floats) -> float:
+    """Return the largest rate at which d^' = step makes |d~|^2 / 2 rise, at least 0."""
+    return max(0.0, float(-(step * error).sum(axis=1).min()))
+
+
+def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
+    """Compare what V of (30), and the certificate's, see of an error with what there is of it."""
+
+    def unseen(run: Run) -> float:
+        """Return the largest |x~| among samples with a V of 0."""
+        silent = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
+        return _largest((run.x - run.x_hat)[silent]) if silent.any() else 0.0
+
+    return BothSides("|x~| where V = 0, and 0", unseen(resting), unseen(repaired))
 
 
 def _printed_P(linear: Matrices) -> Floats:
@@ -338,11 +387,8 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     of_35 = -float(c @ Q @ c) * p.e**2 - 2 * cross + 2 * of_widths
     of_36 = -float(c @ Q @ c) * p.e**2
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + Q
-    silent = np.abs(p.e) == 0.0
-    unseen = _largest(p.x_error[silent]) if silent.any() else 0.0
     told = "V' along the run, and its right side"
     return {
-        30: BothSides("|x~| where y~ = 0, which V does not see, and 0", unseen, 0.0),
         31: BothSides(told, _largest(V_moved - of_31), None),
         32: BothSides(told, _largest(V_moved - of_32), None),
         33: BothSides(told, _largest(V_moved - of_33), None),
@@ -354,16 +400,25 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
 
 def _sides_of_example(p: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (37)-(41)."""
-    A, B, C = linear
+    A, B, _ = linear
     of_37 = -np.array([OMEGA, 2 * OMEGA])  # omega_n = 2 pi, zeta = 1
+    mended = linear_matrices(READINGS["omega_n = 1"].plant).A[1]
+    of_41 = np.stack([p.x_hat[:, 1], -p.x_hat[:, 1] - 2 * p.x_hat[:, 1]], axis=1)
+    mended_41 = np.stack([p.x_hat[:, 1], -p.x_hat[:, 0] - 2 * p.x_hat[:, 1]], axis=1)
     moved = p.x_hat @ A.T
-    of_41 = np.stack([p.x_hat[:, 1], -3 * p.x_hat[:, 1]], axis=1)
-    poles = np.sort(np.linalg.eigvals(A - np.outer(L_PRINTED, C[0])).real)
-    wanted = np.array([-10.0, -4.0])
+    of_38 = [-1.0, -2.0]
     return {
-        37: BothSides("its coefficients, and those of (38)", _largest(of_37 - A[1]), 0.0),
-        38: BothSides("its coefficients, and A of (39)", _largest(A[1] - [-1.0, -2.0]), None),
-        39: BothSides("A, B, and those of (38)", _largest(B[:, 0] - [0.0, 1.0]), None),
-        40: BothSides("poles of A - L C, and (-4, -10)", _largest(poles - wanted), 0.0),
-        41: BothSides("A x^, and its right side", _largest(moved - of_41), 0.0),
+        37: BothSides(
+            "its coefficients, and those of (38)", _largest(of_37 - of_38), _largest(mended - of_38)
+        ),
+        38: BothSides("its coefficients, and A of (39)", _largest(A[1] - of_38), None),
+        39: BothSides("B, and that of (38)", _largest(B[:, 0] - [0.0, 1.0]), None),
+        40: BothSides(
+            "poles of A - L C, and (-4, -10)",
+            pole_error(linear, L_PRINTED),
+            pole_error(linear, observer_gain(linear, POLES, None).ravel()),
+        ),
+        41: BothSides(
+            "A x^, and its right side", _largest(moved - of_41), _largest(moved - mended_41)
+        ),
     }

@@ -37,6 +37,7 @@ class ClaimText(NamedTuple):
         why: the reason for the verdict, with {names} of numbers
         announced: whether the quantity counts what the paper announces and no figure shows
         ours: whether the quantity and its limit are this audit's reading, not a figure's claim
+        works: whether the claim is that the design works
     """
 
     id: str
@@ -48,6 +49,7 @@ class ClaimText(NamedTuple):
     why: str
     announced: bool = False
     ours: bool = False
+    works: bool = False
 
 
 class Claim(NamedTuple):
@@ -108,12 +110,18 @@ HOW: Final = (
 
 
 def verdict_counts_text(claims: Iterable[Claim]) -> str:
-    """Return the counts of the verdicts as a sentence."""
+    """Return the counts of the verdicts, first of the claims that the design works."""
+    claims = list(claims)
+    working = Counter(claim.verdict for claim in claims if claim.text.works)
     counts = Counter(claim.verdict for claim in claims)
+    hold = working["holds"]
+    first = "No claim" if hold == 0 else f"{hold} claim{'s' * (hold > 1)}"
     return (
-        f"Of {counts.total()} claims {counts['holds']} hold as printed, "
-        f"{counts['holds after repair']} after repair, {counts['does not hold']} do not hold, "
-        f"{counts['not shown']} are announced and not shown."
+        f"{first} that the design works hold{'s' * (hold < 2)} as printed; "
+        f"{working['holds after repair']} of {working.total()} hold after repair, "
+        f"{working['does not hold']} do not hold. Of all {counts.total()} claims "
+        f"{counts['holds']} hold as printed, {counts['holds after repair']} after repair, "
+        f"{counts['does not hold']} do not hold, {counts['not shown']} are announced and not shown."
     )
 
 

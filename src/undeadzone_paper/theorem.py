@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from itertools import product
+from math import prod
 from typing import Final, NamedTuple
 
 import msgspec
@@ -45,6 +46,12 @@ PLANTS: Final = {
 GAINS: Final = {"printed": "(40)", "placed": "the poles"}
 GIVEN, ESTIMATED = "given", "estimated"
 SIGNS: Final = {1.0: "(29) as printed", -1.0: "with the sign of the left half of (42)"}
+
+
+CHOICES: Final = (PLANTS, GAINS, (False, True), (-1.0, 1.0), (0.0, STARTED), (D, UNEQUAL))
+"""What a reading picks beside the law and its knowledge of d - d^, in the order of its fields."""
+
+READINGS_OF_THEOREM: Final = prod(len(choice) for choice in CHOICES)
 
 
 class TheoremReading(NamedTuple):
@@ -142,15 +149,11 @@ def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOu
     Args:
         progress: called with the number of steps just done
     """
-    choices = product(
-        SIGNS, PLANTS, GAINS, (False, True), (-1.0, 1.0), (0.0, STARTED), (D, UNEQUAL)
-    )
-    readings = list(choices)
     return [
         outcome
         for mismatch in (GIVEN, ESTIMATED)
         for outcome in _run_readings(
-            [TheoremReading(mismatch, *choice) for choice in readings], progress
+            [TheoremReading(mismatch, *choice) for choice in product(SIGNS, *CHOICES)], progress
         )
     ]
 
@@ -223,9 +226,19 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
             SIGNS[sign],
             plant,
             total=len(group),
-            diverge=sum(outcome.diverged_at is not None for outcome in group),
+            diverge=count_diverging(group),
             end_right=sum(outcome.error <= RIGHT for outcome in group),
             leave_true_widths=sum(outcome.leaves_widths for outcome in group),
         )
         for (mismatch, sign, plant), group in groups.items()
     ]
+
+
+def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:
+    """Count the runs that diverge."""
+    return sum(outcome.diverged_at is not None for outcome in outcomes)
+
+
+def is_kindest(reading: TheoremReading) -> bool:
+    """Return whether a reading is the kindest: B u, chi_bar mended, begun outside the zone."""
+    return reading.feeds_input and reading.left_sign > 0 and reading.x1 == STARTED
