@@ -166,6 +166,26 @@ def _equation_numbers(where: str) -> set[int]:
     return named
 
 
+def claims_on_figure(number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on a figure.
+
+    Args:
+        number: of the figure
+        claims: all of them; where each stands names figures as "figure 2" or "figures 3 and 4"
+    """
+    found = re.compile(r"figures? ([1-8](?: and [1-8])*)")
+    return [
+        claim.id
+        for claim in claims
+        if any(str(number) in named for named in found.findall(claim.where))
+    ]
+
+
+def claims_on_assumption(number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on an assumption, A1 to A4."""
+    return [claim.id for claim in claims if f"A{number}" in claim.where]
+
+
 def judge_claims(evidence: Evidence) -> list[Claim]:
     """Decide every claim by its measured numbers."""
     numbers = measure_claims(evidence)
