@@ -29,6 +29,12 @@ class Equation(NamedTuple):
     reason: str
 
 
+ASSUMPTIONS: Final = {
+    1: "d_r > 0 and -d_l < 0",
+    2: "the initial d^ is d",
+    3: "the slope m is positive and set to 1",
+    4: "y = Dz(x) is measured, the states x are not",
+}
 DIAGRAMS: Final = {
     1: "system with output dead zone",
     2: "adaptive observer with the estimate of the dead zone",

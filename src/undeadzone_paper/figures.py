@@ -157,8 +157,12 @@ def plot_theorem(
     )
     off = np.abs(repaired.d_hat - D).max(axis=1)
     panels["widths"].plot(repaired.t, off, color=ink.ESTIMATE, label="repaired")
-    finish_panel(panels["state"], f"{X1_HAT} \u2212 {X1}, (39), L of (40)", "error of the state")
-    finish_panel(panels["widths"], f"Largest |{D_HAT} \u2212 d|, which began at 0", "error [z]")
+    finish_panel(
+        panels["state"], f"{X1_HAT} \u2212 {X1}, (39), L of (40)", "error of the state", legend=2
+    )
+    finish_panel(
+        panels["widths"], f"Largest |{D_HAT} \u2212 d|, which began at 0", "error [z]", legend=2
+    )
     for name, colour in names.items():
         _plot_sorted_errors(panels["readings"], outcomes, name, colour)
     panels["readings"].axhline(RIGHT, color=ink.ZONE, linewidth=1.0, label="right up to here")

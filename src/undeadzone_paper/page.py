@@ -16,6 +16,7 @@ from undeadzone.report.html import (
     build_tag,
     encode_picture,
     fold_section,
+    join_html,
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
@@ -32,6 +33,7 @@ from undeadzone_paper.example import (
 from undeadzone_paper.facts import response_to_force
 from undeadzone_paper.figures import (
     RunTrio,
+    add_hats,
     plot_paper_figure,
     plot_silence,
     plot_theorem,
@@ -206,12 +208,16 @@ def _claims_section(paper: Paper) -> list[Html]:
     rows = []
     for claim in paper.claims:
         text = claim.text
-        verdict = build_tag("span", claim.verdict, _COLOURS[claim.verdict])
+        cells = (
+            build_tag("div", claim.verdict, _COLOURS[claim.verdict]),
+            build_tag("div", text.claim),
+            build_tag("code", text.id),
+        )
         quoted = f"\u201c{text.words}\u201d, {text.where}"
-        rows.append((text.claim, quoted, claim.numbers_text, verdict, text.why))
+        rows.append((join_html(cells), quoted, claim.numbers_text, text.why))
     return [
         build_paragraph(HOW),
-        build_table(("claim", "in the paper", "measured", "verdict", "why"), rows),
+        build_table(("claim", "in the paper", "measured", "why"), rows),
     ]
 
 
@@ -297,7 +303,7 @@ def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
     captions = {
         **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
         **{
-            number: f"{words}, as printed (left) and repaired (right)"
+            number: f"{add_hats(words)}, as printed (left) and repaired (right)"
             for number, words in FIGURES.items()
         },
     }
