@@ -203,7 +203,7 @@ def export_command(path: Path, scenario: uz.Scenario) -> list[str]:
 def _changes_for_export(scenario: uz.Scenario) -> Iterator[str]:
     """Return the changes with which a continuous scenario can be sampled, the least first.
 
-    Some methods exist in continuous time alone: then `certified` and `state_feedback` take their place.
+    Some methods exist in continuous time alone: `certified` and `state_feedback` take their place.
     """
     from undeadzone.registry import CONTROLLERS, OBSERVERS
     from undeadzone.scenario.problem import resolve_scenario
