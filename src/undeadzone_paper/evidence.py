@@ -26,6 +26,7 @@ from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
+from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.pipeline import identify
 from undeadzone_identify.results.result import IdentifiedOutputs
 from undeadzone_paper.arm import HALF_GAP, ArmRuns, run_arm
@@ -140,7 +141,7 @@ class Evidence(NamedTuple):
     held: tuple[Run, Run]
     filtered: tuple[Run, Run]
     logged: Run
-    identified: tuple[float, float]
+    identified: tuple[Interval, Interval]
     lesser: dict[float, Run]
     lopsided: RunPair
     still: Run
@@ -349,12 +350,12 @@ def _kalman_options(disturbance: float | None) -> Kalman:
     return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
 
 
-def _identify_widths(run: Run) -> tuple[float, float]:
-    """Identify d_r and d_l from u and y of a run [z]."""
+def _identify_widths(run: Run) -> tuple[Interval, Interval]:
+    """Identify d_r and d_l from u and y of a run, with 95 % intervals [z]."""
     found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
     if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:
         raise AssertionError("the log of one output has an answer")
-    return found.right.value, found.left.value
+    return found.right, found.left
 
 
 def _wrong_models() -> list[Model]:

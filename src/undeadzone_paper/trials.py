@@ -306,7 +306,7 @@ def _width_claims(e: Evidence) -> Numbers:
         if _worst_value(m.reading_error, runs) <= EQUAL
     }
     unaware = {case: m.width_error(run) for case, run in e.unaware.items()}
-    beforehand = max(abs(width - D) for width in e.identified)
+    beforehand = max(abs(width.value - D) for width in e.identified)
     return {
         "implied": ClaimNumbers(
             implied,
@@ -322,7 +322,9 @@ def _width_claims(e: Evidence) -> Numbers:
             _single_case(_worst_value(_lopsided_error, e.lopsided.printed)),
             _worst_value(_lopsided_error, e.lopsided.repaired),
         ),
-        "physical": ClaimNumbers(_single_case(beforehand), None),
+        "physical": ClaimNumbers(
+            _single_case(max((width.high - width.low) / 2 for width in e.identified)), None
+        ),
         "unknown-width": ClaimNumbers(unaware, m.width_error(e.repaired[0])),
         "predetermined": ClaimNumbers(_single_case(beforehand), None),
     }
@@ -409,7 +411,7 @@ def _remedy_claims(e: Evidence) -> Numbers:
         "with noise on y": in_noise / _worst_value(m.width_error, e.noisy.repaired),
         "with a disturbance": in_gust / _worst_value(m.width_error, e.disturbed.repaired),
     }
-    beforehand = max(abs(width - D) for width in e.identified)
+    beforehand = max(abs(width.value - D) for width in e.identified)
     return {
         "tanh-term": _missing_words("robust term")._replace(named={"worse": with_term / without}),
         "filtering": ClaimNumbers(filtered, None),
