@@ -117,9 +117,9 @@ def verdict_counts_text(claims: Iterable[Claim]) -> str:
     hold = working["holds"]
     first = "No claim" if hold == 0 else f"{hold} claim{'s' * (hold > 1)}"
     return (
-        f"{first} that the design works hold{'s' * (hold < 2)} as printed; "
-        f"{working['holds after repair']} of {working.total()} hold after repair, "
-        f"{working['does not hold']} do not hold. Of all {counts.total()} claims "
+        f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
+        f"such, {working['holds after repair']} hold after repair, "
+        f"{working['does not hold']} do not hold. Of all {counts.total()} statements "
         f"{counts['holds']} hold as printed, {counts['holds after repair']} after repair, "
         f"{counts['does not hold']} do not hold, {counts['not shown']} are announced and not shown."
     )

@@ -14,7 +14,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
 from undeadzone_paper.measures import reading_estimate
-from undeadzone_paper.theorem import ESTIMATED, GIVEN, RIGHT, TheoremOutcome
+from undeadzone_paper.theorem import ESTIMATED, GIVEN, RIGHT, TheoremOutcome, select_outcomes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -175,11 +175,7 @@ def _plot_sorted_errors(
     axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
 ) -> None:
     """Plot the errors of the readings of (29) as printed, in their order."""
-    errors = [
-        outcome.error
-        for outcome in outcomes
-        if (outcome.reading.mismatch, outcome.reading.sign) == (mismatch, 1.0)
-    ]
+    errors = [outcome.error for outcome in select_outcomes(outcomes, mismatch)]
     values = np.sort(errors)
     shown = np.isfinite(values)
     axes.set_yscale("log")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -87,7 +88,7 @@ class AuditFigures(NamedTuple):
             self.silence,
             self.theorem,
             *self.diagrams,
-            *(path for paths in self.numbered.values() for path in paths),
+            *chain.from_iterable(self.numbered.values()),
         ]
 
 

@@ -149,13 +149,11 @@ def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOu
     Args:
         progress: called with the number of steps just done
     """
-    return [
-        outcome
-        for mismatch in (GIVEN, ESTIMATED)
-        for outcome in _run_readings(
-            [TheoremReading(mismatch, *choice) for choice in product(SIGNS, *CHOICES)], progress
-        )
-    ]
+    outcomes: list[TheoremOutcome] = []
+    for mismatch in (GIVEN, ESTIMATED):
+        readings = [TheoremReading(mismatch, *choice) for choice in product(SIGNS, *CHOICES)]
+        outcomes += _run_readings(readings, progress)
+    return outcomes
 
 
 def _run_readings(
@@ -232,6 +230,14 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
         )
         for (mismatch, sign, plant), group in groups.items()
     ]
+
+
+def select_outcomes(
+    outcomes: Iterable[TheoremOutcome], mismatch: str, sign: float = 1.0
+) -> list[TheoremOutcome]:
+    """Select the outcomes of one law: how it knows d - d^, and its sign."""
+    wanted = mismatch, sign
+    return [outcome for outcome in outcomes if outcome.reading[:2] == wanted]
 
 
 def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:

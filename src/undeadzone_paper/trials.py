@@ -59,9 +59,9 @@ from undeadzone_paper.theorem import (
     ESTIMATED,
     GIVEN,
     RIGHT,
-    SIGNS,
     count_diverging,
     is_kindest,
+    select_outcomes,
 )
 
 Measure: TypeAlias = Callable[[Run], float]
@@ -482,17 +482,11 @@ def _comparison_claims() -> Numbers:
 
 def _theorem_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims of Theorem 4.1 with its own law (29)."""
-    groups = {
-        (mismatch, sign): [
-            outcome
-            for outcome in e.theorem
-            if (outcome.reading.mismatch, outcome.reading.sign) == (mismatch, sign)
-        ]
+    printed = {
+        f"with d - d^ {mismatch}": select_outcomes(e.theorem, mismatch)
         for mismatch in (GIVEN, ESTIMATED)
-        for sign in SIGNS
     }
-    printed = {f"with d - d^ {mismatch}": groups[mismatch, 1.0] for mismatch in (GIVEN, ESTIMATED)}
-    told = groups[GIVEN, 1.0]
+    told = select_outcomes(e.theorem, GIVEN)
     kind = [outcome for outcome in told if is_kindest(outcome.reading)]
     named: dict[str, Any] = {
         "diverge": count_diverging(told),
@@ -501,7 +495,7 @@ def _theorem_claims(e: Evidence) -> Numbers:
         "survive": sum(
             outcome.reading.width == D and outcome.diverged_at is None for outcome in told
         ),
-        "other_diverge": count_diverging(groups[GIVEN, -1.0]),
+        "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, -1.0)),
         "kindest": max(outcome.width_error or 0.0 for outcome in kind),
     }
     law = PrintedLaw(L=L_PRINTED, alpha=ALPHA)

@@ -283,18 +283,18 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
     said = verdict_counts_text(paper.claims)
-    assert said.startswith("No claim that the design works holds as printed; ")
-    assert f"Of all {len(paper.claims)} claims {verdicts['holds']} hold as printed" in said
+    assert said.startswith("No claim that the design works holds as printed. ")
+    assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in said
     works = [claim for claim in paper.claims if claim.text.works]
     mended = sum(claim.verdict == "holds after repair" for claim in works)
-    assert f"{mended} of {len(works)} hold after repair" in said
+    assert f"Of {len(works)} such, {mended} hold after repair" in said
 
 
 def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
     works = next(claim for claim in paper.claims if claim.text.works)
     holding = works._replace(printed={"": works.text.limit})
     said = verdict_counts_text([holding])
-    assert said.startswith("1 claim that the design works holds as printed; 0 of 1 hold")
+    assert said.startswith("1 claim that the design works holds as printed. Of 1 such, 0 hold")
 
 
 def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:

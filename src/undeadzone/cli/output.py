@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
-import msgspec
 
 import undeadzone as uz
 from undeadzone.cli.common import (
@@ -205,6 +204,8 @@ def _changes_for_export(scenario: uz.Scenario) -> Iterator[str]:
 
     Some methods exist in continuous time alone: `certified` and `state_feedback` take their place.
     """
+    import msgspec
+
     from undeadzone.registry import CONTROLLERS, OBSERVERS
     from undeadzone.scenario.problem import resolve_scenario
 
