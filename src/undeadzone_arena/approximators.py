@@ -147,7 +147,7 @@ def _require_small_basis(key: str, basis: Basis) -> Basis:
     """Return the basis if small enough to compute at every step, or raise InputError."""
     if basis.size > LARGEST:
         raise InputError(
-            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; "
-            "use fewer per axis"
+            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed. "
+            "Use fewer per axis"
         )
     return basis

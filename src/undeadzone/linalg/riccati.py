@@ -198,7 +198,7 @@ def paper_feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) 
     if radius >= 1:
         raise StructureError(
             f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius "
-            f"{radius:.4g}); use a smaller step or poles"
+            f"{radius:.4g}). Use a smaller step or poles"
         )
     return np.asarray(K)
 
@@ -263,7 +263,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
             f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
-            "state; give a lower speed, or poles"
+            "state. Give a lower speed, or poles"
         )
     return unit[:, None] * L
 
@@ -285,7 +285,7 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     except StructureError:
         raise StructureError(
             f"controller.speed: {speed:.4g} 1/s cannot be reached, the inputs hardly move some "
-            "state; give a lower speed, poles or K"
+            "state. Give a lower speed, poles or K"
         ) from None
 
 

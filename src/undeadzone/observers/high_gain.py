@@ -55,8 +55,8 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
             if fastest >= 1:
                 raise StepError(
                     f"simulation.step: {model.Ts:g} s is too coarse for observer.epsilon = "
-                    f"{epsilon:g} s (spectral radius {fastest:.4g}); "
-                    "use a larger epsilon or a shorter step"
+                    f"{epsilon:g} s (spectral radius {fastest:.4g}). "
+                    "Use a larger epsilon or a shorter step"
                 )
         return build_output_error_observer(model, sensor, L, widths)
 

@@ -215,7 +215,7 @@ def _plane_directions(key: str, path: Circle | FigureEight, channels: int) -> tu
         )
     if channels == 2:
         if path.normal is not None:
-            raise InputError(f"{key}.normal: has no meaning in two coordinates; remove it")
+            raise InputError(f"{key}.normal: has no meaning in two coordinates. Remove it")
         return np.array([1.0, 0.0]), np.array([0.0, 1.0])
     z = np.array([0.0, 0.0, 1.0])
     normal = z if path.normal is None else require_vector(f"{key}.normal", path.normal, 3)

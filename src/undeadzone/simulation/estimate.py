@@ -97,7 +97,7 @@ def estimate(
     regular = log.placed.samples
     if regular.t.size > LARGEST_LOG:
         raise FileError(
-            f"{log.source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split "
+            f"{log.source}: more than {LARGEST_LOG} samples. Give it to undeadzone watch, or split "
             "it"
         )
     with notebook_progress(progress, "estimating", None) as advance:

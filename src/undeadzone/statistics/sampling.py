@@ -114,12 +114,12 @@ def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
     if entries > qmc.Sobol.MAXDIM:
         raise InputError(
             f"ensemble.sampling: Sobol points have at most {qmc.Sobol.MAXDIM} dimensions, "
-            f"found {entries}; use random"
+            f"found {entries}. Use random"
         )
     if first + count > 2 ** (BITS - 1):
         raise InputError(
             f"runs: [ensemble] or [tune] asks for {first + count}, Sobol points are "
-            f"2^{BITS - 1}; use random"
+            f"2^{BITS - 1}. Use random"
         )
     design = qmc.Sobol(entries, bits=BITS, rng=seed)
     if first:

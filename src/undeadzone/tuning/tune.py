@@ -449,7 +449,7 @@ def _resolve_axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict
         axes |= dict.fromkeys(numbers_of_address(address, known), require_series(address, values))
     if not axes:
         raise InputError(
-            "sweep: nothing to sweep; give values by address, such as "
+            "sweep: nothing to sweep. Give values by address, such as "
             "{'observer.gamma': [1.0, 10.0]}"
         )
     return axes

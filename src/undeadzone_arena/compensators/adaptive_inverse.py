@@ -56,13 +56,13 @@ class AdaptiveZoneInverse(
         """Build the compensator for a model."""
         if model.Ts is None:
             raise InputError(
-                "compensator.method: 'adaptive_inverse' needs samples; set simulation.time = "
+                "compensator.method: 'adaptive_inverse' needs samples. Set simulation.time = "
                 '"sampled"'
             )
         stable = np.abs(np.linalg.eigvals(model.linear.A)).max() < 1
         if model.nonlinear or not stable:
             raise StructureError(
-                "compensator.method: 'adaptive_inverse' needs a linear, stable plant; use "
+                "compensator.method: 'adaptive_inverse' needs a linear, stable plant. Use "
                 "'smooth_inverse' with widths that the observer estimates"
             )
         m, n = model.m, model.n

@@ -36,7 +36,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         flat = model.flat
         if flat is None:
             raise InputError(
-                "controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use "
+                "controller.method: 'gravity_pd' needs an arm (plant.arm). For another plant use "
                 "'state_feedback' or 'lqr'"
             )
         m, half = model.m, model.n // 2
@@ -85,5 +85,5 @@ def _require_no_alternation(model: System, K: Floats) -> None:
     if ((np.abs(poles) > 1) & (poles.real < 0)).any():
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample "
-            "to sample the arm swings ever more; lower them"
+            "to sample the arm swings ever more. Lower them"
         )

@@ -54,7 +54,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
-                "so that 'ekf' cannot find them; use 'censored'"
+                "so that 'ekf' cannot find them. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted

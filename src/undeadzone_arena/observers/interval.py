@@ -62,7 +62,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         """Build the observer for a linear model, continuous or sampled."""
         if model.nonlinear:
             raise InputError(
-                "observer.method: 'interval' bounds linear plants only; use 'censored' for a "
+                "observer.method: 'interval' bounds linear plants only. Use 'censored' for a "
                 "nonlinear one"
             )
         n, p = model.n, model.p

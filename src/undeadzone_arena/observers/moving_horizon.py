@@ -74,11 +74,11 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
-                "that of a jump sensor is not; use 'censored'"
+                "that of a jump sensor is not. Use 'censored'"
             )
         if not ca.has_conic(self.solver):
             raise InputError(
-                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose "
+                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}. Choose "
                 "another of daqp, osqp"
             )
         nodes, stride = self._horizon_grid(model)

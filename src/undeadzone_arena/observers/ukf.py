@@ -76,6 +76,6 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
         if weights.cov < 0:
             raise InputError(
                 f"observer.alpha: the mean's own point would weigh {weights.cov:.3g} in "
-                "covariances, which need not stay positive then; raise alpha or beta"
+                "covariances, which need not stay positive then. Raise alpha or beta"
             )
         return weights

@@ -109,8 +109,8 @@ def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:
     if fastest >= 1:
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary "
-            f"layer (spectral radius {fastest:.4g}); "
-            "use a wider observer.boundary, a smaller rho or a shorter step"
+            f"layer (spectral radius {fastest:.4g}). "
+            "Use a wider observer.boundary, a smaller rho or a shorter step"
         )
 
 
@@ -152,7 +152,7 @@ def _require_stable_matrix(A: Floats, Ts: float | None, what: str) -> None:
     unstable = poles.real.max() >= 0 if Ts is None else np.abs(poles).max() >= 1
     if unstable:
         raise StructureError(
-            f"observer.L: {what} is not stable, its poles are {list_numbers(poles)}; "
-            "choose another L, "
+            f"observer.L: {what} is not stable, its poles are {list_numbers(poles)}. "
+            "Choose another L, "
             "or slower poles"
         )

@@ -99,7 +99,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         word = "reference" if np.any(options.reference) else "measured"
         raise InputError(
             f"{key}.arm.{word}: encoders of an arm with gears read positions, and have no zone "
-            "about a posture; leave it out"
+            "about a posture. Leave it out"
         )
     rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
     gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
@@ -262,8 +262,8 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
     )
     if not np.isfinite(chain.limits).any():
         raise InputError(
-            f"{key}.arm.stops: they stand where the joints' limits are, and these have none; "
-            f"give {key}.arm.limits"
+            f"{key}.arm.stops: they stand where the joints' limits are, and these have none. "
+            f"Give {key}.arm.limits"
         )
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
 
