@@ -211,7 +211,7 @@ def filled(path: Path, paper: Paper) -> str:
     def told(mark: re.Match[str]) -> str:
         key = mark[2]
         if key == "letters":
-            return mark[1] + letters_table()
+            return f"{mark[1]}\n{letters_table()}\n"
         if key == "all":
             return mark[1] + wrapped(verdict_counts_text(paper.claims))
         return mark[1] + line(claims[key], path)

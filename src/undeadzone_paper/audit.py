@@ -71,7 +71,7 @@ class Paper(NamedTuple):
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
             "theorem": [item._asdict() for item in count_theorem(self.evidence.theorem)],
-            "arm": self.evidence.arm._asdict(),
+            "arm": self.evidence.arm.summary(),
             "equations": [
                 {
                     **equation._asdict(),
