@@ -1,4 +1,4 @@
-"""One-link arm behind gears with a gap: the paper's observer and law on it, and `contact`.
+"""Run the paper's observer and law, and `contact`, on a link behind gears with a gap.
 
 The gap hides the link from the encoder at the motor. The paper's observer and law (29) are given
 the arm that hangs down, linearised, without the gap, and d^(0) = d (A2), d half of the gap.
@@ -86,7 +86,7 @@ def geared_arm() -> Scenario:
 
 
 def hanging_arm() -> Plant:
-    """Return the arm about the angle at which it hangs, linear, rigid, motor included."""
+    """Return the arm about its hanging angle, linear, rigid, motor included."""
     arm = system(Plant(arm=OneLink()))
     values = dict(zip(arm.names, np.asarray(arm.params), strict=True))
     inertia = MOTOR + float(values["m"] * values["c"] ** 2 + values["I"])

@@ -336,7 +336,7 @@ def _largest_rise(step: Floats, error: Floats) -> float:
 
 
 def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
-    """Compare what V of (30), and the certificate's, see of an error with what there is of it."""
+    """Compute the largest error that V of (30), and of the certificate, does not see."""
 
     def unseen(run: Run) -> float:
         """Return the largest |x~| among samples with a V of 0."""

@@ -65,7 +65,7 @@ PATHS: Final[dict[tuple[str, str], list[Point]]] = {
 
 
 class Arrow(NamedTuple):
-    """Arrow of a block diagram: where it begins and ends, and the signals that it carries."""
+    """Arrow of a block diagram: its ends, and the names of its signals."""
 
     source: str
     target: str

@@ -109,7 +109,7 @@ def plot_tracking(runs: RunTrio, reference: str) -> Figure:
 def _plot_pair(
     title: str, lines: tuple[SignalLine, ...], runs: RunTrio, from_rest: SignalLine
 ) -> Figure:
-    """Plot lines as printed and as repaired, and one of them from rest as printed."""
+    """Plot lines as printed and as repaired, with a signal from rest as printed."""
     sketch, panels = create_panels([["printed", "repaired"]], title)
     axes = panels["printed"]
     _plot_lines(axes, lines, runs.begun)

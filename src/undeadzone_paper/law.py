@@ -52,7 +52,7 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
     left_sign: float = -1.0
 
     def build(self, model: System) -> Controller:
-        """Build the controller for a continuous-time linear model of one input and one output."""
+        """Build the controller for a continuous linear model with a single input and output."""
         if model.Ts is not None or model.nonlinear or (model.m, model.p) != (1, 1):
             raise InputError(
                 "controller.method: 'printed' is defined for a linear plant of one input and one "

@@ -159,7 +159,7 @@ def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOu
 def _run_readings(
     readings: list[TheoremReading], progress: Callable[[int], None] | None
 ) -> list[TheoremOutcome]:
-    """Run readings of one graph; of the exogenous inputs only r enters it."""
+    """Run readings of the same graph, which only r enters from outside."""
     problem = resolve_scenario(example_of_theorem(readings[0]))
     loop, _, exogenous = prepare(problem)
     run = engine_for(loop, "auto", len(exogenous) * len(readings))
@@ -235,7 +235,7 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
 def select_outcomes(
     outcomes: Iterable[TheoremOutcome], mismatch: str, sign: float = 1.0
 ) -> list[TheoremOutcome]:
-    """Select the outcomes of one law: how it knows d - d^, and its sign."""
+    """Select the outcomes by knowledge of d - d^ and sign of the law."""
     wanted = mismatch, sign
     return [outcome for outcome in outcomes if outcome.reading[:2] == wanted]
 
