@@ -37,6 +37,10 @@ from undeadzone_paper.example import (
 from undeadzone_paper.trials import SHARPNESS, pole_error
 
 SIGMA: Final = 1.0  # of (25)
+STAND_INS: Final = {
+    "(22)-(24) L C chi_bar d~": "L (chi_bar d~), as in (20): C would multiply a scalar",
+    "(30)-(36) y~ M y~'": "y~ C M C' y~ for every n x n matrix M, and C P L for P L C, as in (25)",
+}
 
 
 class BothSides(NamedTuple):

@@ -21,6 +21,7 @@ from undeadzone.report.html import (
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
+from undeadzone_paper.both_sides import STAND_INS as STAND_INS_OF_SIDES
 from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
 from undeadzone_paper.diagrams import plot_diagrams
 from undeadzone_paper.equations import DIAGRAMS, FIGURES
@@ -43,7 +44,7 @@ from undeadzone_paper.figures import (
 )
 from undeadzone_paper.law import STAND_INS as STAND_INS_OF_LAW
 from undeadzone_paper.letters import HEAD, read_letters
-from undeadzone_paper.observer import STAND_INS
+from undeadzone_paper.observer import STAND_INS as STAND_INS_OF_OBSERVER
 from undeadzone_paper.printed import DEFINITION
 from undeadzone_paper.theorem import count_theorem
 
@@ -228,7 +229,12 @@ _SILENCE: Final = (
     "the sensor has nothing to say. Of the four readings of the plant only that of unity DC gain "
     "comes out."
 )
-_SCALAR_P: Final = "the scalar C P C' stands for the n x n matrix beside the scalar y~"
+STAND_INS: Final = {
+    **STAND_INS_OF_OBSERVER,
+    **STAND_INS_OF_LAW,
+    **STAND_INS_OF_SIDES,
+}
+"""What stands in for printed shapes that do not agree, by equation."""
 _BRINK: Final = (
     "Some of those with unity DC gain are at the brink: their counts change by two with the step."
 )
@@ -250,7 +256,6 @@ def _variants_section(paper: Paper) -> list[Html]:
     """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
     counts = [(READINGS[count.plant].words, *count) for count in paper.counts]
-    stand_ins = [*STAND_INS.items(), *STAND_INS_OF_LAW.items(), ("(30) P", _SCALAR_P)]
     leaving = []
     for outcome in paper.variants:
         if outcome.leaves_zone and outcome.variant.start.startswith("from rest"):
@@ -261,7 +266,7 @@ def _variants_section(paper: Paper) -> list[Html]:
         build_table(head, counts),
         build_paragraph(f"Variants {DEFINITION}. {_BRINK}", "note"),
         build_paragraph("The least that makes the printed equations agree in shape:"),
-        build_table(("equation", "stand-in"), stand_ins),
+        build_table(("equation", "stand-in"), STAND_INS.items()),
         fold_section(
             f"The {len(leaving)} variants that leave the zone from rest",
             build_table(_VARIANT, leaving),

@@ -49,8 +49,24 @@ def test_the_law_of_the_observer_holds_along_the_run_that_is_judged(paper: Paper
     assert np.quantile(smooth, 0.98) < 0.05 * np.abs(by_16).max()
 
 
-def test_the_left_side_of_31_is_the_derivative_of_30_along_the_run(paper: Paper) -> None:
-    """(35) and (36) agree with one another, as d^' of (25) makes them, and with V' nowhere."""
+def test_the_left_side_of_36_is_the_derivative_of_30_along_the_run(paper: Paper) -> None:
+    """By differences of V where neither y nor y^ has a kink; C Q C' = 1."""
+    run = paper.evidence.law[0]
+    assert run.V is not None
+    estimated = np.sign(run.z_hat[:, 0] - np.clip(run.z_hat[:, 0], *_edges(run.d_hat)))
+    sides = np.stack([run.side[:, 0], estimated])
+    smooth = (sides[:, 2:] == sides[:, :-2]).all(axis=0)
+    V_moved = np.gradient(run.V, run.t)[1:-1]
+    e = run.innovation[1:-1, 0]
+    largest = np.abs(V_moved + e**2)[smooth].max()
+    assert largest == pytest.approx(paper.sides[36].printed, rel=0.03)
+
+
+def _edges(d_hat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return -d_hat[:, 1], d_hat[:, 0]
+
+
+def test_35_and_36_agree_with_one_another_and_with_the_run_nowhere(paper: Paper) -> None:
     assert paper.sides[35].printed == pytest.approx(paper.sides[36].printed)
     for number in (31, 32, 33, 35, 36):
         assert paper.sides[number].printed > 100.0
