@@ -51,6 +51,9 @@ def build_gaussians(key: str, reach: Floats, count: int, overlap: float, normali
     sum to 1: fuzzy rules with Gaussian membership, singleton fuzzifier, product inference and
     centre average (Wang and Mendel 1992), and v is brought into the box first.
 
+    References:
+        L.-X. Wang, J. M. Mendel (1992), doi:10.1109/72.159070
+
     Args:
         key: named in errors.
         reach: half the sides of the box (k).
@@ -110,6 +113,9 @@ def build_jump_functions(key: str, count: int) -> Basis:
     """Build Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
 
     They act on the right side and, negative, on the left.
+
+    References:
+        R. R. Selmic, F. L. Lewis (2000), doi:10.1109/9.847098
 
     Args:
         key: named in errors.

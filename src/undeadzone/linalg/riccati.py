@@ -75,6 +75,10 @@ def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = Non
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
     improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
 
+    References:
+        D. L. Kleinman (1968), doi:10.1109/TAC.1968.1098829
+        G. A. Hewer (1971), doi:10.1109/TAC.1971.1099755
+
     Args:
         linear: the model, continuous or sampled; any number of inputs.
         Q: weight of the states (n x n).

@@ -38,6 +38,9 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     points): four times continuously differentiable; it may swing beyond the points where the times
     do not suit them. It is held before and after.
 
+    References:
+        T. Flash, N. Hogan (1985), doi:10.1523/JNEUROSCI.05-07-01688.1985
+
     Attributes:
         points: the points, a row per point (K x channels).
         times: times of the points, increasing (K) [s].

@@ -132,6 +132,9 @@ def _saltelli_points(seed: int, first: int, count: int, entries: int, runs: int)
     """Return the design of Saltelli et al. (2010), from two halves A and B of Sobol points.
 
     The runs of A come first, then those of B, of A with column 1 of B, of A with column 2 of B, ...
+
+    References:
+        A. Saltelli and others (2010), doi:10.1016/j.cpc.2009.09.018
     """
     matrices = entries + 2
     _require_saltelli(entries, runs)

@@ -1,4 +1,8 @@
-"""Adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994)."""
+"""Adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994).
+
+References:
+    G. Tao, P. V. Kokotovic (1994), doi:10.1109/9.273339
+"""
 
 from __future__ import annotations
 
@@ -41,6 +45,9 @@ class AdaptiveZoneInverse(
     deadzone inverse (y of a clean sensor). Tao and Kokotovic, Adaptive control of plants with
     unknown dead-zones, IEEE Trans. Automatic Control 39 (1994). It needs a stable, linear plant, in
     sampled time.
+
+    References:
+        G. Tao, P. V. Kokotovic (1994), doi:10.1109/9.273339
 
     Attributes:
         gain: of the normalised gradient [1/s].

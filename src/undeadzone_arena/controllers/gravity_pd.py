@@ -21,6 +21,10 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
     g is the torque that holds the arm against gravity. An elastic joint is fed back from its motor,
     and g is that of the link: Tomei (1991).
 
+    References:
+        P. Tomei (1991), doi:10.1109/9.90238
+        M. Takegaki, S. Arimoto (1981), doi:10.1115/1.3139651
+
     Attributes:
         k_p: K_p, one or one per joint [N m/rad].
         k_d: K_d, one or one per joint [N m s/rad].

@@ -33,6 +33,9 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
     s = G (x^ - x_ref), G B = I. Needs as many independent columns of B as inputs; of a nonlinear
     plant, a constant B.
 
+    References:
+        W. Gao, Y. Wang, A. Homaifa (1995), doi:10.1109/41.370376
+
     Attributes:
         gain: what exceeds the input disturbances to suppress, one or one per input [u].
         poles: poles of the error on s = 0 (n - m of them) [1/s]; default about ten times the

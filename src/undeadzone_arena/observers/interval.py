@@ -30,6 +30,9 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
     standard deviation of a uniform distribution. Where claimed bounds contradict each other the
     boxes start anew.
 
+    References:
+        F. Mazenc, O. Bernard (2011), doi:10.1016/j.automatica.2010.10.019
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.

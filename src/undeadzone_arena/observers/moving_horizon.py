@@ -54,6 +54,9 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
     The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
     and drift 0.5 % of the largest width. It runs in Python: in single runs only.
 
+    References:
+        C. V. Rao, J. B. Rawlings, D. Q. Mayne (2003), doi:10.1109/TAC.2002.808470
+
     Attributes:
         horizon: length of the horizon [s]; default a quarter period of the plant, 50 samples if
             it only integrates.

@@ -34,6 +34,10 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
     Weights of Wan and van der Merwe (2000). By default noise is at least 15 % of the range, drift
     10 % and x_std 50 % of the largest width.
 
+    References:
+        S. J. Julier, J. K. Uhlmann (1997), doi:10.1117/12.280797
+        E. A. Wan, R. van der Merwe (2000), doi:10.1109/ASSPCC.2000.882463
+
     Attributes:
         alpha, kappa: of N = n + 2p variables, points lie alpha sqrt(N + kappa) standard deviations
             from the mean.

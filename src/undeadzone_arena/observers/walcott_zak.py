@@ -1,4 +1,8 @@
-"""Sliding-mode observer of Walcott and Zak with a boundary layer and adaptive widths."""
+"""Sliding-mode observer of Walcott and Zak with a boundary layer and adaptive widths.
+
+References:
+    B. L. Walcott, S. H. Zak (1987), doi:10.1109/TAC.1987.1104530
+"""
 
 from __future__ import annotations
 
@@ -27,6 +31,9 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
 
     Also Edwards and Spurgeon (1998). G is P^-1 C' made so that C G = I, with
     (A - L C)'P + P (A - L C) = -Q.
+
+    References:
+        B. L. Walcott, S. H. Zak (1987), doi:10.1109/TAC.1987.1104530
 
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.

@@ -4,6 +4,9 @@ Its states are x = [q; v], its inputs the joints' torques, its outputs their pos
 velocities. There are arms in the plane x-y with one and two links (Spong, Hutchinson, Vidyasagar:
 Robot Modeling and Control, 2006, section 7.4), elastic joints, where a motor moves a link through a
 spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
+
+References:
+    M. W. Spong (1987), doi:10.1115/1.3143860
 """
 
 from __future__ import annotations

@@ -242,6 +242,9 @@ def load_urdf_chain(
     rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install 'undeadzone[robots]'
     brings.
 
+    References:
+        R. Featherstone (2008), doi:10.1007/978-1-4899-7560-7
+
     Args:
         path: the file.
         joints: names of the N joints that move, from base to tip; default: all revolute, continuous
