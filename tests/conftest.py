@@ -54,6 +54,7 @@ TOGETHER = {
     "test_audit": "paper",
     "test_arm": "paper",
     "test_both_sides": "paper",
+    "test_figures": "paper",
     "test_recomputed": "paper",
     "test_theorem": "paper",
     "test_budget": "source",
