@@ -29,7 +29,7 @@ from undeadzone_paper.equations import ASSUMPTIONS, DIAGRAMS, FIGURES
 from undeadzone_paper.letters import HEAD as LETTERS_HEAD
 from undeadzone_paper.letters import read_letters
 from undeadzone_paper.page import STAND_INS
-from undeadzone_paper.theorem import count_theorem
+from undeadzone_paper.theorem import DEFINITION, count_theorem
 
 ROOT: Final = Path(__file__).parents[1]
 PAGE: Final = ROOT / "docs" / "paper.md"
@@ -57,12 +57,6 @@ printed along the run of Theorem 4.1 (law (29), d - d^ given, started at x1 = 5 
 along the repaired run. A dash means that nothing is mended, or that nothing mends it.
 """
 SHAPES: Final = """Where printed shapes do not agree, the least that makes them agree stands in:
-"""
-THEOREM: Final = """### Theorem 4.1 with its own law
-
-A reading of the equations picks plant, L, B u in the observer or not, the sign of chi_l, x1(0) and
-d^(0). The law needs d - d^: given, as the proof has it, or estimated by (28) with x^ = x. A run
-ends right if widths and state are off by at most 0.05 over the last 2 s.
 """
 LETTERS: Final = """## Letters
 
@@ -142,7 +136,8 @@ def numbered(paper: Paper) -> list[str]:
         SHAPES,
         table(("equation", "stand-in"), STAND_INS.items()),
         table(heads[1], figures + assumed),
-        THEOREM,
+        "### Theorem 4.1 with its own law\n",
+        wrapped(DEFINITION),
         table(heads[2], counts),
     ]
 

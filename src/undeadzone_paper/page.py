@@ -46,6 +46,7 @@ from undeadzone_paper.law import STAND_INS as STAND_INS_OF_LAW
 from undeadzone_paper.letters import HEAD, read_letters
 from undeadzone_paper.observer import STAND_INS as STAND_INS_OF_OBSERVER
 from undeadzone_paper.printed import DEFINITION
+from undeadzone_paper.theorem import DEFINITION as DEFINITION_OF_THEOREM
 from undeadzone_paper.theorem import count_theorem
 
 if TYPE_CHECKING:
@@ -274,11 +275,6 @@ def _variants_section(paper: Paper) -> list[Html]:
     ]
 
 
-_THEOREM: Final = (
-    "A reading picks plant, L, B u in the observer or not, the sign of chi_l, x1(0) and d^(0). The "
-    "law needs d - d^: given, as the proof has it, or estimated by (28) with x^ = x. A run ends "
-    "right if widths and state are off by at most 0.05 over the last 2 s."
-)
 _THEOREM_HEAD: Final = (
     "d - d^",
     "law",
@@ -297,7 +293,7 @@ def _theorem_section(paper: Paper, image: Path) -> list[Html]:
         "reading in the end."
     )
     return [
-        build_paragraph(_THEOREM),
+        build_paragraph(DEFINITION_OF_THEOREM),
         build_table(_THEOREM_HEAD, count_theorem(paper.evidence.theorem)),
         encode_picture(image.read_bytes(), words),
     ]
