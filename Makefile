@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: paper test quick test-wheel wheel tools bench docs fuzz mutants coverage clean
 
-paper: .venv/installed        ## install, run the paper's example, write figures 3-8 and the report to paper-results/
+paper: .venv/installed        ## install, run the paper's example, write figures 1-8 and the report to paper-results/
 	$(BIN)/undeadzone paper --out paper-results
 
 test: .venv/tested            ## everything: format, lint, types, tests, docs

@@ -60,6 +60,7 @@ NAMES = (
     "servo",
     "gears",
     "gears_anchors",
+    "paper_recomputed",
 )
 HEAD = """# Results
 

@@ -1,7 +1,8 @@
 """Writes docs/paper.md, and what other pages say of the paper's claims, from the audit.
 
 A page that speaks of a claim has two marks, `<!-- claim KEY -->` and `<!-- /claim -->`; what stands
-between them is written here, and nobody else says whether a claim holds. KEY `all` counts them.
+between them is written here, and nobody else says whether a claim holds. KEY `all` counts them,
+`letters` is the table of letters.
 
 Run: python docs/claims.py
 """
@@ -10,24 +11,57 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 from undeadzone_paper import Paper, audit
-from undeadzone_paper.claims import HOW, Claim, verdict_counts_text
+from undeadzone_paper.claims import (
+    HOW,
+    Claim,
+    claims_on_assumption,
+    claims_on_figure,
+    value_text,
+    verdict_counts_text,
+)
+from undeadzone_paper.equations import ASSUMPTIONS, DIAGRAMS, FIGURES
+from undeadzone_paper.letters import HEAD as LETTERS_HEAD
+from undeadzone_paper.letters import read_letters
+from undeadzone_paper.page import STAND_INS
+from undeadzone_paper.theorem import DEFINITION, count_theorem
 
 ROOT: Final = Path(__file__).parents[1]
 PAGE: Final = ROOT / "docs" / "paper.md"
 MARKED: Final = re.compile(r"(<!-- claim ([\w-]+) -->\n).*?(?=<!-- /claim -->)", re.S)
 WIDTH: Final = 100
+BAR: Final = "\u2223"  # in place of | within a cell
 ORDER: Final = ("holds", "holds after repair", "does not hold", "not shown")
 HEAD: Final = """# The paper's claims
 
 What does the paper claim, and what is left of it when it is computed? `undeadzone paper` computes
-all of it, draws figures 3 to 8 as printed and repaired, and places every equation in the code;
+its sentences, equations (1)-(42) and Theorem 4.1, and draws figures 1 to 8 as printed and repaired.
 `python docs/claims.py` writes this page from its numbers. The words, limits and reasons stand in
-`src/undeadzone_paper/claims.toml`, the computations in `trials.py` beside it.
+`src/undeadzone_paper/claims.toml`, the computations in `trials.py` and `both_sides.py` beside it.
+
+To run the paper's methods with other numbers, write `observer.method = "printed"` and
+`controller.method = "printed"`, law (29), or `"pd"`, law (42), into a scenario:
+`examples/paper_printed.toml` has the paper's own. `time undeadzone paper` shows its effort: 16 CPU
+seconds, of which figures take four. `python -m benchmarks paper_recomputed` recomputes ten
+verdicts, drawn by a seed, by a script that shares no code with the audit.
+"""
+NUMBERS: Final = """## By number
+
+Both sides of each equation are computed along a run, and the largest difference is shown: as
+printed along the run of Theorem 4.1 (law (29), d - d^ given, started at x1 = 5 with d^ = d), mended
+along the repaired run. A dash means that nothing is mended, or that nothing mends it.
+"""
+SHAPES: Final = """Where printed shapes do not agree, the least that makes them agree stands in:
+"""
+LETTERS: Final = """## Letters
+
+The paper's letters, those of this package, the keys of a scenario, and the fields of exported C
+code (`in` is read, `out` is written).
 """
 
 
@@ -53,11 +87,98 @@ def escape_brackets(quotation: str) -> str:
 def page(paper: Paper) -> str:
     """docs/paper.md."""
     ranked = sorted(paper.claims, key=lambda claim: ORDER.index(claim.verdict))
-    parts = [HEAD, wrapped(f"{verdict_counts_text(paper.claims)} {HOW}")]
+    parts = [
+        HEAD,
+        wrapped(f"{verdict_counts_text(paper.claims)} {HOW}"),
+        *numbered(paper),
+        LETTERS,
+        letters_table(),
+    ]
     for verdict, claims in groupby(ranked, key=lambda claim: claim.verdict):
         parts.append(f"## {capital(verdict)}\n")
         parts += [section(claim) for claim in claims]
     return "\n".join(parts)
+
+
+def numbered(paper: Paper) -> list[str]:
+    """The paper's equations, figures, assumptions and theorem, each with what was found."""
+    texts = [claim.text for claim in paper.claims]
+    equations = []
+    for entry in paper.summary()["equations"]:
+        equations.append(
+            (
+                f"({entry['number']})",
+                entry["what"],
+                entry["compares"],
+                number(entry["printed"]),
+                number(entry["mended"]),
+                f"{entry['status']}: {entry['reason']}",
+                links(entry["claims"]),
+            )
+        )
+    figures = [
+        (f"figure {key}", words, files(key), links(claims_on_figure(key, texts)))
+        for key, words in {**DIAGRAMS, **FIGURES}.items()
+    ]
+    assumed = [
+        (f"A{key}", words, "", links(claims_on_assumption(key, texts)))
+        for key, words in ASSUMPTIONS.items()
+    ]
+    counts = [tuple(map(str, count)) for count in count_theorem(paper.evidence.theorem)]
+    heads = (
+        ("equation", "what", "both sides", "as printed", "mended", "used", "found"),
+        ("number", "what", "files", "found"),
+        ("d - d^", "law", "plant", "readings", "diverge", "end right", "leave d^ = d"),
+    )
+    return [
+        NUMBERS,
+        table(heads[0], equations),
+        SHAPES,
+        table(("equation", "stand-in"), STAND_INS.items()),
+        table(heads[1], figures + assumed),
+        "### Theorem 4.1 with its own law\n",
+        wrapped(DEFINITION),
+        table(heads[2], counts),
+    ]
+
+
+def files(figure: int) -> str:
+    """The files that `undeadzone paper` writes for a figure of the paper."""
+    if figure in DIAGRAMS:
+        return f"figure_{figure}.svg"
+    beside = ", tracking_2sin.svg" * (figure in (3, 4))
+    return f"figure_{figure}.svg, figure_{figure}_2sin.svg{beside}"
+
+
+def number(value: float | None) -> str:
+    """A difference in three digits, 0 where it is rounding."""
+    return "–" if value is None else value_text(value)
+
+
+def links(ids: list[str]) -> str:
+    """Links to claims on this page."""
+    return ", ".join(f"[{name}](#{name})" for name in ids)
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A table in Markdown, in which a bar within a cell is none of its own."""
+    head = list(head)
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(cell.replace('|', BAR) for cell in line)} |\n" for line in lines)
+
+
+def letters_table() -> str:
+    """The paper's letters."""
+    rows = (
+        (paper, meaning, ours, code(key), code(field))
+        for paper, meaning, ours, key, field in read_letters()
+    )
+    return table(LETTERS_HEAD, rows)
+
+
+def code(names: str) -> str:
+    """Names set as code."""
+    return ", ".join(f"`{name}`" for name in names.split(", ") if name)
 
 
 def section(claim: Claim) -> str:
@@ -91,6 +212,8 @@ def filled(path: Path, paper: Paper) -> str:
 
     def told(mark: re.Match[str]) -> str:
         key = mark[2]
+        if key == "letters":
+            return f"{mark[1]}\n{letters_table()}\n"
         if key == "all":
             return mark[1] + wrapped(verdict_counts_text(paper.claims))
         return mark[1] + line(claims[key], path)

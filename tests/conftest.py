@@ -25,7 +25,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
+from tools import raw_formulas
 from undeadzone.ensemble import journal
+from undeadzone.report import style
 from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
 from undeadzone_export import compiler
@@ -50,6 +52,11 @@ TOGETHER = {
     "test_report": "design",
     "test_json": "paper",
     "test_audit": "paper",
+    "test_arm": "paper",
+    "test_both_sides": "paper",
+    "test_figures": "paper",
+    "test_recomputed": "paper",
+    "test_theorem": "paper",
     "test_budget": "source",
     "test_language": "source",
     "test_layers": "source",
@@ -135,6 +142,21 @@ def pytest_configure(config: pytest.Config) -> None:
             if time.time() - path.stat().st_mtime > UNUSED:
                 path.unlink()
     os.environ["UNDEADZONE_CACHE"] = str(own)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def figures_are_read() -> Iterator[None]:
+    """Each figure that a test writes, with whatever command, is read as its reader would."""
+    drawn = style.figure_to_bytes
+
+    def read(figure: Any, kind: str) -> bytes:
+        image = drawn(figure, kind)
+        assert not raw_formulas(figure, image if kind == "svg" else b"")
+        return image
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "figure_to_bytes", read)
+        yield
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import os
+import re
 from collections import Counter
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -21,6 +23,25 @@ def script_of_docs(name: str) -> Any:
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+TYPESET = re.compile(r"(?<!\\)\$.*?(?<!\\)\$")  # what Matplotlib shows as a formula
+RAW = re.compile(r"\\|[_^]\{|\$[^$]*\$")  # what nobody should have to read
+
+
+def raw_formulas(figure: Any, image: bytes) -> list[str]:
+    """Texts of a figure, and of its file as SVG, in which a reader sees LaTeX.
+
+    A dollar alone may come from a user's words.
+    """
+    from matplotlib.text import Text
+
+    said = [text.get_text() for text in figure.findobj(Text)]
+    shown = [TYPESET.sub("", text).replace(r"\$", "$") for text in said]
+    held = [html.unescape(text) for text in re.findall(r">([^<>]+)<", image.decode())]
+    held += re.findall(r"<!--.*?-->", image.decode(), re.DOTALL)
+    outside_of_style = [text for text in held if not text.startswith("*{")]
+    return [text for text in (*shown, *outside_of_style) if RAW.search(text)]
 
 
 def require(group: str, missing: list[str]) -> None:

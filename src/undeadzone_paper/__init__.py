@@ -1,6 +1,6 @@
 """The paper's example as printed and as repaired.
 
-The audit holds its variants, facts, figures 3-8, its claims judged and its equations placed. Each
+The audit holds its variants, facts, figures 1-8, its claims judged and its equations placed. Each
 name is imported when it is first used: `undeadzone --help` lists this command, too.
 """
 

@@ -9,10 +9,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.results.run import Run
+from undeadzone_paper.both_sides import BothSides, compare_sides
 from undeadzone_paper.claims import Claim, claims_on_equation, judge_claims
 from undeadzone_paper.equations import EQUATIONS
 from undeadzone_paper.evidence import RESTING, Evidence, gather_evidence
 from undeadzone_paper.facts import Fact, compute_facts
+from undeadzone_paper.letters import read_letters
 from undeadzone_paper.measures import width_convergence_rate
 from undeadzone_paper.printed import (
     DEFINITION,
@@ -22,6 +24,7 @@ from undeadzone_paper.printed import (
     count_outcomes,
     run_variants,
 )
+from undeadzone_paper.theorem import count_theorem
 
 Progress = Callable[[int], None]
 
@@ -34,12 +37,14 @@ class Paper(NamedTuple):
         variants: what each variant of the example as printed does
         facts: numbers beside their closed forms
         claims: the paper's claims judged
+        sides: both sides of each equation, by its number
     """
 
     evidence: Evidence
     variants: list[Outcome]
     facts: list[Fact]
     claims: list[Claim]
+    sides: dict[int, BothSides]
 
     @property
     def counts(self) -> list[VariantCount]:
@@ -65,10 +70,17 @@ class Paper(NamedTuple):
             "facts": [fact._asdict() for fact in self.facts],
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),
             "claims": [claim.summary() for claim in self.claims],
+            "theorem": [item._asdict() for item in count_theorem(self.evidence.theorem)],
+            "arm": self.evidence.arm.summary(),
             "equations": [
-                {**equation._asdict(), "claims": claims_on_equation(equation.number, texts)}
+                {
+                    **equation._asdict(),
+                    **self.sides[equation.number]._asdict(),
+                    "claims": claims_on_equation(equation.number, texts),
+                }
                 for equation in EQUATIONS
             ],
+            "letters": [letter._asdict() for letter in read_letters()],
         }
 
 
@@ -79,7 +91,13 @@ def audit(progress: Progress | None = None) -> Paper:
         progress: called with the number of steps just done
     """
     evidence = gather_evidence(progress)
-    return Paper(evidence, run_variants(progress), compute_facts(), judge_claims(evidence))
+    return Paper(
+        evidence,
+        run_variants(progress),
+        compute_facts(),
+        judge_claims(evidence),
+        compare_sides(evidence),
+    )
 
 
 SHOWN: Final = ("rms_tracking", "rms_estimation", "d_right", "d_left", "integration_error")

@@ -37,6 +37,7 @@ class ClaimText(NamedTuple):
         why: the reason for the verdict, with {names} of numbers
         announced: whether the quantity counts what the paper announces and no figure shows
         ours: whether the quantity and its limit are this audit's reading, not a figure's claim
+        works: whether the claim is that the design works
     """
 
     id: str
@@ -48,6 +49,7 @@ class ClaimText(NamedTuple):
     why: str
     announced: bool = False
     ours: bool = False
+    works: bool = False
 
 
 class Claim(NamedTuple):
@@ -108,12 +110,18 @@ HOW: Final = (
 
 
 def verdict_counts_text(claims: Iterable[Claim]) -> str:
-    """Return the counts of the verdicts as a sentence."""
+    """Return the counts of the verdicts, first of the claims that the design works."""
+    claims = list(claims)
+    working = Counter(claim.verdict for claim in claims if claim.text.works)
     counts = Counter(claim.verdict for claim in claims)
+    hold = working["holds"]
+    first = "No claim" if hold == 0 else f"{hold} claim{'s' * (hold > 1)}"
     return (
-        f"Of {counts.total()} claims {counts['holds']} hold as printed, "
-        f"{counts['holds after repair']} after repair, {counts['does not hold']} do not hold, "
-        f"{counts['not shown']} are announced and not shown."
+        f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
+        f"such, {working['holds after repair']} hold after repair, "
+        f"{working['does not hold']} do not hold. Of all {counts.total()} statements "
+        f"{counts['holds']} hold as printed, {counts['holds after repair']} after repair, "
+        f"{counts['does not hold']} do not hold, {counts['not shown']} are announced and not shown."
     )
 
 
@@ -156,6 +164,26 @@ def _equation_numbers(where: str) -> set[int]:
     for first, last in re.findall(r"\((\d+)\)(?:-\((\d+)\))?", where):
         named.update(range(int(first), int(last or first) + 1))
     return named
+
+
+def claims_on_figure(number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on a figure.
+
+    Args:
+        number: of the figure
+        claims: all of them; where each stands names figures as "figure 2" or "figures 3 and 4"
+    """
+    found = re.compile(r"figures? ([1-8](?: and [1-8])*)")
+    return [
+        claim.id
+        for claim in claims
+        if any(str(number) in named for named in found.findall(claim.where))
+    ]
+
+
+def claims_on_assumption(number: int, claims: Iterable[ClaimText]) -> list[str]:
+    """Return the ids of the claims on an assumption, A1 to A4."""
+    return [claim.id for claim in claims if f"A{number}" in claim.where]
 
 
 def judge_claims(evidence: Evidence) -> list[Claim]:

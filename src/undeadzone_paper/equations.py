@@ -1,4 +1,4 @@
-"""The paper's equations (1)-(42) and figures 3-8.
+"""The paper's equations (1)-(42) and figures 1-8.
 
 Each equation is listed with what it is, where it lives in the code, as printed or corrected, and
 what was changed. What the paper claims of them stands in `claims.toml`, and only there.
@@ -17,18 +17,28 @@ class Equation(NamedTuple):
     Attributes:
         number: its number
         what: what it is
-        where: the object of this package that holds it; None: nowhere
-        status: whether it is used as printed, corrected, or not at all
+        where: the object of this package that holds it, or computes it
+        status: whether it is used as printed, corrected, or not at all (but computed)
         reason: why
     """
 
     number: int
     what: str
-    where: str | None
+    where: str
     status: Status
     reason: str
 
 
+ASSUMPTIONS: Final = {
+    1: "d_r > 0 and -d_l < 0",
+    2: "the initial d^ is d",
+    3: "the slope m is positive and set to 1",
+    4: "y = Dz(x) is measured, the states x are not",
+}
+DIAGRAMS: Final = {
+    1: "system with output dead zone",
+    2: "adaptive observer with the estimate of the dead zone",
+}
 FIGURES: Final = {
     3: "observer output y^ and reading y",
     4: "error y^ - y",
@@ -38,7 +48,7 @@ FIGURES: Final = {
     8: "width estimates d^",
 }
 
-_TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
+_TABLE: Final[tuple[tuple[int, str, str, Status, str], ...]] = (
     (
         1,
         "dead zone by branches",
@@ -216,7 +226,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "adaptive controller",
         "controllers.state_feedback.StateFeedback",
         "corrected",
-        "y~ is scalar where a state error is needed, d~ is unknown; u_ff - K (x^ - x_ref)",
+        "y~ is scalar, d~ unknown; u_ff - K (x^ - x_ref); as printed in undeadzone_paper.law",
     ),
     (
         30,
@@ -225,12 +235,24 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
         "corrected",
         "of the state error: x~'P x~ + |d~|^2 / gamma",
     ),
-    (31, "V', first form", None, "not used", "chi_bar d~' and the jumps of y~ are left out"),
-    (32, "V', regrouped", None, "not used", "a sign of d~ d~' / sigma flips"),
+    (
+        31,
+        "V', first form",
+        "undeadzone_paper.both_sides.compare_sides",
+        "not used",
+        "chi_bar d~' and the jumps of y~ are left out",
+    ),
+    (
+        32,
+        "V', regrouped",
+        "undeadzone_paper.both_sides.compare_sides",
+        "not used",
+        "a sign of d~ d~' / sigma flips",
+    ),
     (
         33,
         "V' with the control law",
-        None,
+        "undeadzone_paper.both_sides.compare_sides",
         "not used",
         "a cross term is dropped, the sign flips back; u does not act on x~ at all",
     ),
@@ -244,7 +266,7 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
     (
         35,
         "V' simplified",
-        None,
+        "undeadzone_paper.both_sides.compare_sides",
         "not used",
         "off by a factor 2; V' is now one matrix inequality, see (36)",
     ),
@@ -300,14 +322,12 @@ _TABLE: Final[tuple[tuple[int, str, str | None, Status, str], ...]] = (
 )
 
 
-def _build_equation(
-    number: int, what: str, where: str | None, status: Status, reason: str
-) -> Equation:
+def _build_equation(number: int, what: str, where: str, status: Status, reason: str) -> Equation:
     """Build a row of the table with the full name of its object.
 
     Names of the tool lack its package.
     """
-    if where is not None and not where.startswith("undeadzone_"):
+    if not where.startswith("undeadzone_"):
         where = f"undeadzone.{where}"
     return Equation(number, what, where, status, reason)
 

@@ -13,23 +13,30 @@ from typing import Any, Final, NamedTuple, cast
 import msgspec
 import numpy as np
 
+from undeadzone.compensators import ZoneInverse
 from undeadzone.controllers import StateFeedback
 from undeadzone.controllers.state_feedback import Robust
+from undeadzone.nonlinearities.actuator import Actuator, ActuatorModel
 from undeadzone.nonlinearities.sensor import Sensor
 from undeadzone.observers import Kalman
 from undeadzone.observers.certified import Certified
 from undeadzone.observers.luenberger import Luenberger
+from undeadzone.plants.build import linear_matrices
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Sine
 from undeadzone.simulation.simulate import simulate
+from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.pipeline import identify
 from undeadzone_identify.results.result import IdentifiedOutputs
+from undeadzone_paper.arm import HALF_GAP, ArmRuns, run_arm
 from undeadzone_paper.example import (
     ALPHA,
     AMPLITUDES,
+    DURATION,
     L_POLES,
     L_REPAIRED,
+    OMEGA,
     STARTED,
     D,
     example_as_printed,
@@ -37,6 +44,15 @@ from undeadzone_paper.example import (
     example_reference,
 )
 from undeadzone_paper.measures import with_printed_V
+from undeadzone_paper.theorem import (
+    ESTIMATED,
+    GIVEN,
+    READINGS_OF_THEOREM,
+    TheoremOutcome,
+    TheoremReading,
+    example_of_theorem,
+    run_theorem,
+)
 
 NOISE: Final = 0.02  # rms on y
 DISTURBANCE: Final = 1.0  # amplitude at the input, 0.3 Hz
@@ -44,10 +60,12 @@ MISMATCH: Final = 0.1  # relative error of the model's stiffness, damping and in
 SLOPE: Final = 2.5  # m of a sensor that is not normalised
 UNAWARE: Final = 0.2  # d^(0) of an observer that does not know d
 HELD: Final = 0.8  # widths of one that never learns them
+LOPSIDED: Final = (1.0, 0.5)  # d_r, d_l of a zone that is not symmetric
+LESSER: Final = (0.5, 1.0, 1.2)  # amplitudes of a reference at and about the zone's edges
 DIRECTIONS: Final = (0.0, 0.5, 1.0, 1.5)  # of starts in the plane of x1 and x2 [pi rad]
 RADII: Final = (0.1, 10.0, 1000.0)  # of these starts
 SAMPLED: Final = Simulation(time="sampled", step=1e-2)
-CONDITIONS: Final = {
+CONDITIONS: Final[dict[str, Any]] = {
     "noise": NOISE,
     "disturbance": DISTURBANCE,
     "mismatch": MISMATCH,
@@ -57,6 +75,10 @@ CONDITIONS: Final = {
     "farthest": RADII[-1],
     "least_alpha": 0.01,
     "most_alpha": 1000.0,
+    "mismatched": 1 - HELD,
+    "amplitudes": ", ".join(f"{amplitude:g}" for amplitude in (*LESSER, *AMPLITUDES)),
+    "half": HALF_GAP,
+    "readings": READINGS_OF_THEOREM,
 }
 """What the runs are made with, by the names that `claims.toml` uses."""
 
@@ -93,6 +115,14 @@ class Evidence(NamedTuple):
         filtered: `kalman` with noise on y, and with a disturbance at the input
         logged: repaired, at 100 Hz, noise on y, input gain of the model wrong
         identified: the widths that `identify` finds in the log of that run
+        lesser: repaired, by the amplitude of the reference, small ones
+        lopsided: with d_r = 1, d_l = 0.5
+        still: repaired, with r = 0
+        at_input, at_output: `kalman` with noise on y, and an unknown zone at the input, the output
+        mismatch: with widths held at d, and 20 % off, as printed from x1 = 5 and repaired
+        theorem: the outcomes of every reading of Theorem 4.1
+        law: the run of Theorem 4.1 from x1 = 5, d - d^ given; and estimated
+        arm: errors of a one-link arm behind gears
     """
 
     printed: dict[str, tuple[Run, ...]]
@@ -111,7 +141,16 @@ class Evidence(NamedTuple):
     held: tuple[Run, Run]
     filtered: tuple[Run, Run]
     logged: Run
-    identified: tuple[float, float]
+    identified: tuple[Interval, Interval]
+    lesser: dict[float, Run]
+    lopsided: RunPair
+    still: Run
+    at_input: Run
+    at_output: Run
+    mismatch: RunPair
+    theorem: list[TheoremOutcome]
+    law: tuple[Run, Run]
+    arm: ArmRuns
 
 
 class Runner(NamedTuple):
@@ -182,6 +221,20 @@ def gather_evidence(progress: Callable[[int], None] | None = None) -> Evidence:
         ),
         logged=logged,
         identified=_identify_widths(logged),
+        lesser={
+            amplitude: runner.simulate_changed(nominal, reference=example_reference(amplitude))
+            for amplitude in LESSER
+        },
+        lopsided=_lopsided_runs(runner),
+        still=runner.simulate_changed(nominal, reference=example_reference(0.0)),
+        at_input=_run_zone_at_input(runner),
+        at_output=runner.simulate_changed(
+            nominal, observer=_kalman_options(None), simulation=SAMPLED, sensor=noisy
+        ),
+        mismatch=_mismatch_runs(runner),
+        theorem=run_theorem(progress),
+        law=_law_runs(runner),
+        arm=run_arm(),
     )
 
 
@@ -237,17 +290,72 @@ def _constant_width_runs(runner: Runner) -> tuple[Run, Run]:
     )
 
 
+def _lopsided_runs(runner: Runner) -> RunPair:
+    """Run both versions behind a zone that is not symmetric, with d^(0) = d."""
+    sensor, widths = Sensor(right=LOPSIDED[0], left=LOPSIDED[1]), [list(LOPSIDED)]
+    begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
+    runs = [
+        runner.simulate_changed(
+            scenario, sensor=sensor, observer=_change_observer(scenario, widths0=widths)
+        )
+        for scenario in (begun, nominal)
+    ]
+    return RunPair((runs[0],), (runs[1],))
+
+
+def _run_zone_at_input(runner: Runner) -> Run:
+    """Run `kalman` with an unknown zone at the input, as wide for u as D is for r = 5 sin."""
+    A, B, _ = linear_matrices(example_as_printed(1.0).plant)
+    force = 5.0 * abs(1j * OMEGA * 1j * OMEGA - A[1, 0] - A[1, 1] * 1j * OMEGA) / B[1, 0]
+    width = float(D / 5.0 * force)
+    return runner.simulate_changed(
+        example_as_repaired(5.0),
+        sensor=Sensor(right=0.0, left=0.0, noise=NOISE),
+        observer=Kalman(right=[0.0, 1e-6], left=[0.0, 1e-6]),
+        actuator=Actuator(right=width, left=width),
+        model=Model(actuator=ActuatorModel(right=[0.0, 3 * width], left=[0.0, 3 * width])),
+        compensator=ZoneInverse(),
+        simulation=SAMPLED,
+    )
+
+
+def _mismatch_runs(runner: Runner) -> RunPair:
+    """Run both versions with the widths held at d, then 20 % off."""
+    begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
+    printed, repaired = [], []
+    for width in (D, HELD):
+        held = _change_observer(begun, sigma=0.0, widths0=width)
+        printed.append(runner.simulate_changed(begun, observer=held))
+        held = _change_observer(nominal, gamma=1e-9, widths0=[width, width])
+        repaired.append(runner.simulate_changed(nominal, observer=held))
+    return RunPair(tuple(printed), tuple(repaired))
+
+
+def _law_runs(runner: Runner) -> tuple[Run, Run]:
+    """Run Theorem 4.1 from x1 = 5 with d - d^ given, and with it estimated."""
+    given, estimated = (
+        runner.simulate_changed(
+            example_of_theorem(
+                TheoremReading(mismatch, 1.0, "(39)", "printed", False, -1.0, STARTED, D)
+            ),
+            simulation=Simulation(duration=DURATION),
+        )
+        for mismatch in (GIVEN, ESTIMATED)
+    )
+    return with_printed_V(given), with_printed_V(estimated)
+
+
 def _kalman_options(disturbance: float | None) -> Kalman:
     """Return the Kalman filter with ranges for the widths and an assumed disturbance."""
     return Kalman(right=[0.1, 3.0], left=[0.1, 3.0], disturbance=disturbance)
 
 
-def _identify_widths(run: Run) -> tuple[float, float]:
-    """Identify d_r and d_l from u and y of a run [z]."""
+def _identify_widths(run: Run) -> tuple[Interval, Interval]:
+    """Identify d_r and d_l from u and y of a run, with 95 % intervals [z]."""
     found = identify(t=run.info.step, u=run.u, y=run.y, order=2, place="sensor")
     if isinstance(found, IdentifiedOutputs) or found.right is None or found.left is None:
         raise AssertionError("the log of one output has an answer")
-    return found.right.value, found.left.value
+    return found.right, found.left
 
 
 def _wrong_models() -> list[Model]:

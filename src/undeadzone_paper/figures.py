@@ -1,9 +1,8 @@
-"""Figures 3-8 of the paper as printed and as repaired, and the output inside the zone."""
+"""Figures 3-8 of the paper as printed and as repaired, of tracking, of V, and of Theorem 4.1."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -15,12 +14,14 @@ from undeadzone.util.arrays import Floats
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.example import D
 from undeadzone_paper.measures import reading_estimate
+from undeadzone_paper.theorem import ESTIMATED, GIVEN, RIGHT, TheoremOutcome, select_outcomes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 EARLY: Final = 6.0  # [s] shown where two oscillating signals lie on each other
+LEAST: Final = 1e-6  # error on a logarithmic axis
 DASHED: Final = (0, (4, 2))
 # Of the readings of the plant.
 _COLOURS: Final = (ink.PRINTED, ink.ESTIMATE, ink.REFERENCE, ink.READING)
@@ -48,64 +49,147 @@ class SignalLine(NamedTuple):
     value: Callable[[Run], Floats]
 
 
+Y_HAT: Final = "\u0177"
+X1, X1_HAT, X2, X2_HAT = "x\u2081", "x\u0302\u2081", "x\u2082", "x\u0302\u2082"
+D_HAT: Final = "d\u0302"
+
 _LINES: Final = {
     3: (
-        SignalLine("$y$", ink.TRUTH, lambda run: run.y[:, 0]),
-        SignalLine(r"$\hat y$", ink.ESTIMATE, reading_estimate),
+        SignalLine("y", ink.TRUTH, lambda run: run.y[:, 0]),
+        SignalLine(Y_HAT, ink.ESTIMATE, reading_estimate),
     ),
     4: (
-        SignalLine(r"$\hat y - y$", ink.ESTIMATE, lambda run: reading_estimate(run) - run.y[:, 0]),
+        SignalLine(
+            f"{Y_HAT} \u2212 y", ink.ESTIMATE, lambda run: reading_estimate(run) - run.y[:, 0]
+        ),
     ),
     5: (
-        SignalLine("$x_1$", ink.TRUTH, lambda run: run.x[:, 0]),
-        SignalLine(r"$\hat x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
+        SignalLine(X1, ink.TRUTH, lambda run: run.x[:, 0]),
+        SignalLine(X1_HAT, ink.ESTIMATE, lambda run: run.x_hat[:, 0]),
     ),
-    6: (SignalLine(r"$\hat x_1 - x_1$", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]),),
-    7: (SignalLine(r"$\hat x_2 - x_2$", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]),),
+    6: (
+        SignalLine(
+            f"{X1_HAT} \u2212 {X1}", ink.ESTIMATE, lambda run: run.x_hat[:, 0] - run.x[:, 0]
+        ),
+    ),
+    7: (
+        SignalLine(
+            f"{X2_HAT} \u2212 {X2}", ink.ESTIMATE, lambda run: run.x_hat[:, 1] - run.x[:, 1]
+        ),
+    ),
     8: (
-        SignalLine(r"$\hat d_r$", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
-        SignalLine(r"$\hat d_l$", ink.OTHER, lambda run: run.d_hat[:, 1]),
+        SignalLine(f"{D_HAT} right", ink.ESTIMATE, lambda run: run.d_hat[:, 0]),
+        SignalLine(f"{D_HAT} left", ink.OTHER, lambda run: run.d_hat[:, 1]),
     ),
 }
+_TRACKING: Final = (
+    SignalLine("\u03b8 desired", ink.REFERENCE, lambda run: run.r[:, 0]),
+    SignalLine("z", ink.TRUTH, lambda run: run.z[:, 0]),
+)
 
 
 def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
-    """Plot one of figures 3-8 with V(t) below.
+    """Plot one of figures 3-8.
 
     Args:
         number: of the figure
         runs: that it shows
         reference: of these runs, in words
     """
-    lines = _LINES[number]
-    sketch, panels = create_panels(
-        [["printed", "repaired"], ["V printed", "V repaired"]],
-        f"Figure {number}: {to_mathtext(FIGURES[number])}, {reference}",
-    )
+    title = f"Figure {number}: {add_hats(FIGURES[number])}, {reference}"
+    return _plot_pair(title, _LINES[number], runs, _LINES[number][0])
+
+
+def plot_tracking(runs: RunTrio, reference: str) -> Figure:
+    """Plot z beside the desired trajectory, of which the text of figures 3 and 4 speaks."""
+    title = f"Output z and desired trajectory, {reference}"
+    return _plot_pair(title, _TRACKING, runs, _TRACKING[1])
+
+
+def _plot_pair(
+    title: str, lines: tuple[SignalLine, ...], runs: RunTrio, from_rest: SignalLine
+) -> Figure:
+    """Plot lines as printed and as repaired, with a signal from rest as printed."""
+    sketch, panels = create_panels([["printed", "repaired"]], title)
     axes = panels["printed"]
     _plot_lines(axes, lines, runs.begun)
-    _plot_from_rest(axes, runs.resting, lines[0].value)
-    start = f"As printed, started at $x_1$ = {runs.begun.x[0, 0]:g}"
+    _plot_from_rest(axes, runs.resting, from_rest.value)
+    start = f"As printed, started at {X1} = {runs.begun.x[0, 0]:g}"
     finish_panel(axes, start, ", ".join(line.name for line in lines))
     _plot_lines(panels["repaired"], lines, runs.repaired)
     finish_panel(panels["repaired"], "Repaired")
-    axes = panels["V printed"]
-    axes.plot(
-        runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside the zone"
-    )
-    _plot_from_rest(axes, runs.resting, _values_of_V)
-    finish_panel(axes, "V of (30), as printed", "V")
-    plot_magnitude(
-        panels["V repaired"], runs.repaired.t, _values_of_V(runs.repaired), ink.TRUTH, "V"
-    )
-    finish_panel(panels["V repaired"], "V of the certificate, repaired", "V", legend=0)
     return sketch
 
 
-def to_mathtext(words: str) -> str:
-    """Convert words to symbols: x1 and y, and x^1 and y^ with hats."""
-    plain = re.sub(r"\b([xy])(\d?)\b(?!\^)", r"$\1_{\2}$", words)
-    return re.sub(r"([a-z])\^(\d?)", r"$\\hat{\1}_{\2}$", plain)
+def plot_V(runs: RunTrio, reference: str) -> Figure:
+    """Plot V of (30) as printed, and V of the certificate."""
+    sketch, panels = create_panels([["printed", "repaired"]], f"V(t), {reference}")
+    axes = panels["printed"]
+    axes.plot(runs.begun.t, _values_of_V(runs.begun), color=ink.TRUTH, label="started outside")
+    _plot_from_rest(axes, runs.resting, _values_of_V)
+    finish_panel(axes, "V of (30), as printed", "V")
+    V = _values_of_V(runs.repaired)
+    plot_magnitude(panels["repaired"], runs.repaired.t, V, ink.TRUTH, "V")
+    finish_panel(panels["repaired"], "V of the certificate, repaired", "V", legend=0)
+    return sketch
+
+
+def plot_theorem(
+    runs: tuple[Run, Run], repaired: Run, outcomes: Sequence[TheoremOutcome]
+) -> Figure:
+    """Plot Theorem 4.1 with its own law (29).
+
+    Args:
+        runs: with d - d^ given, and with it estimated, started outside the zone with d^ = d
+        repaired: the example as repaired
+        outcomes: of every reading of the theorem
+    """
+    title = "Theorem 4.1 with its own law (29): d \u2212 d\u0302 given, and estimated"
+    sketch, panels = create_panels([["state", "widths", "readings"]], title, height=3.0)
+    names = {GIVEN: ink.PRINTED, ESTIMATED: ink.OTHER}
+    for (name, colour), run in zip(names.items(), runs, strict=True):
+        error = _LINES[6][0].value(run)
+        panels["state"].plot(run.t, error, color=colour, linewidth=1.0, label=name)
+        off = np.abs(run.d_hat - D).max(axis=1)
+        panels["widths"].plot(run.t, off, color=colour, label=name)
+    panels["state"].plot(
+        repaired.t, _LINES[6][0].value(repaired), color=ink.ESTIMATE, label="repaired"
+    )
+    off = np.abs(repaired.d_hat - D).max(axis=1)
+    panels["widths"].plot(repaired.t, off, color=ink.ESTIMATE, label="repaired")
+    finish_panel(
+        panels["state"], f"{X1_HAT} \u2212 {X1}, (39), L of (40)", "error of the state", legend=2
+    )
+    finish_panel(
+        panels["widths"], f"Largest |{D_HAT} \u2212 d|, which began at 0", "error [z]", legend=2
+    )
+    for name, colour in names.items():
+        _plot_sorted_errors(panels["readings"], outcomes, name, colour)
+    panels["readings"].axhline(RIGHT, color=ink.ZONE, linewidth=1.0, label="right up to here")
+    words = "Error of each reading at its end"
+    finish_panel(panels["readings"], words, "error", "reading, sorted; missing: diverged", 3)
+    return sketch
+
+
+def _plot_sorted_errors(
+    axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
+) -> None:
+    """Plot the errors of the readings of (29) as printed, in their order."""
+    errors = [outcome.error for outcome in select_outcomes(outcomes, mismatch)]
+    values = np.sort(errors)
+    shown = np.isfinite(values)
+    axes.set_yscale("log")
+    axes.plot(
+        np.arange(values.size)[shown] + 1, np.maximum(values[shown], LEAST), ".", color=colour
+    )
+
+
+def add_hats(words: str) -> str:
+    """Return words with letters in place of x1, x^1, y^ and d^."""
+    letters = {"x^1": X1_HAT, "x^2": X2_HAT, "x1": X1, "x2": X2, "y^": Y_HAT, "d^": D_HAT}
+    for plain, letter in letters.items():
+        words = words.replace(plain, letter)
+    return words
 
 
 def _values_of_V(run: Run) -> Floats:
@@ -146,7 +230,7 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     shade_zone(everything, D, D)
     shade_zone(inside, D, D)
     for (reading, z), colour in zip(outputs.items(), _COLOURS, strict=True):
-        name = reading.replace("omega_n", r"$\omega_n$").replace(" pi", "π")
+        name = reading.replace("omega_n", "\u03c9\u2099").replace(" pi", "π")
         everything.plot(t[early], z[early], color=colour, label=name)
         if np.abs(z).max() < D:
             inside.plot(t[early], z[early], color=colour, label=name)

@@ -109,15 +109,17 @@ def side_error(run: Run) -> float:
     return _largest_or_inf(run.side - zone(run.z, *np.array(run.info.widths)))
 
 
-def steep_share(run: Run, slope: float = 0.1) -> float:
-    """Return the share of the last 5 s in which x^_1 - x_1 changes faster than `slope` [1].
+def steep_ratio(run: Run, slope: float = 0.1) -> float:
+    """Return how often x^_1 - x_1 changes faster than `slope` in the last 5 s, relative to the
+    first 5 s [1].
 
     Infinite if the run diverges.
     """
     if run.divergence_time is not None:
         return np.inf
-    error = (run.x_hat - run.x)[-round(5.0 / run.info.step) :, 0]
-    return float((np.abs(np.gradient(error, run.info.step)) > slope).mean())
+    steep = np.abs(np.gradient((run.x_hat - run.x)[:, 0], run.info.step)) > slope
+    span = round(5.0 / run.info.step)
+    return float(steep[-span:].mean() / max(steep[:span].mean(), 1 / span))
 
 
 def lyapunov_rise(run: Run) -> float:

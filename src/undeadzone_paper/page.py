@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from undeadzone.report.html import (
     Html,
@@ -16,20 +17,48 @@ from undeadzone.report.html import (
     build_tag,
     encode_picture,
     fold_section,
+    join_html,
 )
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import write_text
-from undeadzone_paper.claims import HOW, verdict_counts_text
-from undeadzone_paper.equations import FIGURES
+from undeadzone_paper.both_sides import STAND_INS as STAND_INS_OF_SIDES
+from undeadzone_paper.claims import HOW, Claim, claims_on_figure, verdict_counts_text
+from undeadzone_paper.diagrams import plot_diagrams
+from undeadzone_paper.equations import DIAGRAMS, FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING
-from undeadzone_paper.example import AMPLITUDES, READINGS
+from undeadzone_paper.example import (
+    AMPLITUDES,
+    READINGS,
+    example_as_printed,
+    example_as_repaired,
+)
 from undeadzone_paper.facts import response_to_force
-from undeadzone_paper.figures import RunTrio, plot_paper_figure, plot_silence
-from undeadzone_paper.observer import STAND_INS
+from undeadzone_paper.figures import (
+    RunTrio,
+    add_hats,
+    plot_paper_figure,
+    plot_silence,
+    plot_theorem,
+    plot_tracking,
+    plot_V,
+)
+from undeadzone_paper.law import STAND_INS as STAND_INS_OF_LAW
+from undeadzone_paper.letters import HEAD, read_letters
+from undeadzone_paper.observer import STAND_INS as STAND_INS_OF_OBSERVER
 from undeadzone_paper.printed import DEFINITION
+from undeadzone_paper.theorem import DEFINITION as DEFINITION_OF_THEOREM
+from undeadzone_paper.theorem import count_theorem
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from undeadzone_paper.audit import Paper
+
+LOOPS: Final = {
+    "As printed, observer (16), (17), law (42)": example_as_printed(AMPLITUDES[0]),
+    "Repaired": example_as_repaired(AMPLITUDES[0]),
+}
+"""Loops whose block diagrams are drawn, by what their panels say."""
 
 _COLOURS: Final = {
     "holds": "yes",
@@ -39,46 +68,86 @@ _COLOURS: Final = {
 }
 
 
+class AuditFigures(NamedTuple):
+    """Files of the audit's figures.
+
+    Attributes:
+        silence: why the sensor says nothing
+        theorem: Theorem 4.1 with its own law
+        diagrams: figures 1 and 2
+        numbered: figures 3-8, z beside the reference, and V, by reference
+    """
+
+    silence: Path
+    theorem: Path
+    diagrams: list[Path]
+    numbered: dict[float, list[Path]]
+
+    @property
+    def paths(self) -> list[Path]:
+        """Return all files."""
+        return [
+            self.silence,
+            self.theorem,
+            *self.diagrams,
+            *chain.from_iterable(self.numbered.values()),
+        ]
+
+
 def write_audit_figures(
     paper: Paper, folder: Path, progress: Callable[[int], None] | None = None
-) -> list[Path]:
-    """Write silence.svg, and figures 3-8 for r = 5 sin and for r = 2 sin. Raises FileError.
+) -> AuditFigures:
+    """Write the figures as SVG. Raises FileError.
 
     Args:
         paper: the audit
         folder: where the files go; created if needed
-        progress: called with 1 for each numbered figure written
+        progress: called with 1 for each figure written
 
     Returns:
-        silence.svg; figure_3.svg ... figure_8.svg for r = 5 sin; figure_3_2sin.svg ... for 2 sin.
+        silence.svg; theorem.svg; figure_1.svg, figure_2.svg; figure_3.svg ... figure_8.svg,
+        tracking.svg, V.svg for r = 5 sin; figure_3_2sin.svg ... for r = 2 sin.
     """
     evidence = paper.evidence
-    written = [
-        write_figure(plot_silence(*response_to_force(AMPLITUDES[0])), folder / "silence.svg")
-    ]
+
+    def keep(drawn: Figure, name: str) -> Path:
+        """Write a figure."""
+        if progress is not None:
+            progress(1)
+        return write_figure(drawn, folder / f"{name}.svg")
+
     trios = zip(evidence.printed[RESTING], evidence.printed[BEGUN], evidence.repaired, strict=True)
+    numbered = {}
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
-        for number in FIGURES:
-            drawn = plot_paper_figure(number, RunTrio(*trio), f"r = {amplitude:g} sin 2πt")
-            written.append(write_figure(drawn, folder / f"figure_{number}{suffix}.svg"))
-            if progress is not None:
-                progress(1)
-    return written
+        runs, words = RunTrio(*trio), f"r = {amplitude:g} sin 2πt"
+        drawn = {
+            **{f"figure_{number}": plot_paper_figure(number, runs, words) for number in FIGURES},
+            "tracking": plot_tracking(runs, words),
+            "V": plot_V(runs, words),
+        }
+        numbered[amplitude] = [keep(figure, name + suffix) for name, figure in drawn.items()]
+    silence = plot_silence(*response_to_force(AMPLITUDES[0]))
+    theorem = plot_theorem(evidence.law, evidence.repaired[0], evidence.theorem)
+    return AuditFigures(
+        keep(silence, "silence"),
+        keep(theorem, "theorem"),
+        [keep(plot_diagrams(number, LOOPS), f"figure_{number}") for number in DIAGRAMS],
+        numbered,
+    )
 
 
 def write_audit_page(
-    paper: Paper, images: list[Path], path: Path, origin: Origin | None = None
+    paper: Paper, images: AuditFigures, path: Path, origin: Origin | None = None
 ) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:
         paper: the audit
-        images: as `write_figures` gave them
+        images: as `write_audit_figures` gave them
         path: of the page
         origin: what it takes to get the same again; None: nobody can
     """
-    silent, *numbered = images
     intro = (
         "What the paper's second-order example does when it is run as printed, what was repaired, "
         "and what then holds of what it claims."
@@ -91,11 +160,15 @@ def write_audit_page(
         _outcome_table(paper),
         build_section("The paper's claims", *_claims_section(paper)),
         build_section(
-            "As printed", *_variants_section(paper), encode_picture(silent.read_bytes(), caption)
+            "As printed",
+            *_variants_section(paper),
+            encode_picture(images.silence.read_bytes(), caption),
         ),
-        build_section("Figures 3-8", *_figures_section(numbered)),
+        build_section("Theorem 4.1 with its own law", *_theorem_section(paper, images.theorem)),
+        build_section("Figures 1-8", *_figures_section(paper.claims, images)),
+        build_section("Equations (1)-(42)", *_equations_section(paper)),
+        build_section("The paper's letters", build_table(HEAD, read_letters())),
         build_section("Numbers against their closed forms", _facts_table(paper)),
-        build_section("Where each equation went", _equations_table(paper)),
         origin=origin,
     )
     return write_text(text, path)
@@ -138,12 +211,16 @@ def _claims_section(paper: Paper) -> list[Html]:
     rows = []
     for claim in paper.claims:
         text = claim.text
-        verdict = build_tag("span", claim.verdict, _COLOURS[claim.verdict])
+        cells = (
+            build_tag("div", claim.verdict, _COLOURS[claim.verdict]),
+            build_tag("div", text.claim),
+            build_tag("code", text.id),
+        )
         quoted = f"\u201c{text.words}\u201d, {text.where}"
-        rows.append((text.claim, quoted, claim.numbers_text, verdict, text.why))
+        rows.append((join_html(cells), quoted, claim.numbers_text, text.why))
     return [
         build_paragraph(HOW),
-        build_table(("claim", "in the paper", "measured", "verdict", "why"), rows),
+        build_table(("claim", "in the paper", "measured", "why"), rows),
     ]
 
 
@@ -153,7 +230,12 @@ _SILENCE: Final = (
     "the sensor has nothing to say. Of the four readings of the plant only that of unity DC gain "
     "comes out."
 )
-_SCALAR_P: Final = "the scalar C P C' stands for the n x n matrix beside the scalar y~"
+STAND_INS: Final = {
+    **STAND_INS_OF_OBSERVER,
+    **STAND_INS_OF_LAW,
+    **STAND_INS_OF_SIDES,
+}
+"""What stands in for printed shapes that do not agree, by equation."""
 _BRINK: Final = (
     "Some of those with unity DC gain are at the brink: their counts change by two with the step."
 )
@@ -175,7 +257,6 @@ def _variants_section(paper: Paper) -> list[Html]:
     """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
     counts = [(READINGS[count.plant].words, *count) for count in paper.counts]
-    stand_ins = [*STAND_INS.items(), ("(30) P", _SCALAR_P)]
     leaving = []
     for outcome in paper.variants:
         if outcome.leaves_zone and outcome.variant.start.startswith("from rest"):
@@ -186,7 +267,7 @@ def _variants_section(paper: Paper) -> list[Html]:
         build_table(head, counts),
         build_paragraph(f"Variants {DEFINITION}. {_BRINK}", "note"),
         build_paragraph("The least that makes the printed equations agree in shape:"),
-        build_table(("equation", "stand-in"), stand_ins),
+        build_table(("equation", "stand-in"), STAND_INS.items()),
         fold_section(
             f"The {len(leaving)} variants that leave the zone from rest",
             build_table(_VARIANT, leaving),
@@ -194,17 +275,63 @@ def _variants_section(paper: Paper) -> list[Html]:
     ]
 
 
-def _figures_section(images: list[Path]) -> list[Html]:
-    """Return figures 3-8 of the first reference, and folded those of the second."""
-    half = len(images) // 2
-    captions = [
-        f"Figure {number}: {words}, as printed (left) and repaired (right); V(t) below."
-        for number, words in FIGURES.items()
+_THEOREM_HEAD: Final = (
+    "d - d^",
+    "law",
+    "plant",
+    "readings",
+    "diverge",
+    "end right",
+    "leave d^ = d",
+)
+
+
+def _theorem_section(paper: Paper, image: Path) -> list[Html]:
+    """Return the counts of Theorem 4.1 with its own law, and its figure."""
+    words = (
+        "Error of the state and of the widths from x1 = 5 with d^ = d, and what is left of each "
+        "reading in the end."
+    )
+    return [
+        build_paragraph(DEFINITION_OF_THEOREM),
+        build_table(_THEOREM_HEAD, count_theorem(paper.evidence.theorem)),
+        encode_picture(image.read_bytes(), words),
     ]
-    shown = []
-    for image, caption in zip(images, captions * 2, strict=True):
-        shown.append(encode_picture(image.read_bytes(), caption))
-    return [*shown[:half], fold_section("The same for the reference 2 sin 2πt", *shown[half:])]
+
+
+def _figures_section(claims: list[Claim], images: AuditFigures) -> list[Html]:
+    """Return figures 1-8 of the first reference, and folded those of the second."""
+    drawn = "drawn from the loop's graph: an arrow is what the block at its end depends on"
+    captions = {
+        **{number: f"{words}, {drawn}" for number, words in DIAGRAMS.items()},
+        **{
+            number: f"{add_hats(words)}, as printed (left) and repaired (right)"
+            for number, words in FIGURES.items()
+        },
+    }
+    said = [
+        f"Figure {number}: {words}. {claims_text(number, claims)}"
+        for number, words in captions.items()
+    ]
+    said += ["z beside the desired trajectory, of which the text of figures 3 and 4 speaks.", "V."]
+    first, second = images.numbered.values()
+    shown = [
+        encode_picture(image.read_bytes(), caption)
+        for image, caption in zip((*images.diagrams, *first), said, strict=True)
+    ]
+    again = [
+        encode_picture(image.read_bytes(), caption)
+        for image, caption in zip(second, said[len(DIAGRAMS) :], strict=True)
+    ]
+    return [*shown, fold_section("The same for the reference 2 sin 2πt", *again)]
+
+
+def claims_text(number: int, claims: list[Claim]) -> str:
+    """Return the verdicts on the claims on a figure, as a sentence."""
+    named = claims_on_figure(number, (claim.text for claim in claims))
+    verdicts = {claim.text.id: claim.verdict for claim in claims}
+    listed = ", ".join(f"{name} ({verdicts[name]})" for name in named)
+    return f"Claims: {listed}." if named else "No claim names it."
 
 
 def _facts_table(paper: Paper) -> Html:
@@ -213,11 +340,27 @@ def _facts_table(paper: Paper) -> Html:
     return build_table(head, [(*fact, fact.relative_error) for fact in paper.facts])
 
 
-def _equations_table(paper: Paper) -> Html:
-    """Return a table of the paper's equations, their places in the code, and their claims."""
+_SIDES: Final = (
+    "Both sides of each equation along a run, and their largest difference: as printed along that "
+    "of Theorem 4.1 from x1 = 5, with d - d^ given; mended along the repaired run. A difference of "
+    "rounding, 1e-12 or less, is none."
+)
+
+
+def _equations_section(paper: Paper) -> list[Html]:
+    """Return the paper's equations: both sides, their places in the code, and their claims."""
     rows = []
     for entry in paper.summary()["equations"]:
-        *cells, claims = entry.values()
-        rows.append((*cells, ", ".join(claims)))
-    head = ("number", "what", "where in the code", "status", "what was changed", "claims")
-    return build_table(head, rows)
+        rows.append(
+            (
+                f"({entry['number']}) {entry['what']}",
+                entry["compares"],
+                entry["printed"],
+                entry["mended"],
+                f"{entry['status']}: {entry['reason']}",
+                entry["where"],
+                ", ".join(entry["claims"]),
+            )
+        )
+    head = ("equation", "both sides", "as printed", "mended", "used", "in the code", "claims")
+    return [build_paragraph(_SIDES), build_table(head, rows)]

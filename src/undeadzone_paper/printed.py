@@ -194,17 +194,23 @@ def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
 
 def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:
     """Compute the outcome from the signals up to their divergence."""
-    largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
-    bad = np.flatnonzero(~(largest < LIMIT))
-    end = int(bad[0]) if bad.size else largest.size
+    diverged = first_divergence(signal)
+    end = len(signal.z) if diverged is None else diverged
     z = np.abs(signal.z[:end, 0])
     widths = np.hstack([signal.estimate.right, signal.estimate.left])[:end]
     steady = float(z[-round(LAST / STEP) :].max())
     return Outcome(
         variant,
-        steady=None if bad.size else steady,
+        steady=None if diverged is not None else steady,
         peak=float(z.max()),
         leaves_zone=bool(z.max() > D),
         moves_widths=bool(np.abs(widths - widths[0]).max() > MOVED),
-        diverged_at=end * STEP if bad.size else None,
+        diverged_at=None if diverged is None else diverged * STEP,
     )
+
+
+def first_divergence(signal: Outputs) -> int | None:
+    """Return the number of the first sample with a signal beyond `LIMIT`; None: there is none."""
+    largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
+    bad = np.flatnonzero(~(largest < LIMIT))
+    return int(bad[0]) if bad.size else None

@@ -1,4 +1,4 @@
-"""Files of the audit: its numbers as JSON, its variants as CSV, figures 3-8, its page."""
+"""Files of the audit: its numbers as JSON, its variants as CSV, figures 1-8, its page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def write(
     progress: Progress | None = None,
     origin: Origin | None = None,
 ) -> list[Path]:
-    """Write paper.json and variants.csv, and figures 3-8 and report.html if wanted.
+    """Write paper.json and variants.csv, and figures 1-8 and report.html if wanted.
 
     Args:
         paper: the audit
@@ -42,7 +42,7 @@ def write(
     ]
     if figures:
         images = write_audit_figures(paper, folder, progress)
-        written += [*images, write_audit_page(paper, images, folder / "report.html", origin)]
+        written += [*images.paths, write_audit_page(paper, images, folder / "report.html", origin)]
     return written
 
 

@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from scipy.optimize import brentq
 
-from undeadzone.interfaces import Reading, require_graph
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Estimate, Reading, require_graph
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.linalg.poles import observer_gain
@@ -23,22 +24,44 @@ from undeadzone.nonlinearities.sensor import (
     saturation_bound,
     zone,
 )
+from undeadzone.observers.luenberger import Luenberger
 from undeadzone.plants.build import linear_matrices, system
-from undeadzone.registry import OBSERVERS
+from undeadzone.registry import CONTROLLERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 from undeadzone_paper import measures as m
+from undeadzone_paper.arm import WORDS
 from undeadzone_paper.equations import EQUATIONS, FIGURES
-from undeadzone_paper.evidence import BEGUN, CONDITIONS, RESTING, SLOPE, Evidence, RunPair
+from undeadzone_paper.evidence import (
+    BEGUN,
+    CONDITIONS,
+    HELD,
+    LESSER,
+    RESTING,
+    SLOPE,
+    Evidence,
+    RunPair,
+)
 from undeadzone_paper.example import (
+    ALPHA,
     L_POLES,
     L_PRINTED,
+    L_REPAIRED,
     POLES,
     D,
     example_as_printed,
     example_as_repaired,
+)
+from undeadzone_paper.law import PrintedLaw
+from undeadzone_paper.theorem import (
+    ESTIMATED,
+    GIVEN,
+    RIGHT,
+    count_diverging,
+    is_kindest,
+    select_outcomes,
 )
 
 Measure: TypeAlias = Callable[[Run], float]
@@ -55,7 +78,7 @@ class ClaimNumbers(NamedTuple):
 
     printed: dict[str, float]
     repaired: float | None
-    named: dict[str, float] = {}
+    named: dict[str, Any] = {}
 
 
 Numbers: TypeAlias = dict[str, ClaimNumbers]  # by the claim's id
@@ -76,6 +99,8 @@ def measure_claims(evidence: Evidence) -> Numbers:
         **_remedy_claims(evidence),
         **_paper_claims(evidence),
         **_comparison_claims(),
+        **_theorem_claims(evidence),
+        **_input_claims(evidence),
     }
 
 
@@ -169,15 +194,19 @@ def _gain_claims(linear: Matrices) -> Numbers:
     poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L_PRINTED)).real)
     where = {"leftmost": float(poles[0]), "rightmost": float(poles[-1])}
     printed_drift, placed_drift = _error_matrix(linear, L_PRINTED), _error_matrix(linear, L_POLES)
-    brink = {"brink": destabilising_alpha(linear, placed_drift)}
+    of_riccati = {
+        "brink": destabilising_alpha(linear, placed_drift),
+        "fed": where["rightmost"],
+        "fed_back": _worst_rightmost_pole(linear, printed_drift),
+    }
     return {
         "observer-poles": ClaimNumbers(
             _single_case(pole_error(linear, L_PRINTED)), pole_error(linear, placed), where
         ),
         "riccati-gain": ClaimNumbers(
-            _single_case(_worst_rightmost_pole(linear, printed_drift)),
+            _single_case(max(innovation_loop_pole(linear, alpha) for alpha in _alphas())),
             _worst_rightmost_pole(linear, linear.A),
-            brink,
+            of_riccati,
         ),
     }
 
@@ -201,8 +230,25 @@ def rightmost_pole(linear: Matrices, drift: Floats, alpha: float) -> float:
 
 def _worst_rightmost_pole(linear: Matrices, drift: Floats) -> float:
     """Return the rightmost pole of A - B K in the worst case of all alpha tried [1/s]."""
-    alphas = np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51)
-    return max(rightmost_pole(linear, drift, float(alpha)) for alpha in alphas)
+    return max(rightmost_pole(linear, drift, alpha) for alpha in _alphas())
+
+
+def _alphas() -> list[float]:
+    """Return the values of alpha that are tried."""
+    return np.geomspace(CONDITIONS["least_alpha"], CONDITIONS["most_alpha"], 51).tolist()
+
+
+def innovation_loop_pole(linear: Matrices, alpha: float) -> float:
+    """Return the rightmost pole of the loop that (42) closes outside the zone [1/s].
+
+    There y - y^ = C x~, if the widths are right, and (16) without B u makes
+    x~' = (A - L C) x~ - B (k_p C + k_d C (A - L C)) x~, as C B = 0. The plant adds the poles of A.
+    """
+    _, B, C = linear
+    drift = _error_matrix(linear, L_PRINTED)
+    k_p, k_d = paper_riccati(drift, B, alpha, np.eye(2)).K[0]
+    closed = drift - B @ (k_p * C + k_d * C @ drift)
+    return float(np.linalg.eigvals(closed).real.max())
 
 
 def destabilising_alpha(linear: Matrices, drift: Floats) -> float:
@@ -229,7 +275,7 @@ def _observer_claims(e: Evidence) -> Numbers:
         "reading-tracked": m.reading_error,
         "state-1": _x1_error,
         "state-2": _x2_error,
-        "displacements": m.steep_share,
+        "displacements": m.steep_ratio,
         "widths": m.width_error,
         "adaptation-bounded": m.growth_of_widths,
         "cancelled": m.inverse_error,
@@ -254,19 +300,64 @@ def _observer_claims(e: Evidence) -> Numbers:
 
 def _width_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on known widths and on unknown widths."""
-    implied = {
+    implied: dict[str, float] = {
         case: _worst_value(m.width_error, runs)
         for case, runs in e.printed.items()
         if _worst_value(m.reading_error, runs) <= EQUAL
     }
     unaware = {case: m.width_error(run) for case, run in e.unaware.items()}
-    beforehand = max(abs(width - D) for width in e.identified)
+    beforehand = max(abs(width.value - D) for width in e.identified)
     return {
         "implied": ClaimNumbers(
-            implied, _worst_value(m.width_error, e.aware), {"silent": m.width_error(e.silent)}
+            implied,
+            _worst_value(m.width_error, (*e.repaired, e.silent)),
+            {
+                "silent": m.width_error(e.silent),
+                "crossing": _worst_value(m.width_error, e.repaired),
+                "aware": _worst_value(m.width_error, e.aware),
+            },
+        ),
+        **_reference_claims(e),
+        "symmetric": ClaimNumbers(
+            _single_case(_worst_value(_lopsided_error, e.lopsided.printed)),
+            _worst_value(_lopsided_error, e.lopsided.repaired),
+        ),
+        "physical": ClaimNumbers(
+            _single_case(max((width.high - width.low) / 2 for width in e.identified)), None
         ),
         "unknown-width": ClaimNumbers(unaware, m.width_error(e.repaired[0])),
         "predetermined": ClaimNumbers(_single_case(beforehand), None),
+    }
+
+
+def _lopsided_error(run: Run) -> float:
+    """Return the largest |d^ - d| over the last 2 s [z], or inf if the run diverges."""
+    return np.inf if run.divergence_time is not None else m.width_error(run)
+
+
+def _reference_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on the reference."""
+    errors = {amplitude: m.width_error(run) for amplitude, run in e.lesser.items()}
+    inside, grazing, _ = e.lesser.values()
+    right, left = grazing.d_hat[-1]
+    run = e.printed[RESTING][0]
+    period = run.r[: round(1.0 / run.info.step), 0]
+    return {
+        "reference-amplitude": ClaimNumbers(
+            _single_case(_worst_value(m.width_error, e.unaware.values())),
+            max(*errors.values(), _worst_value(m.width_error, e.repaired)),
+            {
+                "inside": float(inside.d_hat[-1].max()),
+                "grazing_right": float(right),
+                "grazing_left": float(left),
+                "outside": max(errors[LESSER[-1]], _worst_value(m.width_error, e.repaired)),
+            },
+        ),
+        "reference-centre": ClaimNumbers(
+            _single_case(abs(float(period.mean()) - (D - D) / 2)),
+            None,
+            {"still": m.width_error(e.still)},
+        ),
     }
 
 
@@ -292,7 +383,19 @@ def _robustness_claims(e: Evidence) -> Numbers:
         "robust-noise": _measure_pair(m.width_error, e.noisy),
         "robust-model": _measure_pair(m.width_error, e.mismatched),
         "robust-disturbance": _measure_pair(m.width_error, e.disturbed),
+        "practical-use": _measure_pair(m.tracking_error, e.noisy),
+        "mismatch": ClaimNumbers(
+            _single_case(_mismatch_effect(e.mismatch.printed)),
+            _mismatch_effect(e.mismatch.repaired),
+        ),
     }
+
+
+def _mismatch_effect(runs: tuple[Run, ...]) -> float:
+    """Return the rms by which wrong widths move x^1, per unit of d - d^, last 2 s [1]."""
+    right, off = runs
+    moved = (off.x_hat - right.x_hat)[right.last, 0]
+    return m.rms_or_inf(moved) / (D - HELD)
 
 
 def _divergence_flag(run: Run) -> float:
@@ -308,9 +411,9 @@ def _remedy_claims(e: Evidence) -> Numbers:
         "with noise on y": in_noise / _worst_value(m.width_error, e.noisy.repaired),
         "with a disturbance": in_gust / _worst_value(m.width_error, e.disturbed.repaired),
     }
-    beforehand = max(abs(width - D) for width in e.identified)
+    beforehand = max(abs(width.value - D) for width in e.identified)
     return {
-        "tanh-term": ClaimNumbers({}, with_term / without),
+        "tanh-term": _missing_words("robust term")._replace(named={"worse": with_term / without}),
         "filtering": ClaimNumbers(filtered, None),
         "identification": ClaimNumbers(_single_case(beforehand / m.width_error(e.logged)), None),
     }
@@ -328,7 +431,13 @@ def _paper_claims(e: Evidence) -> Numbers:
         ),
         "beta": _missing_words("beta"),
         "compared": _missing_words("fuzzy", "neural", "sliding mode"),
-        "manipulator": _missing_words("manipulator"),
+        "figures-3-4": _missing_words("theta_d"),
+        "keyword": _missing_words("sliding surface"),
+        "manipulator": ClaimNumbers(
+            e.arm.tracking,
+            e.arm.contact_tracking,
+            {"link": e.arm.estimation[WORDS[False]], "contact": e.arm.contact_estimation},
+        ),
         "effort": _missing_words("control effort"),
     }
 
@@ -340,11 +449,11 @@ def _missing_words(*words: str) -> ClaimNumbers:
 
 
 OTHERS: Final[dict[str, dict[str, Any]]] = {
-    "with fuzzy logic": {"method": "fuzzy_residual", "reach": 5.0},
-    "with a network": {"method": "rbf_residual", "reach": 5.0},
-    "with a sliding mode": {"method": "walcott_zak"},
+    "with fuzzy logic": {"method": "fuzzy_feedback", "reach": [5.0, 32.0]},
+    "with a network": {"method": "rbf_feedback", "reach": [5.0, 32.0]},
+    "with a sliding mode": {"method": "sliding_mode", "gain": 5.0},
 }
-"""Observers of the kinds that the paper calls too complex, as other packages register them."""
+"""Controllers of the kinds that the paper calls too complex, as other packages register them."""
 
 SIMPLE: Final = 1000.0  # operations that a practical step may take
 
@@ -352,14 +461,93 @@ SIMPLE: Final = 1000.0  # operations that a practical step may take
 def _comparison_claims() -> Numbers:
     """Compute the numbers of the claims on other methods: operations and chattering."""
     example = example_as_repaired(5.0)
-    steps = {}
+    observer = observer_operations(
+        msgspec.structs.replace(example, observer=Luenberger(L=L_REPAIRED))
+    )
+    laws = {}
     for name, table in OTHERS.items():
-        observer = OBSERVERS.decode_options(table)
-        steps[name] = SIMPLE / observer_operations(
-            msgspec.structs.replace(example, observer=observer)
-        )
-    calm = {"with the sign": calm_share(np.sign), "with tanh(k_s s)": calm_share(_smooth_sign)}
-    return {"others-too-complex": ClaimNumbers(steps, None), "chattering": ClaimNumbers(calm, None)}
+        controller = CONTROLLERS.decode_options(table)
+        laws[name] = controller_operations(msgspec.structs.replace(example, controller=controller))
+    words = ", ".join(f"{count:.0f} {name}" for name, count in laws.items())
+    calm = {"sign": calm_share(np.sign), "smooth": calm_share(_smooth_sign)}
+    return {
+        "others-too-complex": ClaimNumbers(
+            {name: SIMPLE / (count + observer) for name, count in laws.items()},
+            None,
+            {"laws": f"A law alone takes {words}."},
+        ),
+        "chattering": ClaimNumbers(_single_case(calm["sign"] / calm["smooth"]), None, calm),
+    }
+
+
+def _theorem_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims of Theorem 4.1 with its own law (29)."""
+    printed = {
+        f"with d - d^ {mismatch}": select_outcomes(e.theorem, mismatch)
+        for mismatch in (GIVEN, ESTIMATED)
+    }
+    told = select_outcomes(e.theorem, GIVEN)
+    kind = [outcome for outcome in told if is_kindest(outcome.reading)]
+    named: dict[str, Any] = {
+        "diverge": count_diverging(told),
+        "right": sum(outcome.error <= RIGHT for outcome in told),
+        "leave": sum(outcome.leaves_widths for outcome in told),
+        "survive": sum(
+            outcome.reading.width == D and outcome.diverged_at is None for outcome in told
+        ),
+        "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, -1.0)),
+        "kindest": max(outcome.width_error or 0.0 for outcome in kind),
+    }
+    law = PrintedLaw(L=L_PRINTED, alpha=ALPHA)
+    states = [max(m.state_error(run, 0), m.state_error(run, 1)) for run in e.repaired]
+    repaired = max(*states, _worst_value(m.width_error, e.repaired))
+    return {
+        "theorem": ClaimNumbers(
+            {case: max(outcome.error for outcome in group) for case, group in printed.items()},
+            repaired,
+            named,
+        ),
+        "theorem-known": ClaimNumbers(
+            _single_case(_change_of_input(law)),
+            _change_of_input(example_as_repaired(5.0).controller),
+        ),
+        "theorem-bounded": ClaimNumbers(
+            {case: count_diverging(group) / len(group) for case, group in printed.items()},
+            _worst_value(_divergence_flag, (*e.repaired, e.sampled)),
+        ),
+    }
+
+
+def _change_of_input(options: Any) -> float:
+    """Return the change of u at equal estimates when the d that a law is given grows by 1 [u]."""
+    model = system(example_as_printed(1.0).plant)
+    x, one = np.array([2.0, 0.0]), np.ones(1)
+    estimate = Estimate(x, x[:1], one, one, x[:1], one)
+    target = Target(np.zeros(1), np.zeros(2), np.zeros(1))
+    inputs = []
+    for width in (D, D + 1.0):
+        known = "widths" in options.__struct_fields__
+        told = msgspec.structs.replace(options, widths=width) if known else options
+        law = told.build(model)
+        _, u = law.step(law.params, law.init(law.params), estimate, target)
+        inputs.append(float(np.asarray(u).item()))
+    return abs(inputs[1] - inputs[0])
+
+
+def _input_claims(e: Evidence) -> Numbers:
+    """Compute the numbers of the claims on a zone at the input, relative to one at the output."""
+    controlled = m.tracking_error(e.at_input) / m.tracking_error(e.at_output)
+    seen = _output_error(e.at_input) / _output_error(e.at_output)
+    silence = {"silence": float((e.at_output.side[:, 0] == 0).mean())}
+    return {
+        "input-easier": ClaimNumbers(_single_case(controlled), None),
+        "output-harder": ClaimNumbers(_single_case(seen), None, silence),
+    }
+
+
+def _output_error(run: Run) -> float:
+    """Return the rms of z^ - z over the last 2 s [z]."""
+    return m.rms_or_inf((run.z_hat - run.z)[run.last])
 
 
 def _smooth_sign(s: float) -> float:
@@ -396,12 +584,26 @@ def observer_operations(scenario: Scenario) -> float:
     s_column, s = tree.create_symbols(observer.init(observer.params), "s")
     u, y, side = (ca.SX.sym(name) for name in ("u", "y", "side"))
     following, estimate = observer.step(p, s, u, Reading(y, side))
-    function = ca.Function(
-        "step",
-        [s_column, p_column, u, y, side],
-        [tree.stack_leaves(following), tree.stack_leaves(estimate)],
-        {"cse": True},
-    )
+    return _count_operations([s_column, p_column, u, y, side], [following, estimate])
+
+
+def controller_operations(scenario: Scenario) -> float:
+    """Count the arithmetic operations of one step of a scenario's controller alone."""
+    model = system(scenario.plant)
+    law = scenario.controller.build(model)
+    p_column, p = tree.create_symbols(law.params, "p")
+    s_column, s = tree.create_symbols(law.init(law.params), "s")
+    x, x_ref = ca.SX.sym("x", model.n), ca.SX.sym("x_ref", model.n)
+    z, e, r, u_ff, right, left = (ca.SX.sym(name) for name in ("z", "e", "r", "u", "dr", "dl"))
+    following, u = law.step(p, s, Estimate(x, z, right, left, z, e), Target(r, x_ref, u_ff))
+    inputs = [s_column, p_column, x, x_ref, z, e, r, u_ff, right, left]
+    return _count_operations(inputs, [following, u])
+
+
+def _count_operations(inputs: list[ca.SX], outputs: list[Any]) -> float:
+    """Count the arithmetic operations of a graph."""
+    columns = [tree.stack_leaves(output) for output in outputs]
+    function = ca.Function("step", inputs, columns, {"cse": True})
     moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     instructions = [function.instruction_id(k) for k in range(function.n_instructions())]
     return float(sum(instruction not in moves for instruction in instructions))

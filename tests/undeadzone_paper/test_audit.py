@@ -24,6 +24,7 @@ from tools import script_of_docs
 from undeadzone.controllers import PD
 from undeadzone.linalg.riccati import paper_riccati
 from undeadzone.plants.build import linear_matrices, system
+from undeadzone.registry import CONTROLLERS
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario, Simulation
@@ -32,7 +33,9 @@ from undeadzone_paper import Paper, measures, write
 from undeadzone_paper.claims import (
     Claim,
     ClaimText,
+    claims_on_assumption,
     claims_on_equation,
+    claims_on_figure,
     read_claim_texts,
     verdict_counts_text,
 )
@@ -47,12 +50,15 @@ from undeadzone_paper.example import (
     example_as_printed,
     example_as_repaired,
 )
-from undeadzone_paper.figures import to_mathtext
+from undeadzone_paper.figures import add_hats
 from undeadzone_paper.observer import Printed
 from undeadzone_paper.printed import DURATION, GAINS, STARTS, STEP, Outcome, gain_by_name
 from undeadzone_paper.trials import (
+    OTHERS,
     calm_share,
+    controller_operations,
     destabilising_alpha,
+    innovation_loop_pole,
     measure_claims,
     observer_operations,
     pole_error,
@@ -276,13 +282,35 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
-    assert verdict_counts_text(paper.claims).startswith(
-        f"Of {len(paper.claims)} claims {verdicts['holds']} hold as printed"
-    )
+    said = verdict_counts_text(paper.claims)
+    assert said.startswith("No claim that the design works holds as printed. ")
+    assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in said
+    works = [claim for claim in paper.claims if claim.text.works]
+    mended = sum(claim.verdict == "holds after repair" for claim in works)
+    assert f"Of {len(works)} such, {mended} hold after repair" in said
+
+
+def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
+    works = next(claim for claim in paper.claims if claim.text.works)
+    holding = works._replace(printed={"": works.text.limit})
+    said = verdict_counts_text([holding])
+    assert said.startswith("1 claim that the design works holds as printed. Of 1 such, 0 hold")
+
+
+def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:
+    texts = read_claim_texts()
+    assert claims_on_figure(3, texts) == ["reading-tracked", "figures-3-4"]
+    assert claims_on_figure(8, texts) == ["beta", "adaptation-bounded"]
+    assert claims_on_assumption(2, texts) == ["physical", "unknown-width"]
+    for number in range(1, 9):
+        assert claims_on_figure(number, texts), number
+    for number in range(1, 5):
+        assert claims_on_assumption(number, texts), number
 
 
 def test_equations_name_the_claims_that_judge_them(paper: Paper) -> None:
     assert claims_on_equation(34, read_claim_texts()) == ["riccati-gain", "lyapunov"]
+    assert claims_on_equation(29, read_claim_texts())[0] == "theorem"
     assert claims_on_equation(40, read_claim_texts()) == ["observer-poles"]
     equations = {entry["number"]: entry for entry in paper.summary()["equations"]}
     assert equations[7]["claims"] == ["indicators"]
@@ -313,12 +341,16 @@ def test_the_claims_that_matter_come_out_as_derived(paper: Paper) -> None:
     repaired_claims = ("lyapunov", "state-1", "state-2", "reading-tracked", "widths", "tracking")
     for name in (*repaired_claims, "cancelled", "bounded"):
         assert verdicts[name] == "holds after repair", name
-    for name in ("implied", "adaptation-bounded", "unknown-width", "global"):
+    for name in ("adaptation-bounded", "unknown-width", "global", "symmetric"):
         assert verdicts[name] == "holds after repair", name
-    for name in ("cancelled-in-total", "tanh-term", "others-too-complex", "chattering"):
+    for name in ("cancelled-in-total", "implied", "others-too-complex", "reference-amplitude"):
         assert verdicts[name] == "does not hold", name
-    for name in ("compared", "manipulator", "effort", "beta"):
+    for name in ("compared", "effort", "beta", "tanh-term", "keyword", "figures-3-4"):
         assert verdicts[name] == "not shown", name
+    for name in ("theorem", "theorem-known", "theorem-bounded", "manipulator", "practical-use"):
+        assert verdicts[name] == "holds after repair", name
+    for name in ("chattering", "mismatch", "input-easier", "output-harder", "reference-centre"):
+        assert verdicts[name] == "holds", name
     for name in ("riccati-gain", "unit-slope", "predetermined", "unstable"):
         assert verdicts[name] == "holds", name
     for name in ("filtering", "identification"):
@@ -366,7 +398,7 @@ def test_measures_see_what_they_should(five: Run) -> None:
         five, x_hat=five.x, z_hat=five.z, d_hat=np.ones((n, 2)), z_inverse=five.y + five.side
     )
     assert measures.reading_error(exact) < 1e-15
-    assert measures.width_error(exact) == measures.steep_share(exact) == 0.0
+    assert measures.width_error(exact) == measures.steep_ratio(exact) == 0.0
     assert measures.inverse_error(exact) < 1e-15
     assert measures.total_inverse_error(exact) > 0.1  # inside the zone the inverse is blind
     biased = dataclasses.replace(
@@ -382,7 +414,7 @@ def test_measures_see_what_they_should(five: Run) -> None:
     assert measures.growth_of_widths(blown) > 100.0
     assert measures.growth_of_widths(dying) <= 1.0
     assert np.isinf(measures.lyapunov_rise(gone))
-    assert np.isinf(measures.steep_share(gone))
+    assert np.isinf(measures.steep_ratio(gone))
 
 
 def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
@@ -391,22 +423,41 @@ def test_the_gains_that_place_the_poles_have_no_pole_error() -> None:
     assert pole_error(linear, L_PRINTED) > 1.0
 
 
+def test_operations_of_controllers_are_counted() -> None:
+    """Of u_ff - K (x^ - x_ref): two products and two sums for x^, two differences, two more."""
+    repaired = example_as_repaired(5.0)
+    assert controller_operations(repaired) == 8
+    for table in OTHERS.values():
+        law = CONTROLLERS.decode_options(table)
+        count = controller_operations(msgspec.structs.replace(repaired, controller=law))
+        assert 8 < count < 1000
+
+
+def test_outside_the_zone_42_moves_the_error_as_long_as_the_observer_lacks_B_u() -> None:
+    """By eigenvalues of the whole loop, x and x~ with y' - y^' itself, for one alpha."""
+    A, B, C = plant = linear_matrices(example_as_printed(1.0).plant)
+    L = np.reshape(L_PRINTED, (2, 1))
+    k_p, k_d = paper_riccati(A - L @ C, B, 3.0, np.eye(2)).K[0]
+    feedback = -k_p * C - k_d * C @ (A - L @ C)
+    whole = np.block([[A, B @ feedback], [np.zeros((2, 2)), A - L @ C + B @ feedback]])
+    assert innovation_loop_pole(plant, 3.0) <= np.linalg.eigvals(whole).real.max() + 1e-9 <= 0.0
+
+
 def test_operations_of_observers_are_counted() -> None:
     assert 0 < observer_operations(example_as_printed(5.0)) < 1000
     assert 0 < observer_operations(example_as_repaired(5.0)) < 1000
 
 
 @pytest.mark.parametrize(
-    ("words", "symbols"),
+    ("words", "letters"),
     [
-        ("reading y", "reading $y_{}$"),
-        ("state x1", "state $x_{1}$"),
-        ("error x^1 - x1", r"error $\hat{x}_{1}$ - $x_{1}$"),
-        ("widths d^", r"widths $\hat{d}_{}$"),
+        ("reading y", "reading y"),
+        ("error x^1 - x1", "error x\u0302\u2081 - x\u2081"),
+        ("widths d^, y^", "widths d\u0302, \u0177"),
     ],
 )
-def test_symbols_in_titles(words: str, symbols: str) -> None:
-    assert to_mathtext(words) == symbols
+def test_letters_in_titles(words: str, letters: str) -> None:
+    assert add_hats(words) == letters
 
 
 def test_every_equation_is_placed_where_something_is() -> None:
@@ -414,10 +465,8 @@ def test_every_equation_is_placed_where_something_is() -> None:
     for equation in EQUATIONS:
         assert equation.status in ("as printed", "corrected", "not used")
         assert equation.reason
-        assert (equation.where is None) == (equation.status == "not used")
-        if equation.where is not None:
-            module, _, name = equation.where.rpartition(".")
-            assert hasattr(importlib.import_module(module), name), equation.where
+        module, _, name = equation.where.rpartition(".")
+        assert hasattr(importlib.import_module(module), name), equation.where
 
 
 def test_progress_is_told_of_work_done(paper: Paper) -> None:
@@ -430,6 +479,8 @@ def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Pa
     names = {path.name for path in written}
     for number in FIGURES:
         assert {f"figure_{number}.svg", f"figure_{number}_2sin.svg"} <= names
+    assert {f"{name}{end}.svg" for name in ("tracking", "V") for end in ("", "_2sin")} <= names
+    assert {"figure_1.svg", "figure_2.svg", "theorem.svg"} <= names
     assert {"paper.json", "variants.csv", "report.html", "silence.svg"} <= names
     assert {path.name for path in written[0].parent.iterdir()} == names
     for path in written:
@@ -437,7 +488,12 @@ def test_files_are_all_there_and_hold_the_numbers(paper: Paper, written: list[Pa
     stored = json.loads((written[0].parent / "paper.json").read_text(encoding="utf-8"))
     assert stored == json.loads(json.dumps(paper.summary()))
     assert {"id", "words", "claim", "measured", "verdict"} <= set(stored["claims"][0])
-    assert {"number", "where", "status", "claims"} <= set(stored["equations"][0])
+    assert {"number", "where", "status", "printed", "claims"} <= set(stored["equations"][0])
+    assert {"paper", "ours", "key", "c"} <= set(stored["letters"][0])
+    assert {"theorem", "arm"} <= set(stored)
+    page = (written[0].parent / "report.html").read_text(encoding="utf-8")
+    for text in read_claim_texts():
+        assert f"<code>{text.id}</code>" in page
     with open(written[0].parent / "variants.csv", newline="", encoding="utf-8") as file:
         assert len(list(csv.DictReader(file))) == len(paper.variants)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import reduce, wraps
 from importlib import import_module
 from pathlib import Path
@@ -23,6 +23,7 @@ from undeadzone.cli.common import (
     shell_command,
     value_option,
 )
+from undeadzone.errors import InputError
 from undeadzone.util.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
@@ -186,13 +187,46 @@ def next_line(*words: str) -> dict[str, str]:
 
 
 def export_command(path: Path, scenario: uz.Scenario) -> list[str]:
-    """Return the command that exports a scenario, with a needed change; empty for
-    `full_state`.
+    """Return the command that exports a scenario, with the least changes that it needs.
+
+    Empty if no such change is known, and for `full_state`.
     """
     if scenario.observer.__struct_config__.tag == "full_state":
         return []
-    first = ' takes it with simulation.time = "sampled"' * (scenario.simulation.time != "sampled")
-    return [shell_command("undeadzone", "export", path) + first]
+    command = shell_command("undeadzone", "export", path)
+    if scenario.simulation.time == "sampled":
+        return [command]
+    return [f"{command} takes it with {changes}" for changes in _changes_for_export(scenario)][:1]
+
+
+def _changes_for_export(scenario: uz.Scenario) -> Iterator[str]:
+    """Return the changes with which a continuous scenario can be sampled, the least first.
+
+    Some methods exist in continuous time alone: `certified` and `state_feedback` take their place.
+    """
+    import msgspec
+
+    from undeadzone.registry import CONTROLLERS, OBSERVERS
+    from undeadzone.scenario.problem import resolve_scenario
+
+    sampled = msgspec.structs.replace(scenario.simulation, time="sampled")
+    observer = OBSERVERS.decode_options({"method": "certified"})
+    controller = CONTROLLERS.decode_options({"method": "state_feedback"})
+    others: list[dict[str, Any]] = [
+        {},
+        {"observer": observer},
+        {"controller": controller},
+        {"observer": observer, "controller": controller},
+    ]
+    for other in others:
+        try:
+            resolve_scenario(msgspec.structs.replace(scenario, simulation=sampled, **other))
+        except InputError:
+            continue
+        named = [
+            f'{part}.method = "{options.__struct_config__.tag}"' for part, options in other.items()
+        ]
+        yield ", ".join([*named, 'simulation.time = "sampled"'])
 
 
 def files_line(written: Sequence[Path]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import os
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -32,6 +33,7 @@ DECADES: Final = 100.0  # beyond this ratio an axis has ticks at decades alone
 LEGEND_ROOM: Final = 0.22  # share of an axis that a legend adds above it
 ROOM: Final = (0.85, 0.2, 0.5, 0.6, 0.85, 0.8)  # left, right, below, above; between [inch]
 DASHED: Final = (0, (4, 2))  # the style of a second line of one colour
+COMMENT: Final = re.compile(rb" *<!--.*?-->\n", re.DOTALL)  # of an SVG
 EDGE: Final = 0.1  # between the top of a figure and its title [inch]
 
 
@@ -220,14 +222,19 @@ def figure_to_png(figure: Figure) -> bytes:
 
 
 def figure_to_bytes(figure: Figure, kind: str) -> bytes:
-    """Return the figure as bytes of a PNG, PDF or SVG, with its title; reproducible for SVG."""
+    """Return the figure as bytes of a PNG, PDF or SVG, with its title; reproducible for SVG.
+
+    An SVG has no comments: Matplotlib writes the source of each text into one.
+    """
     import matplotlib
 
     buffer, dpi = io.BytesIO(), FINE if kind == "svg" else DPI
-    about = {"Title": figure.get_suptitle()} | ({"Date": None} if kind == "svg" else {})
+    title = figure.get_suptitle().replace(r"\$", "$")  # as it is shown: `escape_formulas`
+    about = {"Title": title} | ({"Date": None} if kind == "svg" else {})
     with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
         figure.savefig(buffer, format=kind, dpi=dpi, metadata=about)
-    return buffer.getvalue()
+    drawn = buffer.getvalue()
+    return COMMENT.sub(b"", drawn) if kind == "svg" else drawn
 
 
 def draw_width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) -> None:

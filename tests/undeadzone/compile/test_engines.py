@@ -62,6 +62,7 @@ OBSERVERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "walcott_zak": (BOTH, {"poles": [-4.0], "gamma": 2.0}),
 }
 CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "barrier": (BOTH, {"bound": 2.0, "rate": 5.0}),
     "computed_torque": ((), {}),  # of robot arms: test_computed_torque.py
     "fuzzy_feedback": (BOTH, {"reach": 3.0, "rules": 3}),
     "gravity_pd": ((), {}),  # of robot arms: test_computed_torque.py
@@ -70,6 +71,7 @@ CONTROLLERS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "lqr": (SAMPLED, {"Q": 2.0}),
     "pd": (BOTH, {"k_p": 2.0, "k_d": 0.1}),
     "pid": (BOTH, {"k_p": 2.0, "k_i": 3.0, "k_d": 0.1, "limits": [-3.0, 3.0]}),
+    "printed": (CONTINUOUS, {"L": [1.0]}),
     "rbf_feedback": (BOTH, {"reach": 3.0, "centres": 3}),
     "robust_adaptive": (BOTH, {"rate": 5.0}),
     "sliding_mode": (BOTH, {"gain": 1.0}),

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import once
 import undeadzone
 from scenes import scene
+from tools import raw_formulas
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import run_ensemble
@@ -474,3 +475,22 @@ def test_a_face_turned_to_the_eye_is_seen_whole() -> None:
     assert visible_face_share(eye, 0.0) == pytest.approx(1.0)
     assert visible_face_share(np.array([1.0, 0.0, 0.0]), 0.0) == pytest.approx(0.0)
     assert visible_face_share(np.array([1.0, 0.0, 0.0]), np.pi / 2) == pytest.approx(np.cos(TILT))
+
+
+@pytest.mark.parametrize(
+    ("title", "raw"),
+    [
+        ("y of d_r, 5 sin 2\u03c0t, costs $5", False),
+        ("error $y_{}$", True),
+        (r"error \hat{y}", True),
+        ("x_{1}", True),
+    ],
+)
+def test_titles_hold_no_raw_formulas(title: str, raw: bool) -> None:
+    figure, panels = create_panels([["a"]], title)
+    panels["a"].set_title(r"$\hat y$")  # is typeset
+    panels["a"].set_yscale("log")
+    image = figure_to_bytes(figure, "svg")
+    assert bool(raw_formulas(figure, image)) == raw
+    assert b"<!--" not in image
+    assert f"<title>{title}</title>" in image.decode()

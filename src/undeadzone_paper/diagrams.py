@@ -1,0 +1,200 @@
+"""Figures 1 and 2 of the paper, the block diagrams, drawn from the graph of the loop that runs.
+
+An arrow is drawn if what the block at its end computes depends on the signal: the graph is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import casadi as ca
+
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Reading, require_graph
+from undeadzone.nonlinearities.sensor import branch
+from undeadzone.nonlinearities.sensor import zone as where
+from undeadzone.report import ink
+from undeadzone.report.style import create_panels
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone.scenario.schema import Scenario
+from undeadzone.util import tree
+from undeadzone_paper.equations import DIAGRAMS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Point = tuple[float, float]
+
+HATS: Final = {
+    "x": "x\u0302",
+    "z": "z\u0302",
+    "right": "d\u0302 right",
+    "left": "d\u0302 left",
+    "z_inverse": "y + \u03c7d\u0302",
+    "innovation": "y \u2212 \u0177",
+}
+"""What figures call the fields of an estimate."""
+
+REFERENCE, CONTROLLER, PLANT, SENSOR = "reference", "controller", "plant", "sensor"
+OBSERVER, INVERSE, OUT = "observer", "inverse", "out"
+HALF: Final = (0.75, 0.3)  # of a block, width and height
+PLACES: Final[dict[str, Point]] = {
+    REFERENCE: (0.8, 2.0),
+    CONTROLLER: (3.2, 2.0),
+    PLANT: (5.8, 2.0),
+    SENSOR: (8.4, 2.0),
+    OBSERVER: (5.8, 0.5),
+    INVERSE: (8.9, 0.5),
+}
+PATHS: Final[dict[tuple[str, str], list[Point]]] = {
+    (REFERENCE, CONTROLLER): [(1.55, 2.0), (2.45, 2.0)],
+    (CONTROLLER, PLANT): [(3.95, 2.0), (5.05, 2.0)],
+    (PLANT, SENSOR): [(6.55, 2.0), (7.65, 2.0)],
+    (SENSOR, OUT): [(9.15, 2.0), (10.3, 2.0)],
+    (CONTROLLER, OBSERVER): [(4.4, 2.0), (4.4, 0.7), (5.05, 0.7)],
+    (SENSOR, OBSERVER): [(8.1, 1.7), (8.1, 1.2), (6.2, 1.2), (6.2, 0.8)],
+    (SENSOR, INVERSE): [(8.8, 1.7), (8.8, 0.8)],
+    (OBSERVER, CONTROLLER): [(5.05, 0.3), (3.2, 0.3), (3.2, 1.7)],
+    (OBSERVER, INVERSE): [(6.55, 0.5), (8.15, 0.5)],
+    (INVERSE, OUT): [(9.65, 0.5), (10.6, 0.5)],
+}
+"""Corners of the arrows; a word stands at the middle of the first long part."""
+
+
+class Arrow(NamedTuple):
+    """Arrow of a block diagram: its ends, and the names of its signals."""
+
+    source: str
+    target: str
+    signals: tuple[str, ...]
+
+
+class Diagram(NamedTuple):
+    """Block diagram of a loop: what its blocks are called, and its arrows."""
+
+    names: dict[str, str]
+    arrows: list[Arrow]
+
+
+def trace_diagram(scenario: Scenario) -> Diagram:
+    """Trace the blocks and arrows of a scenario's loop by its graph, with all numbers put in."""
+    problem = resolve_scenario(scenario)
+    plant, observer, law = problem.plant, require_graph(problem.observer), problem.controller
+    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
+    y, side = ca.SX.sym("y", plant.p), ca.SX.sym("side", plant.p)
+    z = ca.SX.sym("z", plant.p)
+    _, s = tree.create_symbols(observer.init(observer.params), "s")
+    following, estimate = observer.step(observer.params, s, u, Reading(y, side))
+    state = tree.stack_leaves(following)
+    symbols = {name: ca.SX.sym(name, *getattr(estimate, name).shape) for name in HATS}
+    estimated = {HATS[name]: symbol for name, symbol in symbols.items()}
+    sizes = {"r": len(problem.tracked), "x_ref": plant.n, "u_ff": plant.m}
+    targets = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    plan = ca.SX.zeros(law.plan_size)
+    start = law.init(law.params)
+    held = None if start is None else tree.create_symbols(start, "c")[1]
+    told = estimate._replace(**symbols)
+    changed, command = law.step(law.params, held, told, Target(**targets, plan=plan))
+    answer = ca.vertcat(command, tree.stack_leaves(changed)) if held is not None else command
+    zone = problem.sensor
+    read = branch(z, where(z, zone.right, zone.left), zone.right, zone.left, zone.slope, zone.kind)
+    inverse = estimate.z_inverse
+    arrows = [
+        Arrow(REFERENCE, CONTROLLER, _signals_in(answer, targets)),
+        Arrow(CONTROLLER, PLANT, _signals_in(plant.move(plant.params, x, u), {"u": u})),
+        Arrow(PLANT, SENSOR, _signals_in(read, {"z": z})),
+        Arrow(SENSOR, OUT, ("y",)),
+        Arrow(CONTROLLER, OBSERVER, _signals_in(state, {"u": u})),
+        Arrow(SENSOR, OBSERVER, _signals_in(state, {"y": y, "side": side})),
+        Arrow(OBSERVER, CONTROLLER, _signals_in(answer, estimated)),
+        Arrow(SENSOR, INVERSE, _signals_in(inverse, {"y": y, "side": side})),
+        Arrow(OBSERVER, INVERSE, _signals_in(inverse, {"d\u0302": tree.stack_leaves(s)})),
+        Arrow(INVERSE, OUT, (HATS["z_inverse"],)),
+    ]
+    names = {
+        REFERENCE: REFERENCE,
+        CONTROLLER: f"controller\n{_tag(scenario.controller)}",
+        PLANT: PLANT,
+        SENSOR: f"sensor\n{zone.kind}",
+        OBSERVER: f"observer\n{_tag(scenario.observer)}",
+        INVERSE: "inverse",
+    }
+    return Diagram(names, [arrow for arrow in arrows if arrow.signals])
+
+
+def _tag(options: Any) -> str:
+    """Return the method of options, as a scenario names it."""
+    return str(options.__struct_config__.tag)
+
+
+def _signals_in(expression: Any, symbols: dict[str, ca.SX]) -> tuple[str, ...]:
+    """Return the names of the symbols on which an expression depends."""
+    return tuple(
+        name for name, symbol in symbols.items() if ca.depends_on(ca.SX(expression), symbol)
+    )
+
+
+def plot_diagrams(number: int, loops: Mapping[str, Scenario]) -> Figure:
+    """Plot figure 1 or 2 of the paper for one loop or several.
+
+    Args:
+        number: 1, without observer, or 2, with it
+        loops: scenarios by what their panels say
+    """
+    rows = [[name] for name in loops]
+    height = (1.1, 2.4)[number - 1]
+    sketch, panels = create_panels(rows, f"Figure {number}: {DIAGRAMS[number]}", height=height)
+    for name, scenario in loops.items():
+        diagram = trace_diagram(scenario)
+        if number == 1:
+            diagram = _without_observer(diagram)
+        _draw_diagram(panels[name], diagram, name)
+    return sketch
+
+
+def _without_observer(diagram: Diagram) -> Diagram:
+    """Return the blocks of figure 1 with the arrows between them."""
+    names = {
+        key: name for key, name in diagram.names.items() if PLACES[key][1] > PLACES[OBSERVER][1]
+    }
+    kept = {*names, OUT}
+    return Diagram(
+        names,
+        [arrow for arrow in diagram.arrows if arrow.source in names and arrow.target in kept],
+    )
+
+
+def _draw_diagram(axes: Axes, diagram: Diagram, title: str) -> None:
+    """Draw the blocks and arrows of a diagram."""
+    from matplotlib.patches import Rectangle
+
+    axes.set_axis_off()
+    low = min(PLACES[key][1] for key in diagram.names) - 0.6
+    axes.set(xlim=(0.0, 11.6), ylim=(low, 2.6))
+    axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold")
+    wide, high = HALF
+    for key, name in diagram.names.items():
+        x, y = PLACES[key]
+        box = Rectangle((x - wide, y - high), 2 * wide, 2 * high, fill=False, edgecolor=ink.TRUTH)
+        axes.add_patch(box)
+        axes.text(x, y, name, ha="center", va="center")
+    for arrow in diagram.arrows:
+        _draw_arrow(axes, arrow)
+
+
+def _draw_arrow(axes: Axes, arrow: Arrow) -> None:
+    """Draw an arrow along its corners, with the names of its signals."""
+    corners = PATHS[arrow.source, arrow.target]
+    axes.plot(*zip(*corners, strict=True), color=ink.ESTIMATE, linewidth=1.0)
+    head = {"arrowstyle": "-|>", "color": ink.ESTIMATE, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", corners[-1], corners[-2], arrowprops=head)
+    longest = max(pairwise(corners), key=lambda part: abs(part[1][0] - part[0][0]))
+    (x0, y0), (x1, y1) = longest
+    words = ", ".join(arrow.signals)
+    if x0 == x1:
+        axes.text(x0 + 0.1, (y0 + y1) / 2, words, ha="left", va="center", color=ink.ESTIMATE)
+    else:
+        axes.text((x0 + x1) / 2, y0 + 0.06, words, ha="center", va="bottom", color=ink.ESTIMATE)

@@ -1,0 +1,115 @@
+"""Control law (29) of the paper as printed, with minimal repairs of its shapes."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.feedforward.targets import Target
+from undeadzone.interfaces import Controller, Estimate
+from undeadzone.linalg.riccati import paper_riccati, require_weight
+from undeadzone.nonlinearities.sensor import indicators, saturation
+from undeadzone.observers.adaptive.adaptation_laws import to_width_pairs
+from undeadzone.observers.adaptive.gain import innovation_gain
+from undeadzone.plants.system import System
+from undeadzone.registry import Options
+from undeadzone.util.arrays import Array, Floats, require_number
+
+STAND_INS: Final = {
+    "(29) B'P y~": "B'P C' y~: y~ is a scalar, and C' the only vector of the right shape",
+    "(29) P L C": "B'P L (chi_bar d~): C would multiply a scalar, and is left out",
+    "(29) d - d^": (
+        "widths of the file, or, if there are none, chi_bar d~ = -y~: (28) with x~ = 0, which is "
+        "also the direction in which (25) adapts"
+    ),
+    "(29) r": "r(t) is added as in (42): (29) has no reference",
+}
+
+
+class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
+    """As printed: u = -alpha B'P y~ - alpha B'P L C chi (d - d^) + r(t), P of (34) with A - L C.
+
+    It needs d - d^, which no reading gives.
+
+    Attributes:
+        L: observer gains (n) in (29) and (34).
+        widths: d = right, left [z], as the proof of Theorem 4.1 knows it; default: chi (d - d^) is
+            taken from (28) with x^ = x, which makes it -(y - y^).
+        alpha, Q: of (34).
+        sharpness: k_s of (8).
+        sign: 1 as printed, -1 for the sign of the left half of (42).
+        left_sign: -1 as printed, +1 with a signed d_l.
+    """
+
+    L: Array
+    widths: Array | None = None
+    alpha: float = 10.0
+    Q: Array = 1.0
+    sharpness: float = 100.0
+    sign: float = 1.0
+    left_sign: float = -1.0
+
+    def build(self, model: System) -> Controller:
+        """Build the controller for a continuous linear model with a single input and output."""
+        if model.Ts is not None or model.nonlinear or (model.m, model.p) != (1, 1):
+            raise InputError(
+                "controller.method: 'printed' is defined for a linear plant of one input and one "
+                "output in continuous time (simulation.time)"
+            )
+        given = self.widths is not None
+
+        def step(p: LawParams, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+            """Return the unchanged state, and u (1)."""
+            e = estimate.innovation
+            taken_off = -e
+            if given:
+                chi_r, chi_l = indicators(_reading_of(estimate), p.sharpness)
+                missing_r, missing_l = p.right - estimate.right, p.left - estimate.left
+                taken_off = chi_r * missing_r - p.left_sign * chi_l * missing_l
+            return s, -p.sign * (p.of_reading * e + p.of_widths * taken_off) + target.r
+
+        return Controller(self._law_numbers(model), lambda p: None, step)
+
+    def _law_numbers(self, model: System) -> LawParams:
+        """Return the law's numbers. Raises InputError, ShapeError, StructureError."""
+        A, B, C = model.linear
+        L = innovation_gain(self.L, model, "controller.L")
+        alpha = require_number("controller.alpha", self.alpha, above=0.0)
+        P = paper_riccati(A - L @ C, B, alpha, require_weight("controller.Q", self.Q, model.n)).P
+        widths = 0.0 if self.widths is None else self.widths
+        right, left = to_width_pairs("controller.widths", widths, 1)[0]
+        return LawParams(
+            of_reading=alpha * (B.T @ P @ C.T)[0],
+            of_widths=alpha * (B.T @ P @ L)[0],
+            right=np.array([right]),
+            left=np.array([left]),
+            sharpness=np.float64(require_number("controller.sharpness", self.sharpness)),
+            sign=np.float64(require_number("controller.sign", self.sign)),
+            left_sign=np.float64(require_number("controller.left_sign", self.left_sign)),
+        )
+
+
+class LawParams(NamedTuple):
+    """Numbers of the law.
+
+    Attributes:
+        of_reading, of_widths: alpha B'P C' and alpha B'P L (1).
+        right, left: d as it is given (1) [z].
+        sharpness, sign, left_sign: as in `PrintedLaw`.
+    """
+
+    of_reading: Floats
+    of_widths: Floats
+    right: Floats
+    left: Floats
+    sharpness: Any
+    sign: Any
+    left_sign: Any
+
+
+def _reading_of(estimate: Estimate) -> Any:
+    """Return y = y~ + y^, with y^ of (17) (1)."""
+    z = estimate.z
+    return estimate.innovation + z - saturation(z, estimate.right, estimate.left)

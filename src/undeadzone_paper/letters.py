@@ -1,0 +1,34 @@
+"""The paper's letters beside those of this package, of scenario files and of exported C code."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from typing import Final, NamedTuple
+
+
+class Letter(NamedTuple):
+    """One letter of the paper. `letters.toml` explains each entry.
+
+    Attributes:
+        paper: the letter
+        meaning: what it is, and where
+        ours: what this package calls it
+        key: of the scenario
+        c: field of the exported C code
+    """
+
+    paper: str
+    meaning: str
+    ours: str
+    key: str
+    c: str
+
+
+HEAD: Final = ("in the paper", "what it is", "here", "scenario key", "C field")
+
+
+def read_letters() -> list[Letter]:
+    """Read all letters from `letters.toml`."""
+    text = files("undeadzone_paper").joinpath("letters.toml").read_text(encoding="utf-8")
+    return [Letter(**entry) for entry in tomllib.loads(text)["letter"]]

@@ -1,0 +1,259 @@
+"""Theorem 4.1 with its own control law (29), in every reading of the printed equations.
+
+A reading picks the plant, L, the observer with or without B u, the sign of chi_l, the start, d^(0),
+the sign of (29), and whether d - d^ is given, as the proof has it, or estimated. For either of the
+last the loop's graph is built once; plant, gains and signs are its run-time parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from itertools import product
+from math import prod
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+
+from undeadzone.plants.build import system
+from undeadzone.plants.options import Plant
+from undeadzone.scenario.problem import Problem, resolve_scenario
+from undeadzone.scenario.schema import Scenario, Simulation
+from undeadzone.simulation.loop import Loop, Outputs
+from undeadzone.simulation.simulate import Start, engine_for, outputs_of, prepare
+from undeadzone.util import tree
+from undeadzone.util.arrays import Floats
+from undeadzone_paper.example import (
+    ALPHA,
+    DURATION,
+    STARTED,
+    D,
+    example_as_printed,
+)
+from undeadzone_paper.law import PrintedLaw
+from undeadzone_paper.observer import Printed
+from undeadzone_paper.printed import first_divergence, gain_by_name
+
+STEP: Final = 5e-3  # [s]
+LAST: Final = 2.0  # [s] over which errors are read
+RIGHT: Final = 0.05  # errors of widths and state up to which a run ends right
+NEAR_REST: Final = 0.01  # x1(0); at 0 rounding would decide about a loop that begins at the truth
+UNEQUAL: Final = 0.2  # d^(0) that is not d
+
+PLANTS: Final = {
+    "(39)": Plant(A=[[0.0, 1.0], [-1.0, -2.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
+    "(15)": Plant(A=[[0.0, 1.0], [0.0, 0.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
+}
+GAINS: Final = {"printed": "(40)", "placed": "the poles"}
+GIVEN, ESTIMATED = "given", "estimated"
+SIGNS: Final = {1.0: "(29) as printed", -1.0: "with the sign of the left half of (42)"}
+
+
+DEFINITION: Final = (
+    "A reading of the equations picks plant, L, B u in the observer or not, the sign of chi_l, "
+    "x1(0) and d^(0). The law needs d - d^: given, as the proof has it, or estimated by (28) with "
+    "x^ = x. A run ends right if widths and state are off by at most 0.05 over the last 2 s. "
+    "Runs begin at x1(0) = 5 or nearly at rest, at 0.01: exactly at the truth, an unstable error "
+    "would be left to rounding."
+)
+
+CHOICES: Final = (PLANTS, GAINS, (False, True), (-1.0, 1.0), (NEAR_REST, STARTED), (D, UNEQUAL))
+"""What a reading picks beside the law and its knowledge of d - d^, in the order of its fields."""
+
+READINGS_OF_THEOREM: Final = prod(len(choice) for choice in CHOICES)
+
+
+class TheoremReading(NamedTuple):
+    """One reading of the theorem.
+
+    Attributes:
+        mismatch: how the law knows d - d^
+        sign: of the law: 1 as printed
+        plant: one of `PLANTS`
+        L: one of `GAINS`
+        feeds_input: whether the observer has B u
+        left_sign: -1 as printed, +1 with a signed d_l
+        x1: x1(0)
+        width: d^(0)
+    """
+
+    mismatch: str
+    sign: float
+    plant: str
+    L: str
+    feeds_input: bool
+    left_sign: float
+    x1: float
+    width: float
+
+
+class TheoremOutcome(NamedTuple):
+    """Outcome of a reading.
+
+    Attributes:
+        reading: which one
+        width_error: largest |d^ - d|, last 2 s; None: diverged
+        state_error: largest |x^ - x|, last 2 s; None: diverged
+        diverged_at: when a signal leaves its limit [s]; None: never
+    """
+
+    reading: TheoremReading
+    width_error: float | None
+    state_error: float | None
+    diverged_at: float | None
+
+    @property
+    def error(self) -> float:
+        """Return the larger of both errors, infinite if the run diverges."""
+        if self.width_error is None or self.state_error is None:
+            return np.inf
+        return max(self.width_error, self.state_error)
+
+    @property
+    def leaves_widths(self) -> bool:
+        """Return whether a run that begins at d^ = d and survives ends with wrong widths."""
+        return self.reading.width == D and (self.width_error or 0.0) > RIGHT
+
+
+class TheoremCount(NamedTuple):
+    """Counts of the outcomes of one law and plant."""
+
+    mismatch: str
+    law: str
+    plant: str
+    total: int
+    diverge: int
+    end_right: int
+    leave_true_widths: int
+
+
+def example_of_theorem(reading: TheoremReading) -> Scenario:
+    """Build the scenario of a reading, r = 5 sin 2 pi t."""
+    L = gain_by_name(reading.L, system(PLANTS[reading.plant])).ravel()
+    return msgspec.structs.replace(
+        example_as_printed(5.0),
+        title="Theorem 4.1: observer (16), (17), adaptation (25), law (29)",
+        plant=msgspec.structs.replace(PLANTS[reading.plant], x0=[reading.x1, 0.0]),
+        observer=Printed(
+            L=L,
+            alpha=ALPHA,
+            widths0=reading.width,
+            feed_input=reading.feeds_input,
+            left_sign=reading.left_sign,
+        ),
+        controller=PrintedLaw(
+            L=L,
+            widths=D if reading.mismatch == GIVEN else None,
+            alpha=ALPHA,
+            sign=reading.sign,
+            left_sign=reading.left_sign,
+        ),
+        simulation=Simulation(duration=DURATION, step=STEP),
+    )
+
+
+def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOutcome]:
+    """Run every reading: 2 mismatches x 2 signs x 64.
+
+    Args:
+        progress: called with the number of steps just done
+    """
+    outcomes: list[TheoremOutcome] = []
+    for mismatch in (GIVEN, ESTIMATED):
+        readings = [TheoremReading(mismatch, *choice) for choice in product(SIGNS, *CHOICES)]
+        outcomes += _run_readings(readings, progress)
+    return outcomes
+
+
+def _run_readings(
+    readings: list[TheoremReading], progress: Callable[[int], None] | None
+) -> list[TheoremOutcome]:
+    """Run readings of the same graph, which only r enters from outside."""
+    problem = resolve_scenario(example_of_theorem(readings[0]))
+    loop, _, exogenous = prepare(problem)
+    run = engine_for(loop, "auto", len(exogenous) * len(readings))
+    outcomes = []
+    built: dict[tuple[str, str], Loop] = {}
+    for reading in readings:
+        place = reading.plant, reading.L
+        if place not in built:
+            built[place] = _with_gains(loop, problem, reading)
+        start = Start(*_with_signs(built[place], reading), exogenous)
+        outcomes.append(_build_outcome(reading, outputs_of(start, progress, run)))
+    return outcomes
+
+
+def _with_gains(loop: Loop, problem: Problem, reading: TheoremReading) -> Loop:
+    """Return the loop with plant and gains of a reading."""
+    scenario = example_of_theorem(reading)
+    model = system(scenario.plant)
+    observer = scenario.observer.build(model, problem.sensor).params
+    law = scenario.controller.build(model).params
+    params = loop.params._replace(plant=model.params, observer=observer, controller=law)
+    return loop._replace(params=params)
+
+
+def _with_signs(loop: Loop, reading: TheoremReading) -> tuple[Loop, Floats]:
+    """Return the loop with the signs of a reading, and its packed initial state."""
+    left_sign, widths = np.float64(reading.left_sign), np.array([reading.width])
+    observer = loop.params.observer._replace(
+        feed_input=np.float64(reading.feeds_input), left_sign=left_sign
+    )
+    law = loop.params.controller._replace(sign=np.float64(reading.sign), left_sign=left_sign)
+    state = loop.state._replace(
+        plant=np.array([reading.x1, 0.0]),
+        observer=loop.state.observer._replace(right=widths, left=widths),
+    )
+    params = loop.params._replace(observer=observer, controller=law)
+    return loop._replace(params=params), tree.pack_tree(state)
+
+
+def _build_outcome(reading: TheoremReading, signal: Outputs) -> TheoremOutcome:
+    """Compute the outcome of a reading from its signals."""
+    end = first_divergence(signal)
+    if end is not None:
+        return TheoremOutcome(reading, None, None, end * STEP)
+    last = slice(-round(LAST / STEP), None)
+    widths = np.hstack([signal.estimate.right, signal.estimate.left])[last]
+    states = (signal.estimate.x - signal.x)[last]
+    return TheoremOutcome(
+        reading, float(np.abs(widths - D).max()), float(np.abs(states).max()), None
+    )
+
+
+def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
+    """Count the outcomes per knowledge of d - d^, law and plant, in their order."""
+    groups: dict[tuple[str, float, str], list[TheoremOutcome]] = {}
+    for outcome in outcomes:
+        reading = outcome.reading
+        groups.setdefault((reading.mismatch, reading.sign, reading.plant), []).append(outcome)
+    return [
+        TheoremCount(
+            mismatch,
+            SIGNS[sign],
+            plant,
+            total=len(group),
+            diverge=count_diverging(group),
+            end_right=sum(outcome.error <= RIGHT for outcome in group),
+            leave_true_widths=sum(outcome.leaves_widths for outcome in group),
+        )
+        for (mismatch, sign, plant), group in groups.items()
+    ]
+
+
+def select_outcomes(
+    outcomes: Iterable[TheoremOutcome], mismatch: str, sign: float = 1.0
+) -> list[TheoremOutcome]:
+    """Select the outcomes by knowledge of d - d^ and sign of the law."""
+    wanted = mismatch, sign
+    return [outcome for outcome in outcomes if outcome.reading[:2] == wanted]
+
+
+def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:
+    """Count the runs that diverge."""
+    return sum(outcome.diverged_at is not None for outcome in outcomes)
+
+
+def is_kindest(reading: TheoremReading) -> bool:
+    """Return whether a reading is the kindest: B u, chi_bar mended, begun outside the zone."""
+    return reading.feeds_input and reading.left_sign > 0 and reading.x1 == STARTED
