@@ -19,7 +19,8 @@ import click
 
 from undeadzone.errors import InputError
 from undeadzone.util.earlier import SCHEMA as SCHEMA
-from undeadzone.util.files import read_text, require_folder
+from undeadzone.util.files import convert_write_errors, read_text, require_folder
+from undeadzone.util.opening import bind_folder, require_beneath
 from undeadzone.util.shown import Block
 from undeadzone.util.shown import format_blocks as text_of
 from undeadzone.util.text import escape_controls
@@ -38,8 +39,17 @@ VERDICT = re.compile(
 )
 
 
-class NonEmptyPath(click.Path):
-    """Path of a file or a folder; refuses the empty string, which means the current folder."""
+class UserPath(click.Path):
+    """Path of a file or a folder that a user names; refuses the empty string, which means the
+    current folder.
+
+    Args:
+        use: what is done there; `--untrusted` and docs/security.md go by it.
+    """
+
+    def __init__(self, use: str) -> None:
+        super().__init__(path_type=Path)
+        self.use = use
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path. Raises BadParameter if the name is empty."""
@@ -48,7 +58,8 @@ class NonEmptyPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-PATH = NonEmptyPath(path_type=Path)
+READ, WRITTEN = UserPath("read"), UserPath("written")
+READ_AND_WRITTEN, LIMIT = UserPath("read and written"), UserPath("limit")
 
 
 def value_option(
@@ -93,7 +104,7 @@ _confined = value_option(
     "--confine",
     "DIR",
     "Refuse files that the scenario names outside of DIR, as a service should.",
-    type=PATH,
+    type=LIMIT,
 )
 force_option = flag_option("--force", "Replace what someone else wrote or edited.")
 strict_option = flag_option("--strict", "Stop at the first line that cannot be read.")
@@ -116,7 +127,7 @@ def add_untrusted(command: Command) -> Command:
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
-        _require_inside(untrusted, options)
+        _bind_process(untrusted, options)
         for word in restrict_process(untrusted, _output_folder(options)):
             print_line(f"untrusted: {word}", err=True)
         if "confine" in options:
@@ -127,27 +138,27 @@ def add_untrusted(command: Command) -> Command:
         "--untrusted",
         "DIR",
         "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
-        type=PATH,
+        type=LIMIT,
     )(held)
 
 
-def _require_inside(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise InputError for a path below `folder` that links, soft or hard, lead out of it."""
-    real, inside = Path(os.path.realpath(folder)), Path(os.path.abspath(folder))
-    for value in options.values():
-        for path in value if isinstance(value, tuple | list) else [value]:
-            if not isinstance(path, Path):
-                continue
-            is_inside = Path(os.path.abspath(path)).is_relative_to(inside)
-            target = Path(os.path.realpath(path))
-            if not is_inside and not Path(os.path.abspath(path)).is_relative_to(real):
-                continue
-            if not target.is_relative_to(real):
-                raise InputError(f"{path}: a link that leads out of {folder} (--untrusted)")
-            if target.is_file() and target.stat().st_nlink > 1:
-                raise InputError(
-                    f"{path}: hard links show this file elsewhere too (--untrusted); copy it"
-                )
+def _bind_process(folder: Path, options: Mapping[str, Any]) -> None:
+    """Bind this process to a stranger's folder.
+
+    What is read is looked at as it is opened; what is to be written, here.
+
+    Raises:
+        InputError: `folder` is none.
+        FileError: a path to be written begins in `folder`, and leads out of it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
+    bind_folder(folder)
+    for parameter in click.get_current_context().command.params:
+        path = options.get(parameter.name or "")
+        if isinstance(parameter.type, UserPath) and "written" in parameter.type.use and path:
+            with convert_write_errors(path):
+                require_beneath(path)
 
 
 def add_guards(command: Command) -> Command:

@@ -8,7 +8,7 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
     build_origin,
     columns_option,
     flag_option,
@@ -33,7 +33,7 @@ from undeadzone.util.progress import terminal_progress as progress
 @flag_option("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
 @add_scenario_options
-@click.argument("log", type=PATH, metavar="LOG")
+@click.argument("log", type=READ, metavar="LOG")
 def estimate(
     scenario: Path,
     log: Path,

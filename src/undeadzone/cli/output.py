@@ -13,7 +13,8 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    WRITTEN,
     add_guards,
     flag_option,
     print_blocks,
@@ -33,7 +34,7 @@ csv_option = flag_option(
 OUTPUTS = (
     flag_option("--no-figures", "Compute only; draw nothing."),
     flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
-    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
+    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=WRITTEN),
 )
 
 
@@ -105,7 +106,7 @@ def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
 
 def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add SCENARIO.toml, --untrusted, --confine, and the options of `add_output_options`."""
-    argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+    argument = click.argument("scenario", type=READ, metavar="SCENARIO.toml")
     return argument(add_guards(add_output_options(command)))
 
 

@@ -8,7 +8,13 @@ from typing import Any, Final
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import PATH, build_origin, require_writable, shell_command, value_option
+from undeadzone.cli.common import (
+    WRITTEN,
+    build_origin,
+    require_writable,
+    shell_command,
+    value_option,
+)
 from undeadzone.cli.output import (
     Output,
     add_scenario_options,
@@ -38,7 +44,7 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     type=int,
 )
 @value_option(
-    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
+    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=WRITTEN
 )
 @csv_option
 @add_scenario_options

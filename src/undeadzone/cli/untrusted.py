@@ -15,8 +15,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from undeadzone.errors import InputError, Terminated
+from undeadzone.errors import Terminated
 from undeadzone.util.files import require_folder
+from undeadzone.util.opening import open_descriptor
 
 MEMORY: Final = 4_000_000_000  # [bytes] of addresses
 FILE: Final = 500_000_000  # [bytes] of one file
@@ -50,11 +51,8 @@ def restrict_process(folder: Path, out: Path | None) -> list[str]:
         What this system cannot hold, in words.
 
     Raises:
-        InputError: `folder` is none.
         FileError: nothing can be written below `out`.
     """
-    if not folder.is_dir():
-        raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
     here = Path(os.path.realpath(folder))
     sys.path[:] = [
         place for place in sys.path if place and not _is_untrusted_place(Path(place), here)
@@ -157,7 +155,7 @@ def _grant_rights(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> 
     """Grant rights below a folder, or the rights of a file on a file."""
     if not place.is_dir():
         rights &= OF_FILES | TRUNCATE
-    descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)
+    descriptor = open_descriptor(place, os.O_PATH)
     try:
         kernel.syscall(ADD, rules, BENEATH, struct.pack("=Qi", rights, descriptor), 0)
     finally:

@@ -16,7 +16,8 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    READ_AND_WRITTEN,
     SCHEMA,
     add_guards,
     add_schema,
@@ -55,11 +56,13 @@ def _check_seconds(
     epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@click.argument("scenario", type=READ, metavar="SCENARIO.toml")
 @flag_option("--json", "Print one JSON object per sample instead of CSV.", "as_json")
 @columns_option
 @strict_option
-@value_option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
+@value_option(
+    "--state", "FILE", "Keep the observer's state there, and go on from it.", type=READ_AND_WRITTEN
+)
 @value_option(
     "--every",
     "SECONDS",

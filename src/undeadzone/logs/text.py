@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import LARGEST_RUN, failure_reason, require_plain_file
+from undeadzone.util.files import LARGEST_RUN, failure_reason, open_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -52,8 +52,7 @@ def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, b
         largest: size [bytes] beyond which it is refused.
     """
     try:
-        require_plain_file(path, largest)
-        with open(path, "rb") as file:
+        with open_plain(path, largest) as file:
             while True:
                 data = file.read(BLOCK)
                 yield data, not data
