@@ -53,3 +53,7 @@ class EarlierMeaning(DeprecationWarning):
 
 class Terminated(BaseException):
     """SIGTERM reached a command: like KeyboardInterrupt, no error, and nothing should catch it."""
+
+
+class Interrupted(Terminated):
+    """Ctrl-C reached a command; unlike KeyboardInterrupt, click prints nothing about it."""

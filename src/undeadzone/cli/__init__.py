@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import functools
 import gc
@@ -18,7 +19,12 @@ from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.common import print_line
 from undeadzone.cli.design import design
-from undeadzone.cli.ending import report_failure, run_to_exit_code
+from undeadzone.cli.ending import (
+    end_at_once_on_signals,
+    ignore_signals,
+    report_failure,
+    run_to_exit_code,
+)
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.init import init
@@ -185,9 +191,12 @@ def main() -> None:
 
     Entry point of the tool.
     """
+    atexit.register(ignore_signals)  # the first to come is the last to be called
     # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage
     # collection only delay it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     _retain_freed_memory()
-    sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))
+    code = run_to_exit_code(lambda: group.main(standalone_mode=False))
+    end_at_once_on_signals()
+    sys.exit(code)

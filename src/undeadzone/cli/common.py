@@ -11,7 +11,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -128,11 +128,12 @@ def add_untrusted(command: Command) -> Command:
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
         _bind_process(untrusted, options)
-        for word in restrict_process(untrusted, _output_folder(options)):
-            print_line(f"untrusted: {word}", err=True)
-        if "confine" in options:
-            options["confine"] = untrusted
-        return command(**options)
+        with ExitStack() as ending:
+            for word in restrict_process(untrusted, _output_folder(options), ending):
+                print_line(f"untrusted: {word}", err=True)
+            if "confine" in options:
+                options["confine"] = untrusted
+            return command(**options)
 
     return value_option(
         "--untrusted",

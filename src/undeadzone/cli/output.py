@@ -24,6 +24,7 @@ from undeadzone.cli.common import (
     shell_command,
     value_option,
 )
+from undeadzone.util.own_files import require_own_file
 from undeadzone.util.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
@@ -121,6 +122,20 @@ def decide_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, 
     if as_csv or size <= LARGE:
         return True, {}
     return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
+
+
+def require_own_table(folder: Path | None, name: str, force: bool) -> None:
+    """Raise FileError for a table of signals that is not as undeadzone wrote it.
+
+    Args:
+        folder: of the table; None: none is written.
+        name: of the table.
+        force: whether it may be replaced all the same.
+    """
+    from undeadzone.results.files import is_own_table
+
+    if folder is not None:
+        require_own_file(folder / name, force, is_own_table)
 
 
 def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:

@@ -159,6 +159,16 @@ def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Fl
     return info, dict(zip(names, table.T, strict=True))
 
 
+def is_own_table(path: Path) -> bool:
+    """Return whether a `.csv` file is as `save` wrote it."""
+    try:
+        with files.open_plain(path, LARGEST_RUN) as file:
+            _require_checksum(file)
+            return CHECKSUM.encode() in file.readline()
+    except (OSError, ValueError):
+        return False
+
+
 def _require_checksum(file: BinaryIO) -> None:
     """Raise ValueError if a table was changed or cut; older tables have no checksum.
 
