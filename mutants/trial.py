@@ -13,8 +13,9 @@ import resource
 import signal
 import sys
 import time
+import tomllib
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +25,7 @@ PATIENCE: Final = 3.0  # times the usual cost, after which a mutant counts as no
 CLOCK: Final = 600.0  # [s] after which a process that sleeps is ended
 
 
-def preload(root: Path, tests: Iterable[str]) -> None:
+def preload(root: Path, tests: Collection[str]) -> None:
     """Import the package and files of tests, so that every mutant starts with them.
 
     Args:
@@ -32,7 +33,10 @@ def preload(root: Path, tests: Iterable[str]) -> None:
         tests: files, relative to it.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as conftest.py does, which comes later
-    sys.path[:0] = [str(root / "tests"), str(root)]
+    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    own = {(root / test).parent for test in tests}  # pytest finds a file's neighbours too
+    listed = [root / name for name in settings["tool"]["pytest"]["ini_options"]["pythonpath"]]
+    sys.path[:0] = map(str, (*sorted(own), *listed))
     source = root / "src"
     for path in sorted((source / "undeadzone").rglob("*.py")):
         if path.name not in ("__init__.py", "__main__.py"):
