@@ -30,6 +30,7 @@ NAMES: Final = (
     "arms",
     "folders",
     "engines",
+    "number_formats",
 )
 SHOWN: Final = 5  # cases of one complaint that are named
 
