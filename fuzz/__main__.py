@@ -31,6 +31,8 @@ NAMES: Final = (
     "folders",
     "engines",
     "number_formats",
+    "pipes",
+    "entry_points",
 )
 SHOWN: Final = 5  # cases of one complaint that are named
 

@@ -51,6 +51,10 @@ class EarlierMeaning(DeprecationWarning):
     """A file whose words had another meaning in an earlier version; a command prints one line."""
 
 
+class DamagedPackage(UserWarning):
+    """An installed package registers something in a file that cannot be read."""
+
+
 class Terminated(BaseException):
     """SIGTERM reached a command: like KeyboardInterrupt, no error, and nothing should catch it."""
 

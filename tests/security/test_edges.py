@@ -44,6 +44,21 @@ def test_a_registered_package_that_fails_is_named(tmp_path: Path) -> None:
     assert "no class of options" in done.stderr
 
 
+def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) -> None:
+    """Its module exits where it is imported; of another one the entry points cannot be read."""
+    for name, points in {"e": "[undeadzone.commands]\nbad = e_mod:cmd\n", "f": "x\n[y]\n="}.items():
+        info = tmp_path / f"{name}-1.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+        (info / "entry_points.txt").write_text(points)
+    (tmp_path / "e_mod.py").write_text("raise SystemExit(3)\n")
+    shown = call("--help", site=tmp_path)
+    assert shown.returncode == 0
+    assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in shown.stderr
+    assert "f: its entry points cannot be read; it is left out" in shown.stderr
+    assert "identify" in shown.stdout
+
+
 @pytest.mark.parametrize("key", ["x" + ".a" * 20_000, "x" + '."a"' * 20_000, "x" + " . a" * 9_000])
 def test_a_key_of_very_many_parts_is_refused_at_once(key: str) -> None:
     began = time.perf_counter()

@@ -21,8 +21,14 @@ from typing import Any, Final
 import click
 
 from undeadzone.cli.common import print_line
-from undeadzone.errors import EarlierMeaning, Interrupted, Terminated, UndeadzoneError
-from undeadzone.util.streams import let_streams_wait
+from undeadzone.errors import (
+    DamagedPackage,
+    EarlierMeaning,
+    Interrupted,
+    Terminated,
+    UndeadzoneError,
+)
+from undeadzone.util import streams
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -52,14 +58,15 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
             return _report_refusal(
                 "stdout is closed, and the results would be lost; use > /dev/null"
             )
-        let_streams_wait()
+        streams.let_streams_wait()
         hindrance = _find_import_obstacle()
         if hindrance:
             return _report_refusal(hindrance)
         with _signals_raised(), warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
                 warnings.simplefilter("ignore")
-                warnings.simplefilter("default", EarlierMeaning)
+                for told in (EarlierMeaning, DamagedPackage):
+                    warnings.simplefilter("default", told)
                 warnings.showwarning = _print_warning
             code = command()
         sys.stdout.flush()
@@ -262,7 +269,8 @@ def _is_stdout_error(error: OSError) -> bool:
     flush.
     """
     frames = traceback.extract_tb(error.__traceback__)
-    if frames and Path(frames[-1].filename).parent.name in PRINTERS:
+    files = [Path(frame.filename) for frame in frames if frame.filename != streams.__file__]
+    if files and files[-1].parent.name in PRINTERS:
         return True
     try:
         sys.stdout.flush()
