@@ -46,7 +46,10 @@ def test_a_registered_package_that_fails_is_named(tmp_path: Path) -> None:
 
 def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) -> None:
     """Its module exits where it is imported; of another one the entry points cannot be read."""
-    for name, points in {"e": "[undeadzone.commands]\nbad = e_mod:cmd\n", "f": "x\n[y]\n="}.items():
+    for name, points in {
+        "e": "[undeadzone.commands]\nbad = e_mod:cmd\n",
+        "f": "[undeadzone.commands]\nnonsense\n",
+    }.items():
         info = tmp_path / f"{name}-1.dist-info"
         info.mkdir()
         (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
