@@ -33,6 +33,7 @@ NAMES: Final = (
     "number_formats",
     "pipes",
     "entry_points",
+    "arguments",
 )
 SHOWN: Final = 5  # cases of one complaint that are named
 

@@ -13,11 +13,12 @@ import resource
 import signal
 import sys
 import time
-import tomllib
 import types
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+from tests.search_path import add_test_folders
 
 DID_NOT_RUN: Final = 30  # exit code of a process whose tests did not begin
 NO_IMPORT: Final = 31  # exit code where the changed file cannot be executed
@@ -33,10 +34,8 @@ def preload(root: Path, tests: Collection[str]) -> None:
         tests: files, relative to it.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as conftest.py does, which comes later
-    settings = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
-    own = {(root / test).parent for test in tests}  # pytest finds a file's neighbours too
-    listed = [root / name for name in settings["tool"]["pytest"]["ini_options"]["pythonpath"]]
-    sys.path[:0] = map(str, (*sorted(own), *listed))
+    add_test_folders(root)
+    sys.path[:0] = sorted({str((root / test).parent) for test in tests})  # as pytest does
     source = root / "src"
     for path in sorted((source / "undeadzone").rglob("*.py")):
         if path.name not in ("__init__.py", "__main__.py"):
