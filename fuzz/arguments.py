@@ -76,7 +76,7 @@ def case(draw: random.Random) -> Case:
             continue
         kind = draw.choice(READ if parameter.type.use.startswith("read") else WRITTEN)
         if name in SLOW and not kinds:
-            kind = draw.choice(("linked", "hard", "pipe", "loop", "missing"))
+            kind = draw.choice(("pipe", "loop"))
         kinds.append(kind)
         path = _path(draw, kind, _right(parameter))
         first += [] if is_option else [path]

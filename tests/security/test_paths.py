@@ -206,3 +206,13 @@ def test_what_is_bound_opens_nothing_that_leads_out(tmp_path: Path, old: str) ->
     assert outside == "tok3n"  # the user named it, outside of the folder
     assert "a link that leads out of up" in written
     assert [path.name for path in (tmp_path / "home").iterdir()] == ["secret"]
+
+
+def test_a_name_that_is_too_long_is_refused_of_each_parameter(tmp_path: Path) -> None:
+    """Whatever a command would do first with it."""
+    name = "x" * 5000
+    for command, parameter in parameters():
+        if isinstance(parameter.type, UserPath):
+            with pytest.raises(click.BadParameter, match="longer than this system allows"):
+                parameter.type.convert(name, parameter, None)
+            assert command

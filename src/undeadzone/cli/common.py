@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import errno
 import functools
 import json
 import os
@@ -52,9 +53,14 @@ class UserPath(click.Path):
         self.use = use
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path. Raises BadParameter if the name is empty."""
+        """Return the path. Raises BadParameter if the name is empty, or none on this system."""
         if value == "":
             self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
+        try:
+            os.lstat(value)
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                self.fail("the name is longer than this system allows", param, ctx)
         return super().convert(value, param, ctx)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from undeadzone.errors import FileError
-from undeadzone.util.files import LARGEST_RUN, read_bytes, write_text
+from undeadzone.util.files import LARGEST_RUN, convert_write_errors, read_bytes, write_text
 
 CURE: Final = "choose another name or --out, or replace it with --force"
 REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
@@ -52,7 +52,9 @@ def require_own_file(
         is_own: tells a file that undeadzone wrote; None: by its digest.
     """
     known = is_own or is_own_file
-    if not force and (path.exists() or path.is_symlink()) and not known(path):
+    with convert_write_errors(path):  # a name that is too long
+        exists = path.exists() or path.is_symlink()
+    if exists and not force and not known(path):
         raise FileError(
             f"{path}: exists already, and may hold work of your own: not replaced; {CURE}"
         )
