@@ -102,9 +102,10 @@ def chooser(struct: type[msgspec.Struct]) -> str:
 
 
 def prose(struct: type[msgspec.Struct]) -> str:
-    """A struct's docstring ahead of its `Attributes:`, on one line."""
-    text, _, _ = inspect.getdoc(struct).partition("\nAttributes:")
-    return " ".join(text.split())
+    """Return a struct's docstring before its sections on one line, with its DOIs as links."""
+    text = re.split(r"\n(?:Attributes|Example|See Also):", inspect.getdoc(struct) or "")[0]
+    line = " ".join(text.split())
+    return re.sub(r"doi:(\S*\w)", r"[doi:\1](https://doi.org/\1)", line)
 
 
 def meaning(struct: type[msgspec.Struct]) -> dict[str, str]:

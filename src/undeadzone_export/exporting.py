@@ -105,6 +105,21 @@ def export(
     Raises:
         InputError: a scenario that cannot be exported, or an unknown option.
         FileError: the folder is something else, or cannot be written.
+
+    Example:
+        >>> first_order = uz.Scenario(
+        ...     plant=uz.Plant(A=[[-1.0]], B=[1.0], C=[1.0]),
+        ...     sensor=sensor,
+        ...     reference=reference,
+        ...     observer=uz.Certified(L=[1.0], gamma=2.0),
+        ...     simulation=simulation,
+        ... )
+        >>> exported = uz.export(first_order, "c", out=folder / "firmware")
+        >>> (folder / "firmware" / "README.md").exists()
+        True
+
+    See Also:
+        Online, simulate
     """
     _require_known_word("to", to, tuple(targets.PRECISION))
     precision = targets.PRECISION[to] if precision is None else precision
@@ -200,7 +215,7 @@ def _require_page_options(
     for key, value in options.items():
         if value:
             raise InputError(
-                f"{key}: a page has the whole loop, in double, and no such choice; leave it out"
+                f"{key}: a page has the whole loop, in double, and no such choice. Leave it out"
             )
 
 
@@ -209,8 +224,8 @@ def _symbol_prefix(name: str | None, title: str) -> str:
     prefix = to_identifier(to_identifier(title)[:24]) if name is None else name
     if not NAME.fullmatch(prefix) or to_identifier(prefix) != prefix:
         raise InputError(
-            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}; "
-            "words of C and Python, headers and modules (math) are taken"
+            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}. "
+            "Words of C and Python, headers and modules (math) are taken"
         )
     return prefix
 

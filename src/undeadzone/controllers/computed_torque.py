@@ -40,6 +40,13 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
     model right and x^ = x the error obeys e'' + K_d e' + K_p e = 0. Either a bandwidth w and a
     damping z, K_p = w^2 and K_d = 2 z w; or k_p and k_d.
 
+    Example:
+        >>> uz.ComputedTorque(bandwidth=10.0).bandwidth
+        10.0
+
+    See Also:
+        StateFeedback, LQR
+
     Attributes:
         bandwidth: w, one or one per joint [rad/s].
         damping: z, one or one per joint.
@@ -69,7 +76,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         if arm is None or arm.size != model.m:
             raise InputError(
                 "controller.method: 'computed_torque' needs an arm whose every joint has its "
-                "motor; use 'state_feedback' or 'lqr'"
+                "motor. Use 'state_feedback' or 'lqr'"
             )
         N = arm.size
         k_p, k_d = self._joint_gains(N)
@@ -110,7 +117,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         if chosen == ["k_p", "k_d"]:
             return per_joint("k_p"), per_joint("k_d")
         raise InputError(
-            "controller: computed_torque needs either bandwidth (and damping), or k_p and k_d; "
+            "controller: computed_torque needs either bandwidth (and damping), or k_p and k_d, "
             f"found {' and '.join(chosen) or 'none'}"
         )
 
@@ -152,8 +159,8 @@ def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:
         longest = min(2 / k_d[i], 2 * k_d[i] / k_p[i])
         raise StepError(
             f"simulation.step: {Ts:g} s is too coarse for the controller: joint {i} with K_p = "
-            f"{k_p[i]:.4g}, K_d = {k_d[i]:.4g} is stable only for steps below {longest:.2g} s; "
-            "use a smaller step or a lower bandwidth"
+            f"{k_p[i]:.4g}, K_d = {k_d[i]:.4g} is stable only for steps below {longest:.2g} s. "
+            "Use a smaller step or a lower bandwidth"
         )
 
 

@@ -25,6 +25,13 @@ Pairs = list[float | list[float]]
 class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What stands between the command u and the plant's m inputs; one number, or one per input.
 
+    Example:
+        >>> uz.Actuator(right=0.3, left=0.2).right
+        0.3
+
+    See Also:
+        Sensor, Scenario, ZoneInverse
+
     Attributes:
         right, left: widths b_r, b_l of the dead zone (m) [u].
         slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per
@@ -186,7 +193,7 @@ def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
     for side, other in (SIDES, SIDES[::-1]):
         if side not in ranges:
             raise InputError(
-                f"{key}.{side}: must be a range too where {other} is one; write "
+                f"{key}.{side}: must be a range too where {other} is one. Write "
                 f"{side} = [lo, hi], narrow if it is known"
             )
     middles = {side: interval.mean(axis=1).tolist() for side, interval in ranges.items()}

@@ -119,6 +119,25 @@ def deadzone_update(
     Raises:
         InputError, ShapeError: unless shapes agree, numbers are finite, cov is a covariance and
             noise is there.
+
+    Example:
+        >>> import numpy as np
+        >>> updated = uz.deadzone_update(
+        ...     mean=np.array([1.4, 0.0]),
+        ...     cov=np.diag([0.1, 1.0]),
+        ...     C=np.array([1.0, 0.0]),
+        ...     y=0.5,
+        ...     right=1.0,
+        ...     left=0.6,
+        ...     noise=0.01,
+        ...     ear=uz.DeadzoneMemory(last=0.45, previous=0.4),
+        ...     rest=10,
+        ... )
+        >>> updated.side
+        1
+
+    See Also:
+        Online, Censored
     """
     shape, belief = np.shape(mean), _require_belief(mean, cov)
     if not slope > 0:
@@ -127,7 +146,7 @@ def deadzone_update(
     if not (rms > 0 and noise >= 0 and noise_before >= 0):
         raise InputError(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
-            f"{noise_before:g}; of a clean sensor give its resolution"
+            f"{noise_before:g}. Of a clean sensor give its resolution"
         )
     z = _row("C", C, len(belief.mean))
     edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
@@ -177,8 +196,8 @@ def _require_belief(mean: Array, cov: Array) -> Gauss:
     least = np.linalg.eigvalsh(related).min(initial=0)
     if least < -ROUNDING:
         raise InputError(
-            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations); "
-            "use Joseph's form in your filter"
+            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations). "
+            "Use Joseph's form in your filter"
         )
     return Gauss(m, P)
 

@@ -21,6 +21,14 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
 
     Gains are continuous-time ones in either time.
 
+    Example:
+        >>> certified = uz.Certified(L=[1.0, 1.5], gamma=10.0)
+        >>> certified.gamma
+        10.0
+
+    See Also:
+        design, check, Luenberger
+
     Attributes:
         L: gains (n x p) [1/s x state/output]; default along P^-1 C', so strong that a lasting error
             of the model moves z^ by five sixths of it; always certified, for stable plants only.
@@ -67,7 +75,7 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
             return self.L, default_adaptation(model) if self.gamma is None else self.gamma
         if self.L is not None or self.gamma is not None:
             raise InputError(
-                "observer.design: it brings L and gamma; give either the design or these"
+                "observer.design: it brings L and gamma. Give either the design or these"
             )
         return _load_design_gains(self.design, model)
 

@@ -51,6 +51,13 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
 
     It is linearised sample by sample; sampled time.
 
+    Example:
+        >>> uz.Extended(right=[0.0, 2.0], disturbance=0.2, start=[0.1, 0.0]).start
+        [0.1, 0.0]
+
+    See Also:
+        Auto, Censored
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
@@ -160,7 +167,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             if self.uncertain or bias.any():
                 key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
                 raise InputError(
-                    f'observer.{key} binds the joints together; take joints = "coupled"'
+                    f'observer.{key} binds the joints together. Take joints = "coupled"'
                 )
             return build_separate_joints(model, colour, rms)
         augmentation = build_unknown_inputs(
@@ -212,7 +219,7 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
     if rate is None or flow is None or Ts is None or not is_mechanical(model):
         raise InputError(
-            "observer.joints: separate joints need a nonlinear model of states [q; q'] that "
+            "observer.joints: separate joints need a nonlinear model of states [q. Q'] that "
             "measures each position, such as a rigid arm's"
         )
     variance = flow.B[N:] ** 2 @ rms**2

@@ -30,6 +30,13 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
 
     A nonlinear model is expanded to second order.
 
+    Example:
+        >>> uz.Kalman(right=[0.0, 2.0], disturbance=0.2).right
+        [0.0, 2.0]
+
+    See Also:
+        Auto, Censored, Luenberger
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
@@ -60,7 +67,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
-                "cannot use; use 'censored'"
+                "cannot use. Use 'censored'"
             )
         prior = build_prior(self, model, sensor, centre=self.centre)
         rms = resolve_input_rms(

@@ -71,6 +71,9 @@ class ElasticJoint(Kind, frozen=True, kw_only=True, tag="elastic_joint"):
     """Motor that moves a link through a spring, with a sensor on the motor or the link (Spong
     1987).
 
+    References:
+        M. W. Spong (1987), doi:10.1115/1.3143860
+
     Attributes:
         measured: the part whose angle, less `reference`, is the output.
         reference: angle at which the sensor reads 0 [rad].
@@ -122,6 +125,14 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     The forms are: A, B, C; second_order; companion; integrators; transfer_function; f, h; or arm.
     A plant has n states, m inputs, p outputs.
+
+    Example:
+        >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
+        >>> plant.C
+        [1, 0]
+
+    See Also:
+        from_control, from_scipy, TransferFunction, Model
 
     Attributes:
         A: x' = A x + B u (n x n).

@@ -60,6 +60,20 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do; also for a file outside of
             `confine`.
+
+    Example:
+        >>> path = folder / "mine.toml"
+        >>> _ = path.write_text('''
+        ... plant = { A = [[0, 1], [-1, -2]], B = [0, 1], C = [1, 0] }
+        ... sensor = { right = 1.0, left = 0.6 }
+        ... observer = { method = "auto", right = [0.0, 2.0] }
+        ... reference = { kind = "sine", amplitude = 5.0, frequency = 0.2 }
+        ... ''')
+        >>> float(uz.read(path).sensor.right)
+        1.0
+
+    See Also:
+        Scenario, simulate
     """
     path = to_path(path)
     with _naming(path):
@@ -103,7 +117,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
                 )
         if observer is None and "right" not in sensor and "declared" not in data:
             raise InputError(
-                "observer: missing; name one and the range of the widths, such as "
+                "observer: missing. Name one and the range of the widths, such as "
                 'observer = { method = "auto", right = [0.0, 2.0] }'
             )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
@@ -132,7 +146,7 @@ def _text(path: Path) -> str:
     try:
         return read_text(path)
     except UnicodeDecodeError:
-        raise FileError(f"{path}: cannot read: not UTF-8 text; save it as UTF-8") from None
+        raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
 
@@ -217,11 +231,11 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
 
     def inside(key: str, path: str) -> str:
         if "\0" in path:
-            raise InputError(f"{key}: no path: it holds a NUL character; take it out")
+            raise InputError(f"{key}: no path: it holds a NUL character. Take it out")
         real = Path(os.path.realpath(path))
         if _has_further_names(real):
             raise InputError(
-                f"{key}: the file has further names, maybe outside of {folder}; copy it there"
+                f"{key}: the file has further names, maybe outside of {folder}. Copy it there"
             )
         if not real.is_relative_to(root):
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")

@@ -123,6 +123,15 @@ class Online:
 
     Raises:
         InputError: or a subclass, as a scenario would.
+
+    Example:
+        >>> online = uz.Online(observer, plant, sensor, step=0.01)
+        >>> estimate = online.update(y=0.3, u=1.0)
+        >>> online.samples
+        1
+
+    See Also:
+        estimate, export, deadzone_update
     """
 
     KEPT: Final = ("samples", "missing", "state")
@@ -245,7 +254,7 @@ class Online:
         if number > 1:
             self._load = None
             warnings.warn(
-                f"sensor.load_inertia: the overrun number J a / f reaches {number:.3g}; above 1 "
+                f"sensor.load_inertia: the overrun number J a / f reaches {number:.3g}. Above 1 "
                 "the load coasts through its gap, and gaps come out wrong (docs/play.md)",
                 stacklevel=3,
             )

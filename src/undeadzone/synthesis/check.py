@@ -195,6 +195,16 @@ def check(scenario: Scenario) -> Check:
 
     Raises:
         InputError: or a subclass, as `simulate` does.
+
+    Example:
+        >>> proved = uz.check(
+        ...     uz.Scenario(plant=plant, sensor=sensor, reference=reference, observer=certified)
+        ... )
+        >>> proved.certified
+        True
+
+    See Also:
+        design, simulate
     """
     return check_assessment(assess_problem(resolve_scenario(scenario), listen=True))
 

@@ -53,6 +53,22 @@ def design(
     Raises:
         StructureError: no gains can be certified.
         InputError: or a subclass, where there is nothing to plan on.
+
+    Example:
+        >>> found = uz.design(
+        ...     uz.Scenario(
+        ...         plant=uz.Plant(A=[[-1.0]], B=[1.0], C=[1.0]),
+        ...         sensor=sensor,
+        ...         reference=reference,
+        ...         observer=uz.Certified(),
+        ...     ),
+        ...     maximise="rate",
+        ... )
+        >>> found.margin > 0
+        True
+
+    See Also:
+        check, Certified
     """
     _require_aim(maximise)
     _, flow, _ = systems(scenario)
@@ -133,10 +149,10 @@ def _require_linear_task(scenario: Scenario, flow: System) -> None:
     if flow.nonlinear or scenario.sensor.kind == "jump":
         what = "plant: a nonlinear plant" if flow.nonlinear else "sensor.kind: a jump sensor"
         raise InputError(
-            f"{what} has no automatic design; choose gains and judge them by simulation"
+            f"{what} has no automatic design. Choose gains and judge them by simulation"
         )
     if not isinstance(scenario.controller, StateFeedback):
-        raise InputError("controller.method: a design plans on z = r; use state_feedback")
+        raise InputError("controller.method: a design plans on z = r. Use state_feedback")
 
 
 def _find_present_gains(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:
