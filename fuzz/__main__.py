@@ -30,6 +30,10 @@ NAMES: Final = (
     "arms",
     "folders",
     "engines",
+    "number_formats",
+    "pipes",
+    "entry_points",
+    "arguments",
 )
 SHOWN: Final = 5  # cases of one complaint that are named
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 
@@ -20,6 +21,7 @@ class Case(NamedTuple):
         made: puts into the folder what is no plain file.
         inside: of the folder, where the command runs.
         apart: whether it runs in a process of its own: "forked" from this one, or "started".
+        settings: of the environment, where it is started.
         judged: takes the folder once the case has ended; what is wrong with what it left.
     """
 
@@ -31,6 +33,7 @@ class Case(NamedTuple):
     made: Callable[[Path], None] | None = None
     inside: str = "."
     apart: Literal["", "forked", "started"] = ""
+    settings: Mapping[str, str] = MappingProxyType({})
     judged: Callable[[Path, End], str] | None = None
 
 

@@ -10,6 +10,7 @@ from fuzz.case import Case, End
 
 NOT_A_NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf)(?![\w.])", re.IGNORECASE)
 ANNOUNCED = "arena: "  # how many runs there are, before them
+LEFT_OUT = "; it is left out"  # a package that is broken
 HELP = {"--help", "--help-all"}  # words, whatever else is asked
 LOGS = ("watch", "estimate")  # their table is on stderr, and a missing reading is NaN
 
@@ -31,7 +32,7 @@ def complaint(case: Case, end: End) -> str:
 
 def _of_refusal(case: Case, end: End) -> str:
     """What is wrong with a refusal."""
-    lines = end.err.splitlines()
+    lines = [line for line in end.err.splitlines() if not line.endswith(LEFT_OUT)]
     if len(lines) != 1:
         return f"a refusal of {len(lines)} lines"
     if not lines[0].startswith("undeadzone"):
@@ -42,7 +43,7 @@ def _of_refusal(case: Case, end: End) -> str:
 def _of_result(command: Sequence[str], end: End) -> str:
     """What is wrong with a result."""
     streaming = any(word in command for word in LOGS)
-    words = [line for line in end.err.splitlines() if not line.startswith(ANNOUNCED)]
+    words = [line for line in end.err.splitlines() if not _is_announced(line)]
     if words and not streaming:
         return "words on stderr beside a result"
     if not HELP.isdisjoint(command):
@@ -52,6 +53,11 @@ def _of_result(command: Sequence[str], end: End) -> str:
     if end.code == 0 and not streaming and NOT_A_NUMBER.search(end.out):
         return "success with NaN"
     return _controls(end.out.replace("\n", ""))
+
+
+def _is_announced(line: str) -> bool:
+    """Whether a line may stand on stderr beside a result."""
+    return line.startswith(ANNOUNCED) or (line.endswith(LEFT_OUT) and line.isprintable())
 
 
 def _of_json(text: str, lines: bool) -> str:

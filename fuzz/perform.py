@@ -52,7 +52,11 @@ def _ended(case: Case, folder: Path) -> End:
 def _started(case: Case) -> End:
     """The end of a command that a shell starts."""
     done = subprocess.run(
-        [*COMMAND, *(case.command or ())], input=case.stdin, capture_output=True, timeout=LONGEST
+        [*COMMAND, *(case.command or ())],
+        input=case.stdin,
+        capture_output=True,
+        timeout=LONGEST,
+        env=os.environ | case.settings,
     )
     return _without_remarks(End(done.returncode, done.stdout.decode(), done.stderr.decode()))
 

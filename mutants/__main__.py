@@ -17,7 +17,7 @@ ROOT: Final = Path(__file__).parents[1]
 PACKAGE: Final = ROOT / "src" / "undeadzone"
 FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
 # What a step of the closed loop is made of.
-LOOP: Final = ("simulation/close.py", "simulation/close.py", "results/scales.py")
+LOOP: Final = ("simulation/close.py", "results/scales.py")
 ROOMS: Final = (
     "numerics",
     "linalg",

@@ -14,9 +14,11 @@ import signal
 import sys
 import time
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
+
+from tests.search_path import add_test_folders
 
 DID_NOT_RUN: Final = 30  # exit code of a process whose tests did not begin
 NO_IMPORT: Final = 31  # exit code where the changed file cannot be executed
@@ -24,7 +26,7 @@ PATIENCE: Final = 3.0  # times the usual cost, after which a mutant counts as no
 CLOCK: Final = 600.0  # [s] after which a process that sleeps is ended
 
 
-def preload(root: Path, tests: Iterable[str]) -> None:
+def preload(root: Path, tests: Collection[str]) -> None:
     """Import the package and files of tests, so that every mutant starts with them.
 
     Args:
@@ -32,7 +34,8 @@ def preload(root: Path, tests: Iterable[str]) -> None:
         tests: files, relative to it.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as conftest.py does, which comes later
-    sys.path[:0] = [str(root / "tests"), str(root)]
+    add_test_folders(root)
+    sys.path[:0] = sorted({str((root / test).parent) for test in tests})  # as pytest does
     source = root / "src"
     for path in sorted((source / "undeadzone").rglob("*.py")):
         if path.name not in ("__init__.py", "__main__.py"):

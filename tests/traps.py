@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import sys
 
-COMMAND = [sys.executable, "-P", "-c", "from undeadzone.cli import main; main()"]
+COMMAND = [
+    sys.executable,
+    "-P",
+    "-c",
+    "import sys; sys.argv[0] = 'undeadzone'; from undeadzone.cli import main; main()",
+]
 SHORT = """title = "short"
 plant = { A = [[-1.0]], B = [[1.0]], C = [[1.0]] }
 sensor = { right = 0.4, left = 0.3 }

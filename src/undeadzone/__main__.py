@@ -15,10 +15,11 @@ def main() -> None:
             )
             sys.exit(2)
         from undeadzone.cli import main as run
+
+        run()
     except KeyboardInterrupt:
         sys.stderr.write("undeadzone: interrupted\n")
         sys.exit(130)
-    run()
 
 
 def _is_run_by_strangers() -> bool:

@@ -70,5 +70,13 @@ class EarlierMeaning(DeprecationWarning):
     """A file whose words had another meaning in an earlier version; a command prints one line."""
 
 
+class DamagedPackage(UserWarning):
+    """An installed package registers something in a file that cannot be read."""
+
+
 class Terminated(BaseException):
     """SIGTERM reached a command: like KeyboardInterrupt, no error, and nothing should catch it."""
+
+
+class Interrupted(Terminated):
+    """Ctrl-C reached a command; unlike KeyboardInterrupt, click prints nothing about it."""

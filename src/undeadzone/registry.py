@@ -10,12 +10,8 @@ A package registers an observer by a line in its `pyproject.toml`:
 
 from __future__ import annotations
 
-import functools
-import os
-import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, Protocol, runtime_checkable
 
 import lazy_loader
@@ -23,6 +19,7 @@ import msgspec
 
 from undeadzone.errors import InputError
 from undeadzone.util import arrays
+from undeadzone.util.installed import list_registered_places, load_object
 
 if TYPE_CHECKING:
     from undeadzone.interfaces import Compensator, Controller, Observer
@@ -95,7 +92,7 @@ class Registry(NamedTuple):
 
     def list_tags(self) -> list[str]:
         """Return the names of all methods, the tool's own first."""
-        return [*self.own, *_list_registered_places(self.group)]
+        return [*self.own, *list_registered_places(self.group)]
 
     def find_options(self, tag: str) -> type[Options] | None:
         """Return the class of the options of a method; None if the name is unknown.
@@ -103,10 +100,10 @@ class Registry(NamedTuple):
         Raises:
             InputError: the package that registered it cannot be imported, or registers no options.
         """
-        place = self.own.get(tag) or _list_registered_places(self.group).get(tag)
+        place = self.own.get(tag) or list_registered_places(self.group).get(tag)
         if place is None:
             return None
-        options = _load_object(f"{self.group}: {tag!r}", place)
+        options = load_object(f"{self.group}: {tag!r}", place)
         is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
         if not is_struct or not hasattr(options, "build"):
             raise InputError(
@@ -120,7 +117,7 @@ class Registry(NamedTuple):
         place = f"{options.__module__}:{options.__name__}"
         if options.__module__.startswith("undeadzone."):  # no package registers those
             return place in self.own.values()
-        return place in _list_registered_places(self.group).values()
+        return place in list_registered_places(self.group).values()
 
     def list_options(self) -> list[type[Options]]:
         """Return the options classes of all methods, except of packages that cannot be
@@ -139,7 +136,7 @@ class Registry(NamedTuple):
             tag: the method.
             options: what is not as it is by default.
         """
-        return _load_object(tag, self.own[tag])(**options)
+        return load_object(tag, self.own[tag])(**options)
 
     def decode_options(self, table: Any) -> Any:
         """Return options from a table of a scenario, by its key `method`; a struct stays
@@ -246,8 +243,8 @@ def find_registered_name(name: str) -> Any:
         AttributeError: there is none.
         InputError: the package that registered it cannot be imported.
     """
-    place = _list_registered_places("undeadzone.names").get(name)
-    return find_options_class(name) if place is None else _load_object(f"undeadzone.{name}", place)
+    place = list_registered_places("undeadzone.names").get(name)
+    return find_options_class(name) if place is None else load_object(f"undeadzone.{name}", place)
 
 
 def find_options_class(name: str, *catalogues: Registry) -> type[Options]:
@@ -261,36 +258,7 @@ def find_options_class(name: str, *catalogues: Registry) -> type[Options]:
         AttributeError: there are none.
     """
     for catalogue in catalogues or REGISTRIES.values():
-        for place in [*catalogue.own.values(), *_list_registered_places(catalogue.group).values()]:
+        for place in [*catalogue.own.values(), *list_registered_places(catalogue.group).values()]:
             if place.rpartition(":")[2] == name:
-                return _load_object(f"{catalogue.group}: {name}", place)
+                return load_object(f"{catalogue.group}: {name}", place)
     raise AttributeError(f"undeadzone has no {name!r}, and no package registers such options")
-
-
-def _list_registered_places(group: str) -> dict[str, str]:
-    """Return the `module:Class` of registered options by method; read anew after an
-    installation.
-    """
-    folders = filter(os.path.isdir, map(os.path.abspath, sys.path))
-    return _find_entry_points(
-        group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders)
-    )
-
-
-@functools.lru_cache
-def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
-    """Return the `module:Class` of a group by method; cached while the searched folders are
-    unchanged.
-    """
-    from importlib.metadata import entry_points
-
-    return {point.name: point.value for point in entry_points(group=group)}
-
-
-def _load_object(what: str, place: str) -> Any:
-    """Return the object at `module:Class`. Raises InputError."""
-    module, _, name = place.partition(":")
-    try:
-        return getattr(import_module(module), name)
-    except Exception as error:
-        raise InputError(f"{what} is registered at {place}, which fails: {error}") from None

@@ -10,7 +10,8 @@ import click
 from click.core import ParameterSource
 
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    WRITTEN,
     add_guards,
     build_origin,
     force_option,
@@ -33,7 +34,7 @@ FOLDER = Path("arena-results")
 @click.command(
     epilog="Example: undeadzone arena mine.toml --methods censored,adaptive_inverse,ekf --html"
 )
-@click.argument("scenarios", type=PATH, metavar="[SCENARIO.toml ...]", nargs=-1)
+@click.argument("scenarios", type=READ, metavar="[SCENARIO.toml ...]", nargs=-1)
 @click.option(
     "--methods",
     default=None,
@@ -58,7 +59,7 @@ FOLDER = Path("arena-results")
 @click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
 @click.option(
     "--out",
-    type=PATH,
+    type=WRITTEN,
     default=None,
     metavar="DIR",
     help=f"Folder for the files written, implies --html (default: {FOLDER}).",
@@ -85,7 +86,7 @@ FOLDER = Path("arena-results")
 )
 @click.option(
     "--tuned",
-    type=PATH,
+    type=READ,
     default=None,
     metavar="FILE",
     help="A tuned.toml to use in the place of the built-in one.",

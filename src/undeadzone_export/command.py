@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    WRITTEN,
     add_guards,
     flag_option,
     force_option,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: undeadzone export mine.toml --to c --out firmware --check")
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@click.argument("scenario", type=READ, metavar="SCENARIO.toml")
 @value_option(
     "--to", "WHAT", "c (default), arduino, fmu2, fmu3, python, st, page or snippet.", default="c"
 )
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     "DIR",
     "Folder for the files (default: firmware, and none with --check alone). For a page, the file "
     "(default: live.html).",
-    type=PATH,
+    type=WRITTEN,
 )
 @value_option(
     "--precision", "P", "single (default of c, arduino and st) or double (default of the others)."

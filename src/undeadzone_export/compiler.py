@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -72,13 +74,36 @@ def compile_library(sources: list[Path], out: Path, options: tuple[str, ...] = (
 
 
 def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    """Run a compiler in a folder. Raises InputError if it cannot be run."""
-    try:
-        return subprocess.run(line, capture_output=True, text=True, cwd=folder)
-    except OSError as error:
-        raise InputError(
-            f"{line[0]}: the C compiler cannot be run: {failure_reason(error)}"
-        ) from None
+    """Run a compiler in a folder. Raises InputError if it cannot be run.
+
+    Whatever stops this process ends the compiler with all processes that it has started, and takes
+    its temporary files along.
+    """
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
+        try:
+            process = subprocess.Popen(
+                line,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                cwd=folder,
+                env=os.environ | {"TMPDIR": scratch},
+                start_new_session=sys.platform != "win32",
+            )
+        except OSError as error:
+            raise InputError(
+                f"{line[0]}: the C compiler cannot be run: {failure_reason(error)}"
+            ) from None
+        with process:
+            try:
+                out, said = process.communicate()
+            except BaseException:
+                if sys.platform == "win32":
+                    process.kill()
+                else:
+                    os.killpg(process.pid, signal.SIGKILL)
+                raise
+    return subprocess.CompletedProcess(line, process.returncode, out, said)
 
 
 def stack_bytes(folder: Path, prefix: str) -> int | None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    WRITTEN,
     add_untrusted,
     build_origin,
     columns_option,
@@ -40,7 +41,7 @@ PLACES = click.Choice(["auto", "sensor"])
 
 
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
-@click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG [LOG ...]")
+@click.argument("logs", nargs=-1, required=True, type=READ, metavar="LOG [LOG ...]")
 @columns_option
 @value_option("--kind", None, "Nonlinearity at the output, or auto.", type=KINDS, default="auto")
 @value_option(
@@ -65,9 +66,9 @@ PLACES = click.Choice(["auto", "sensor"])
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @value_option(
-    "--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH
+    "--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=WRITTEN
 )
-@value_option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
+@value_option("--next", "FILE", "CSV of the input to record next.", "further", type=WRITTEN)
 @flag_option("--resume", "Continue an interrupted command from DIR/identify.json.partial.")
 @help_all
 @force_option

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -41,6 +42,24 @@ def test_a_registered_package_that_fails_is_named(tmp_path: Path) -> None:
     done = call("run", scenario, "--no-figures", site=tmp_path)
     assert done.returncode == 2
     assert "no class of options" in done.stderr
+
+
+def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) -> None:
+    """Its module exits where it is imported; of another one the entry points cannot be read."""
+    for name, points in {
+        "e": "[undeadzone.commands]\nbad = e_mod:cmd\n",
+        "f": "[undeadzone.commands]\nnonsense\n",
+    }.items():
+        info = tmp_path / f"{name}-1.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+        (info / "entry_points.txt").write_text(points)
+    (tmp_path / "e_mod.py").write_text("raise SystemExit(3)\n")
+    shown = call("--help", site=tmp_path)
+    assert shown.returncode == 0
+    assert "'bad' is registered at e_mod:cmd, which fails: 3; it is left out" in shown.stderr
+    assert "f: its entry points cannot be read; it is left out" in shown.stderr
+    assert "identify" in shown.stdout
 
 
 @pytest.mark.parametrize("key", ["x" + ".a" * 20_000, "x" + '."a"' * 20_000, "x" + " . a" * 9_000])
@@ -98,3 +117,36 @@ def test_an_ensemble_of_a_stranger_takes_little_disk(tmp_path: Path) -> None:
     assert done.returncode == 2, done.stderr
     assert done.stderr.count("\n") == 1
     assert sum(path.stat().st_size for path in out.rglob("*") if path.is_file()) < 5e8
+
+
+def short_scenario(path: Path) -> Path:
+    """A scenario whose run takes little."""
+    text = EXAMPLE.read_text(encoding="utf-8")
+    path.write_text(re.sub(r"duration = .*", "duration = 0.5", text), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("command", ["run", "estimate"])
+def test_a_users_table_is_not_replaced(tmp_path: Path, command: str) -> None:
+    """One of our own is, until someone edits it; with --force each is."""
+    scenario, out, log = short_scenario(tmp_path / "s.toml"), tmp_path / "out", tmp_path / "log.csv"
+    step = uz.read(scenario).simulation.step
+    rows = [f"{step * k!r},{k % 7 - 3},0.5" for k in range(50)]
+    log.write_text("\n".join(["t,u,y", *rows]) + "\n")
+    words = [command, scenario, *([log] if command == "estimate" else [])]
+    words += ["--no-figures", "--out", out]
+    table = out / f"{command}.csv"
+    out.mkdir()
+    table.write_text("t,r\n0,1\n")
+    refused = call(*words)
+    assert refused.returncode == 2
+    assert f"{table}: exists already" in refused.stderr
+    assert "--force" in refused.stderr
+    assert table.read_text() == "t,r\n0,1\n"
+    assert not (out / f"{command}.npz").exists()
+    assert call(*words, "--force").returncode in (0, 1)
+    written = table.read_text()
+    assert call(*words).returncode in (0, 1)
+    assert table.read_text() == written
+    table.write_text(written.replace("\n", "\n#\n", 1))
+    assert call(*words).returncode == 2

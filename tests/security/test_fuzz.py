@@ -34,6 +34,10 @@ CASES = {
     "arms": 30,
     "folders": 8,
     "engines": 4,
+    "number_formats": 150,
+    "pipes": 3,
+    "entry_points": 4,
+    "arguments": 8,
 }
 
 

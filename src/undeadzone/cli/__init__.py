@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import functools
 import gc
@@ -9,7 +10,6 @@ import os
 import sys
 from contextlib import suppress
 from difflib import get_close_matches
-from typing import TYPE_CHECKING
 
 import click
 
@@ -18,7 +18,12 @@ from undeadzone.cli.arm import arm
 from undeadzone.cli.check import check
 from undeadzone.cli.common import print_line
 from undeadzone.cli.design import design
-from undeadzone.cli.ending import report_failure, run_to_exit_code
+from undeadzone.cli.ending import (
+    end_at_once_on_signals,
+    ignore_signals,
+    report_failure,
+    run_to_exit_code,
+)
 from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.init import init
@@ -26,9 +31,7 @@ from undeadzone.cli.run import run
 from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 from undeadzone.errors import InputError
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
+from undeadzone.util.installed import list_registered_places, load_object
 
 # In the order in which they are met.
 BLOCKS = {
@@ -85,8 +88,8 @@ class Commands(click.Group):
         own = super().get_command(ctx, name)
         if own is not None:
             return own
-        point = _list_registered_commands().get(name)
-        return None if point is None else _load_command(point)
+        place = _list_registered_commands().get(name)
+        return None if place is None else _load_command(name, place)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands in the order of their use, each with its arguments."""
@@ -119,28 +122,21 @@ class Commands(click.Group):
         return " ".join(typed), command.get_short_help_str(100)
 
 
-def _load_command(point: EntryPoint) -> click.Command:
-    """Return the command that an installed package registers."""
-    place = f"command {point.name!r} is registered at {point.value}"
-    try:
-        command = point.load()
-    except Exception as error:
-        raise InputError(f"{place}, which fails: {error}") from None
+def _load_command(name: str, place: str) -> click.Command:
+    """Return the command that an installed package registers. Raises InputError."""
+    command = load_object(f"command {name!r}", place)
     if not isinstance(command, click.Command):
-        raise InputError(f"{place}, which is no command of click")
+        raise InputError(f"command {name!r} is registered at {place}, which is no command of click")
     return command
 
 
 @functools.cache
-def _list_registered_commands() -> dict[str, EntryPoint]:
-    """Return the commands that installed packages register under `undeadzone.commands`, by
-    name.
+def _list_registered_commands() -> dict[str, str]:
+    """Return where commands are that installed packages register, by name.
 
     `--help` asks for each; what is installed is read once, as a process is one command.
     """
-    from importlib.metadata import entry_points
-
-    return {point.name: point for point in entry_points(group="undeadzone.commands")}
+    return list_registered_places("undeadzone.commands")
 
 
 @click.group(
@@ -185,9 +181,12 @@ def main() -> None:
 
     Entry point of the tool.
     """
+    atexit.register(ignore_signals)  # the first to come is the last to be called
     # A command lives for a second and multiplies small matrices: BLAS threads and frequent garbage
     # collection only delay it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(100_000)
     _retain_freed_memory()
-    sys.exit(run_to_exit_code(lambda: group.main(standalone_mode=False)))
+    code = run_to_exit_code(lambda: group.main(standalone_mode=False))
+    end_at_once_on_signals()
+    sys.exit(code)

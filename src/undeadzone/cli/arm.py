@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from undeadzone.cli.common import (
-    PATH,
+    READ,
     flag_option,
     force_option,
     require_writable,
@@ -29,7 +29,7 @@ HEAD = ("joint", "moves", "from", "to", "speed", "torque", "to hold", "b", "f", 
 
 
 @click.command(epilog="Example: undeadzone arm panda.urdf --tip panda_hand --out panda")
-@click.argument("robot", type=PATH, metavar="ROBOT.urdf")
+@click.argument("robot", type=READ, metavar="ROBOT.urdf")
 @value_option("--tip", "LINK", "Link in which the arm ends.")
 @value_option(
     "--joints",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import errno
 import functools
 import json
 import os
@@ -11,7 +12,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,7 +20,8 @@ import click
 
 from undeadzone.errors import InputError
 from undeadzone.util.earlier import SCHEMA as SCHEMA
-from undeadzone.util.files import read_text, require_folder
+from undeadzone.util.files import convert_write_errors, read_text, require_folder
+from undeadzone.util.opening import bind_folder, require_beneath
 from undeadzone.util.shown import Block
 from undeadzone.util.shown import format_blocks as text_of
 from undeadzone.util.text import escape_controls
@@ -38,17 +40,32 @@ VERDICT = re.compile(
 )
 
 
-class NonEmptyPath(click.Path):
-    """Path of a file or a folder; refuses the empty string, which means the current folder."""
+class UserPath(click.Path):
+    """Path of a file or a folder that a user names; refuses the empty string, which means the
+    current folder.
+
+    Args:
+        use: what is done there; `--untrusted` and docs/security.md go by it.
+    """
+
+    def __init__(self, use: str) -> None:
+        super().__init__(path_type=Path)
+        self.use = use
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path. Raises BadParameter if the name is empty."""
+        """Return the path. Raises BadParameter if the name is empty, or none on this system."""
         if value == "":
             self.fail("the name is empty; the folder in which you are is '.'", param, ctx)
+        try:
+            os.lstat(value)
+        except OSError as error:
+            if error.errno == errno.ENAMETOOLONG:
+                self.fail("the name is longer than this system allows", param, ctx)
         return super().convert(value, param, ctx)
 
 
-PATH = NonEmptyPath(path_type=Path)
+READ, WRITTEN = UserPath("read"), UserPath("written")
+READ_AND_WRITTEN, LIMIT = UserPath("read and written"), UserPath("limit")
 
 
 def value_option(
@@ -93,7 +110,7 @@ _confined = value_option(
     "--confine",
     "DIR",
     "Refuse files that the scenario names outside of DIR, as a service should.",
-    type=PATH,
+    type=LIMIT,
 )
 force_option = flag_option("--force", "Replace files that others wrote or edited.")
 strict_option = flag_option("--strict", "Stop at the first line that cannot be read.")
@@ -116,38 +133,39 @@ def add_untrusted(command: Command) -> Command:
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
             raise InputError("--untrusted: say --out too, the only folder that is written")
-        _require_inside(untrusted, options)
-        for word in restrict_process(untrusted, _output_folder(options)):
-            print_line(f"untrusted: {word}", err=True)
-        if "confine" in options:
-            options["confine"] = untrusted
-        return command(**options)
+        _bind_process(untrusted, options)
+        with ExitStack() as ending:
+            for word in restrict_process(untrusted, _output_folder(options), ending):
+                print_line(f"untrusted: {word}", err=True)
+            if "confine" in options:
+                options["confine"] = untrusted
+            return command(**options)
 
     return value_option(
         "--untrusted",
         "DIR",
         "Treat DIR as hostile: read only DIR, write only --out, limit time and memory.",
-        type=PATH,
+        type=LIMIT,
     )(held)
 
 
-def _require_inside(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise InputError for a path below `folder` that links, soft or hard, lead out of it."""
-    real, inside = Path(os.path.realpath(folder)), Path(os.path.abspath(folder))
-    for value in options.values():
-        for path in value if isinstance(value, tuple | list) else [value]:
-            if not isinstance(path, Path):
-                continue
-            is_inside = Path(os.path.abspath(path)).is_relative_to(inside)
-            target = Path(os.path.realpath(path))
-            if not is_inside and not Path(os.path.abspath(path)).is_relative_to(real):
-                continue
-            if not target.is_relative_to(real):
-                raise InputError(f"{path}: a link that leads out of {folder} (--untrusted)")
-            if target.is_file() and target.stat().st_nlink > 1:
-                raise InputError(
-                    f"{path}: hard links show this file elsewhere too (--untrusted). Copy it"
-                )
+def _bind_process(folder: Path, options: Mapping[str, Any]) -> None:
+    """Bind this process to a stranger's folder.
+
+    What is read is looked at as it is opened; what is to be written, here.
+
+    Raises:
+        InputError: `folder` is none.
+        FileError: a path to be written begins in `folder`, and leads out of it.
+    """
+    if not folder.is_dir():
+        raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
+    bind_folder(folder)
+    for parameter in click.get_current_context().command.params:
+        path = options.get(parameter.name or "")
+        if isinstance(parameter.type, UserPath) and "written" in parameter.type.use and path:
+            with convert_write_errors(path):
+                require_beneath(path)
 
 
 def add_guards(command: Command) -> Command:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import errno
+import functools
 import io
 import os
 import re
 import signal
 import sys
+import threading
 import traceback
 import warnings
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -19,8 +21,14 @@ from typing import Any, Final
 import click
 
 from undeadzone.cli.common import print_line
-from undeadzone.errors import EarlierMeaning, Terminated, UndeadzoneError
-from undeadzone.util.streams import let_streams_wait
+from undeadzone.errors import (
+    DamagedPackage,
+    EarlierMeaning,
+    Interrupted,
+    Terminated,
+    UndeadzoneError,
+)
+from undeadzone.util import streams
 
 DONE: Final = 0
 BAD_INPUT: Final = 2
@@ -34,6 +42,12 @@ NO_MEMORY: Final = re.compile(
 )
 LEAST_MEMORY: Final = 400_000_000  # [bytes] of addresses
 PRINTERS: Final = ("click", "rich")  # the packages that print
+END_SIGNALS: Final = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)  # Windows has no SIGHUP
+]
+AGAIN: Final = 0.02  # [s] after which a signal comes again that was lost
 LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
 
 
@@ -44,15 +58,15 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
             return _report_refusal(
                 "stdout is closed, and the results would be lost; use > /dev/null"
             )
-        let_streams_wait()
+        streams.let_streams_wait()
         hindrance = _find_import_obstacle()
         if hindrance:
             return _report_refusal(hindrance)
-        _catch_termination()
-        with warnings.catch_warnings():
+        with _signals_raised(), warnings.catch_warnings():
             if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
                 warnings.simplefilter("ignore")
-                warnings.simplefilter("default", EarlierMeaning)
+                for told in (EarlierMeaning, DamagedPackage):
+                    warnings.simplefilter("default", told)
                 warnings.showwarning = _print_warning
             code = command()
         sys.stdout.flush()
@@ -63,7 +77,11 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         return _report_refusal(error.format_message(), _command_of_error(error))
     except UndeadzoneError as error:
         return _report_refusal(str(error))
-    except (KeyboardInterrupt, click.Abort) as error:  # click makes the latter of the former
+    except (
+        KeyboardInterrupt,
+        Interrupted,
+        click.Abort,
+    ) as error:  # click makes the last of the first
         return _report_interruption("interrupted", str(error.__cause__ or error), INTERRUPTED)
     except Terminated as error:
         return _report_interruption("terminated", str(error), TERMINATED)
@@ -122,18 +140,92 @@ def _find_import_obstacle() -> str:
     return ""
 
 
-def _catch_termination() -> None:
-    """Make SIGTERM, and SIGHUP of a closed terminal, end a command as Ctrl-C does."""
-    with suppress(ValueError):  # signals are for the main thread, whose affair they are then
-        for name in ("SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)  # Windows has no SIGHUP
-            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _raise_terminated)
+@contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Provide a block in which Ctrl-C, SIGTERM, and SIGHUP of a closed terminal end a command
+    alike.
+
+    One that is raised where nothing can be raised, such as in the import of a module or as an
+    object is deleted, is raised again a moment later.
+    """
+    untouched = (signal.SIG_DFL, signal.default_int_handler)
+    before: dict[int, Any] = {}
+    hook = sys.unraisablehook
+    sys.unraisablehook = functools.partial(_raise_again, hook)
+    try:
+        with suppress(ValueError):  # signals are for the main thread, whose affair they are then
+            for number in END_SIGNALS:
+                if signal.getsignal(number) in untouched:
+                    before[number] = signal.signal(number, _raise_terminated)
+        yield
+    finally:
+        sys.unraisablehook = hook
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _raise_terminated(number: int, frame: FrameType | None) -> None:
-    """Raise Terminated, to end the command."""
-    raise Terminated
+    """Raise what ends the command."""
+    raise Interrupted if number == signal.SIGINT else Terminated
+
+
+def _raise_again(hook: Callable[[Any], Any], lost: Any) -> None:
+    """Let a signal come again whose exception was lost; pass another exception on to a hook."""
+    if not issubclass(lost.exc_type, Terminated):
+        hook(lost)
+        return
+    number = signal.SIGINT if issubclass(lost.exc_type, Interrupted) else signal.SIGTERM
+    again = threading.Timer(AGAIN, signal.raise_signal, (number,))
+    again.daemon = True
+    again.start()
+
+
+@contextmanager
+def defer_signals() -> Iterator[None]:
+    """Provide a block that a signal ends only when it is done; a second signal ends it at once."""
+    came: list[int] = []
+    handlers: dict[int, Any] = {}
+
+    def note(number: int, frame: FrameType | None) -> None:
+        """Note a signal."""
+        if came:
+            handlers[number](number, frame)
+        came.append(number)
+
+    with suppress(ValueError):
+        for number in END_SIGNALS:
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, note)
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    if came:
+        signal.raise_signal(came[0])
+
+
+def end_at_once_on_signals() -> None:
+    """Let a signal end the process with its line and code while Python shuts down."""
+    for number in END_SIGNALS:
+        signal.signal(number, _end_at_once)
+
+
+def ignore_signals() -> None:
+    """Ignore signals in the last moment of Python, in which it could print nothing any more."""
+    for number in END_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _end_at_once(number: int, frame: FrameType | None) -> None:
+    """Print that the command was stopped, and end the process."""
+    how, code = (
+        ("interrupted", INTERRUPTED) if number == signal.SIGINT else ("terminated", TERMINATED)
+    )
+    _report_interruption(how, "", code)
+    os._exit(code)
 
 
 def _report_refusal(message: str, where: str = "undeadzone") -> int:
@@ -177,7 +269,8 @@ def _is_stdout_error(error: OSError) -> bool:
     flush.
     """
     frames = traceback.extract_tb(error.__traceback__)
-    if frames and Path(frames[-1].filename).parent.name in PRINTERS:
+    files = [Path(frame.filename) for frame in frames if frame.filename != streams.__file__]
+    if files and files[-1].parent.name in PRINTERS:
         return True
     try:
         sys.stdout.flush()

@@ -8,10 +8,11 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
     build_origin,
     columns_option,
     flag_option,
+    force_option,
     log_exit_code,
     shell_command,
     strict_option,
@@ -23,6 +24,7 @@ from undeadzone.cli.output import (
     decide_table,
     files_line,
     next_line,
+    require_own_table,
 )
 from undeadzone.util.progress import terminal_progress as progress
 
@@ -32,8 +34,9 @@ from undeadzone.util.progress import terminal_progress as progress
 @strict_option
 @flag_option("--causal", "The filter alone: no smoothing with the whole log.")
 @csv_option
+@force_option
 @add_scenario_options
-@click.argument("log", type=PATH, metavar="LOG")
+@click.argument("log", type=READ, metavar="LOG")
 def estimate(
     scenario: Path,
     log: Path,
@@ -41,6 +44,7 @@ def estimate(
     strict: bool,
     causal: bool,
     as_csv: bool,
+    force: bool,
     confine: Path | None,
     output: Output,
 ) -> int:
@@ -61,6 +65,7 @@ def estimate(
     from undeadzone.scenario.reader import read_for_logs
 
     folder = output.choose_folder(f"{log.stem}-estimate", as_csv)
+    require_own_table(folder, "estimate.csv", force)
     watched = read_for_logs(scenario, confine)
     with progress("estimating", None, of=watched.observer) as advance:
         result = uz.estimate(

@@ -16,7 +16,7 @@ import click
 
 import undeadzone
 from undeadzone.cli.common import (
-    PATH,
+    WRITTEN,
     flag_option,
     force_option,
     print_blocks,
@@ -36,7 +36,7 @@ OTHERS: Final = {
 
 
 @click.command(epilog="Example: undeadzone init mine.toml && undeadzone run mine.toml")
-@click.argument("file", type=PATH, default=None, metavar="[FILE]")
+@click.argument("file", type=WRITTEN, default=None, metavar="[FILE]")
 @value_option(
     "--example", "NAME", "Write an example, with the files that it names, in place of the template."
 )

@@ -13,7 +13,8 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    WRITTEN,
     add_guards,
     flag_option,
     print_blocks,
@@ -24,6 +25,7 @@ from undeadzone.cli.common import (
     value_option,
 )
 from undeadzone.errors import InputError
+from undeadzone.util.own_files import require_own_file
 from undeadzone.util.shown import Block
 
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
@@ -34,7 +36,7 @@ csv_option = flag_option(
 OUTPUTS = (
     flag_option("--no-figures", "Compute without drawing."),
     flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
-    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
+    value_option("--out", "DIR", "Folder for the files written (made if missing).", type=WRITTEN),
 )
 
 
@@ -106,7 +108,7 @@ def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
 
 def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add SCENARIO.toml, --untrusted, --confine, and the options of `add_output_options`."""
-    argument = click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+    argument = click.argument("scenario", type=READ, metavar="SCENARIO.toml")
     return argument(add_guards(add_output_options(command)))
 
 
@@ -121,6 +123,20 @@ def decide_table(as_csv: bool, size: float, name: str) -> tuple[bool, dict[str, 
     if as_csv or size <= LARGE:
         return True, {}
     return False, {"left out": f"{name}, about {size / 1e6:.0f} MB: --csv writes it"}
+
+
+def require_own_table(folder: Path | None, name: str, force: bool) -> None:
+    """Raise FileError for a table of signals that is not as undeadzone wrote it.
+
+    Args:
+        folder: of the table; None: none is written.
+        name: of the table.
+        force: whether it may be replaced all the same.
+    """
+    from undeadzone.results.files import is_own_table
+
+    if folder is not None:
+        require_own_file(folder / name, force, is_own_table)
 
 
 def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:

@@ -8,7 +8,14 @@ from typing import Any, Final
 import click
 
 import undeadzone as uz
-from undeadzone.cli.common import PATH, build_origin, require_writable, shell_command, value_option
+from undeadzone.cli.common import (
+    WRITTEN,
+    build_origin,
+    force_option,
+    require_writable,
+    shell_command,
+    value_option,
+)
 from undeadzone.cli.output import (
     Output,
     add_scenario_options,
@@ -18,6 +25,7 @@ from undeadzone.cli.output import (
     files_line,
     next_line,
     prepare_figures,
+    require_own_table,
 )
 from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
@@ -38,15 +46,17 @@ OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
     type=int,
 )
 @value_option(
-    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=PATH
+    "--animation", "FILE", "Write an arm's motion as .gif (or .mp4, with ffmpeg) too.", type=WRITTEN
 )
 @csv_option
+@force_option
 @add_scenario_options
 def run(
     scenario: Path,
     replay: int | None,
     animation: Path | None,
     as_csv: bool,
+    force: bool,
     output: Output,
     confine: Path | None,
 ) -> int:
@@ -74,6 +84,7 @@ def run(
     follow: dict[str, str] = {}
     name = scenario.stem if replay is None else f"run-{replay}"
     folder = output.choose_folder(f"{name}-results", as_csv)
+    require_own_table(folder, "run.csv", force)
     if replay is None:
         wanted = _read_scenario(scenario, animation is not None, confine)
         result, rival = _simulate_and_compare(wanted)

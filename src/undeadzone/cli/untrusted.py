@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
 import ctypes
 import os
 import shutil
@@ -11,12 +10,14 @@ import struct
 import sys
 import tempfile
 from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from undeadzone.errors import InputError, Terminated
+from undeadzone.errors import Terminated
 from undeadzone.util.files import require_folder
+from undeadzone.util.opening import open_descriptor
 
 MEMORY: Final = 4_000_000_000  # [bytes] of addresses
 FILE: Final = 500_000_000  # [bytes] of one file
@@ -35,7 +36,7 @@ EVERY: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1}  # rights 
 TRUNCATE: Final = 1 << 14
 
 
-def restrict_process(folder: Path, out: Path | None) -> list[str]:
+def restrict_process(folder: Path, out: Path | None, ending: ExitStack) -> list[str]:
     """Restrict this process to read strangers' files from `folder` and to write below `out`.
 
     No module comes from `folder`. Memory and CPU time are limited, unless less is allowed already.
@@ -45,16 +46,14 @@ def restrict_process(folder: Path, out: Path | None) -> list[str]:
     Args:
         folder: of the strangers.
         out: made if missing; None: nothing is written.
+        ending: of the command, which takes temporary files along.
 
     Returns:
         What this system cannot hold, in words.
 
     Raises:
-        InputError: `folder` is none.
         FileError: nothing can be written below `out`.
     """
-    if not folder.is_dir():
-        raise InputError(f"--untrusted: expected a folder, found {str(folder)!r}")
     here = Path(os.path.realpath(folder))
     sys.path[:] = [
         place for place in sys.path if place and not _is_untrusted_place(Path(place), here)
@@ -62,7 +61,7 @@ def restrict_process(folder: Path, out: Path | None) -> list[str]:
     if out is not None:
         require_folder(out)
         out.mkdir(parents=True, exist_ok=True)
-        _use_scratch_folder(out)
+        _use_scratch_folder(out, ending)
     written = [place for place in (out, _kernel_cache_folder()) if place is not None]
     lacking = []
     if not _limit_resources():
@@ -78,10 +77,10 @@ def _is_untrusted_place(place: Path, folder: Path) -> bool:
     return real.is_relative_to(folder) or (real == Path.cwd() and real != own)
 
 
-def _use_scratch_folder(out: Path) -> None:
-    """Put temporary files below `out`; they are deleted when the process ends."""
+def _use_scratch_folder(out: Path, ending: ExitStack) -> None:
+    """Put temporary files below `out`; they are deleted when the command ends."""
     scratch = tempfile.mkdtemp(dir=out.absolute(), prefix=".scratch-")
-    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
+    ending.callback(shutil.rmtree, scratch, ignore_errors=True)
     tempfile.tempdir = os.environ["TMPDIR"] = scratch
 
 
@@ -157,7 +156,7 @@ def _grant_rights(kernel: ctypes.CDLL, rules: int, place: Path, rights: int) -> 
     """Grant rights below a folder, or the rights of a file on a file."""
     if not place.is_dir():
         rights &= OF_FILES | TRUNCATE
-    descriptor = os.open(place, os.O_PATH | os.O_CLOEXEC)
+    descriptor = open_descriptor(place, os.O_PATH)
     try:
         kernel.syscall(ADD, rules, BENEATH, struct.pack("=Qi", rights, descriptor), 0)
     finally:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import select
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ import click
 
 import undeadzone as uz
 from undeadzone.cli.common import (
-    PATH,
+    READ,
+    READ_AND_WRITTEN,
     SCHEMA,
     add_guards,
     add_schema,
@@ -29,6 +31,7 @@ from undeadzone.cli.common import (
     strict_option,
     value_option,
 )
+from undeadzone.cli.ending import defer_signals
 from undeadzone.cli.output import next_line
 from undeadzone.errors import FileError, Terminated
 from undeadzone.util.progress import terminal_progress as progress
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
     from undeadzone.simulation.follower import Follower, LiveLog
     from undeadzone.util.arrays import Floats
 
-BLOCK = 1 << 20  # bytes that are read at once, if as many have come
+BLOCK = 1 << 16  # bytes that are read at once, if as many have come
 TIME = click.FloatRange(min=0, min_open=True, max=threading.TIMEOUT_MAX)  # [s]
 
 
@@ -55,11 +58,13 @@ def _check_seconds(
     epilog="Example: undeadzone watch mine.toml < samples.csv > estimates.csv; on Windows: "
     "type samples.csv | undeadzone watch mine.toml > estimates.csv"
 )
-@click.argument("scenario", type=PATH, metavar="SCENARIO.toml")
+@click.argument("scenario", type=READ, metavar="SCENARIO.toml")
 @flag_option("--json", "Print one JSON object per sample instead of CSV.", "as_json")
 @columns_option
 @strict_option
-@value_option("--state", "FILE", "Save the observer state there, continue from it.", type=PATH)
+@value_option(
+    "--state", "FILE", "Save the observer state there, continue from it.", type=READ_AND_WRITTEN
+)
 @value_option(
     "--every",
     "SECONDS",
@@ -207,23 +212,36 @@ def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json
     text = _to_json_lines if as_json else _to_csv_lines
     last = False
     header = not as_json
-    while not last:
-        try:
+    lines: list[bytes] = []
+    try:
+        while not last:
             kept.save_state(when_due=True)
-            data = stdin.read1(BLOCK)
-        except (KeyboardInterrupt, Terminated):  # all that came in was followed
-            kept.save_state()
-            raise
-        last = not data
-        for begins, samples in log.pieces(data, last):
-            if begins:
-                follower.restart()
-            estimate, sides, _ = follower.follow(samples)
-            if header:
-                _write_stdout(_csv_header(estimate, sides))
-                header = False
-            _write_stdout(text(samples.t, estimate, sides))
-    kept.save_state()
+            _wait_for_input(stdin)
+            try:
+                with defer_signals():  # what came in is followed before one ends the watch
+                    data = stdin.read1(BLOCK)
+                    last = not data
+                    for begins, samples in log.pieces(data, last):
+                        if begins:
+                            follower.restart()
+                        estimate, sides, _ = follower.follow(samples)
+                        if header:
+                            lines.append(_csv_header(estimate, sides))
+                            header = False
+                        lines.append(text(samples.t, estimate, sides))
+            finally:
+                while lines:
+                    _write_stdout(lines.pop(0))
+        kept.save_state()
+    except (KeyboardInterrupt, Terminated):
+        kept.save_state()
+        raise
+
+
+def _wait_for_input(stdin: Any) -> None:
+    """Wait until something can be read, if the system can say so: a signal ends this at once."""
+    with suppress(OSError, ValueError):  # no descriptor, or none of a socket on Windows
+        select.select([stdin], [], [])
 
 
 def _print_log_summary(info: LogInfo, as_json: bool) -> None:

@@ -26,6 +26,7 @@ from undeadzone.util.files import convert_write_errors, lock_file, write_all_byt
 from undeadzone.util.versions import package_versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
+SECTOR = 512  # [bytes] in which a system counts what a file takes
 NUMBER = 8  # [bytes] of a float64 and of a checksum
 OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
 WORDS = ("is not an unfinished ensemble", "an unfinished ensemble is there")
@@ -152,7 +153,7 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
             require_same_problem(path, problem, json.loads(_header_line(header)), CURE)
         store = Store(path, layout, file, len(header), np.empty(0, bool))
         with convert_write_errors(path):
-            _allocate_space(path, file, store.size_in_bytes, fresh)
+            _set_size(path, file, store.size_in_bytes, fresh)
             if fresh:
                 write_all_bytes(path, file, header, 0)
             return store.verify_blocks()
@@ -203,15 +204,20 @@ def _block_checksum(block: int, data: bytes) -> bytes:
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
 
 
-def _allocate_space(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
-    """Allocate the disk space now, so that a full disk is noticed before hours of work."""
+def _set_size(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
+    """Give a file its size at the end, which takes disk space only as blocks are written.
+
+    A disk that is too small is noticed now, before hours of work.
+    """
     try:
         if fresh:
             file.truncate(0)
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(file.fileno(), 0, size)
-        else:
-            file.truncate(size)
+        file.truncate(size)
+        if hasattr(os, "fstatvfs"):
+            disk, taken = os.fstatvfs(file.fileno()), os.fstat(file.fileno()).st_blocks * SECTOR
+            free = disk.f_bavail * disk.f_frsize
+            if size - taken > free:
+                raise OSError(f"it needs {size / 1e6:,.0f} MB, and the disk has {free / 1e6:,.0f}")
     except BaseException:
         if fresh:
             path.unlink(missing_ok=True)

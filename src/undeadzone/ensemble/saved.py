@@ -20,7 +20,7 @@ from undeadzone.ensemble.metrics import Bands
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.schema import Units
 from undeadzone.util.arrays import Floats
-from undeadzone.util.files import Name, failure_reason, replace_file, require_plain_file, to_path
+from undeadzone.util.files import Name, failure_reason, open_plain, replace_file, to_path
 
 HEADER: Final = "undeadzone"
 COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
@@ -59,25 +59,23 @@ def _write_npz(path: Path, header: str, columns: Columns, attached: Columns) -> 
         np.savez(file, **arrays)
 
 
-def _load_npz(path: Path) -> tuple[str, Columns, Columns]:
+def _load_npz(file: BinaryIO) -> tuple[str, Columns, Columns]:
     """Return header, columns and arrays of `_write_npz`, mapped instead of read.
 
     Every byte is checked first.
     """
     arrays = {}
-    with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
+    with zipfile.ZipFile(file) as archive:
         torn = archive.testzip()
         if torn is not None:
             raise ValueError(f"{torn} is damaged")
         for entry in archive.infolist():
-            arrays[entry.filename.removesuffix(".npy")] = _map_member(
-                path, file, entry.header_offset
-            )
+            arrays[entry.filename.removesuffix(".npy")] = _map_member(file, entry.header_offset)
     header = arrays[HEADER].tobytes().decode()
     return header, _select_arrays(COLUMNS, arrays), _select_arrays(ATTACHED, arrays)
 
 
-def _map_member(path: Path, file: BinaryIO, offset: int) -> Any:
+def _map_member(file: BinaryIO, offset: int) -> Any:
     """Return the array of an uncompressed member of a zip file, as a map; offset: of its local
     header.
     """
@@ -86,7 +84,7 @@ def _map_member(path: Path, file: BinaryIO, offset: int) -> Any:
     file.seek(name_size + extra_size, 1)
     np.lib.format.read_magic(file)
     shape, fortran, dtype = np.lib.format.read_array_header_1_0(file)
-    return np.memmap(path, dtype, "r", file.tell(), shape, "F" if fortran else "C")
+    return np.memmap(file, dtype, "r", file.tell(), shape, "F" if fortran else "C")
 
 
 def _select_arrays(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,12 +116,12 @@ def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns)
             writer.write_table(arrow.Table.from_arrays(parts, schema=schema))
 
 
-def _load_parquet(path: Path) -> tuple[str, Columns, Columns]:
+def _load_parquet(file: BinaryIO) -> tuple[str, Columns, Columns]:
     """Return the columns in memory, header and other arrays from the metadata."""
     _require_arrow()
     import pyarrow.parquet as parquet
 
-    table = parquet.read_table(path, page_checksum_verification=True)
+    table = parquet.read_table(file, page_checksum_verification=True)
     metadata = {key.decode(): value for key, value in (table.schema.metadata or {}).items()}
     kept = metadata.pop(CHECKSUM, None)  # earlier versions wrote none
     if kept is not None and kept.decode() != _metadata_checksum(metadata, table.column_names):
@@ -247,9 +245,9 @@ def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
     """Return the fields of an ensemble. Raises FileError; InputError if pyarrow is missing."""
     path = to_path(path)
     try:
-        require_plain_file(path)
         get = _load_parquet if path.suffix == ".parquet" else _load_npz
-        text, columns, attached = get(path)
+        with open_plain(path) as file:
+            text, columns, attached = get(file)
         header = msgspec.json.decode(text, type=_Header)
         varied = {name: columns[name] for name in header.varied}
     except InputError:

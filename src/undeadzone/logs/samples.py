@@ -202,14 +202,21 @@ class LogReader:
                 self._first = numbered  # a line of units may follow
                 return self._none()
             told = [line for _, line in numbered[dialect.heads :]]
-            mark = decimal_mark(told, dialect.separator, self._live, self._source)
-            dialect = self._dialect = _with_index_named(dialect._replace(mark=mark), told[:FIRST])
+            dialect = self._with_mark(dialect, told)
+            dialect = self._dialect = _with_index_named(dialect, told[:FIRST])
             self.layout = self._layout(dialect)
             self._require_readable(dialect, self.layout, numbered[dialect.heads :])
             numbered = numbered[dialect.heads :]
         if not numbered or self._dialect is None or self.layout is None:
             return self._none()
+        if self._live and not self._dialect.mark:
+            self._dialect = self._with_mark(self._dialect, [line for _, line in numbered])
         return self._samples(numbered, self._dialect, self.layout)
+
+    def _with_mark(self, dialect: Dialect, lines: Sequence[str]) -> Dialect:
+        """Return the dialect with the decimal mark that lines tell. Raises FileError."""
+        mark, grouped = decimal_mark(lines, dialect.separator, self._live, self._source)
+        return dialect._replace(mark=mark, grouped=grouped)
 
     def _telling(self, lines: list[str]) -> list[str]:
         """Those of the first lines that tell the dialect: when live, as few as will do."""
@@ -321,7 +328,10 @@ class LogReader:
             found[0] = self._stamps.seconds(_stamp(cells, layout))
         if None in found:
             text = cells[layout.columns[found.index(None)]]
-            return Fault(number, "number", f"expected a number or nothing, found {text!r:.40}")
+            why = f"expected a number or nothing, found {text!r:.40}"
+            if dialect.is_open(text):
+                why = f"nothing tells whether the mark in {text!r:.40} is the decimal mark"
+            return Fault(number, "number", why)
         return found
 
 
@@ -414,9 +424,9 @@ def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | Non
     if between != {dialect.width - 1}:
         return None
     plain = lines
-    other = {".": ",", ",": "."}.get(dialect.mark, "")
-    if dialect.separator != "," and other and any(other in line for line in lines):
-        return None  # thousands
+    other = {".": ",", ",": "."}.get(dialect.mark, ",")
+    if dialect.separator != "," and any(other in line for line in lines):
+        return None  # thousands, or nothing tells it
     if dialect.separator != "," and any("," in line for line in lines):
         plain = [line.replace(",", ".") for line in lines]
     try:

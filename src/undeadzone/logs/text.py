@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import LARGEST_RUN, failure_reason, require_plain_file
+from undeadzone.util.files import LARGEST_RUN, failure_reason, open_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -38,6 +38,8 @@ _GROUPED: Final = {
     ".": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:,\d{3})+\.\d+|(?:,\d{3}){2,})"),
     ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:(?:\.\d{3})+,\d+|(?:\.\d{3}){2,})"),
 }
+_BLANKS: Final = re.compile("[ \t]+")
+_OTHER: Final = {".": ",", ",": "."}
 TELLING_MARK: Final = 5000  # lines that tell the decimal mark
 PREAMBLE: Final = 60  # lines among which the header is looked for
 _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
@@ -52,8 +54,7 @@ def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, b
         largest: size [bytes] beyond which it is refused.
     """
     try:
-        require_plain_file(path, largest)
-        with open(path, "rb") as file:
+        with open_plain(path, largest) as file:
             while True:
                 data = file.read(BLOCK)
                 yield data, not data
@@ -160,6 +161,7 @@ class Dialect(NamedTuple):
         titles: of the columns; None without a header.
         heads: lines before the numbers: none, the names, or names and units.
         mark: the decimal mark of all its numbers; "" where nothing told it.
+        grouped: whether some of its numbers surely have a mark between thousands.
     """
 
     separator: str
@@ -167,6 +169,7 @@ class Dialect(NamedTuple):
     titles: tuple[Title, ...] | None
     heads: int
     mark: str = ""
+    grouped: bool = False
 
     def cells(self, line: str) -> list[str]:
         """Return the cells of a line, without what surrounds them; one separator may end the
@@ -179,7 +182,19 @@ class Dialect(NamedTuple):
 
     def number(self, cell: str) -> float | None:
         """Return the number in a cell, NaN where it is missing; None where it cannot be read."""
-        return number(cell, "." if self.separator == "," else self.mark)
+        mark = "." if self.separator == "," else self.mark
+        return None if self.is_open(cell) else number(cell, mark)
+
+    def is_open(self, cell: str) -> bool:
+        """Return whether the only mark in a cell may stand before decimals or between thousands."""
+        if self.separator == ",":
+            return False
+        other = _OTHER.get(self.mark, ",")  # where nothing tells a mark, a point is one
+        return (
+            not self.grouped
+            and _THOUSANDS[other].fullmatch(cell) is not None
+            and (_GROUPED[_OTHER[other]].fullmatch(cell) is None)
+        )
 
 
 def is_content(line: str) -> bool:
@@ -213,8 +228,8 @@ def dialect_of(lines: Sequence[str]) -> Dialect:
 
 def split_cells(line: str, separator: str) -> list[str]:
     """Return the cells of a line, without blanks and quotes around them."""
-    if separator == " ":
-        return line.split()
+    if separator == " ":  # of ASCII: others stand between thousands
+        return _BLANKS.split(line.strip(" \t"))
     return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
@@ -227,7 +242,7 @@ def number(cell: str, mark: str) -> float | None:
     """
     if cell.lower() in MISSING:
         return math.nan
-    other = {".": ",", ",": "."}.get(mark, "")
+    other = _OTHER.get(mark, "")
     if other and other in cell:
         is_grouped = _GROUPED[mark].fullmatch(cell) or _THOUSANDS[other].fullmatch(cell)
         if is_grouped is None:
@@ -242,8 +257,9 @@ def number(cell: str, mark: str) -> float | None:
     return None if abs(value) > LARGEST or "_" in cell else value
 
 
-def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) -> str:
-    """Return the decimal mark of all numbers of a text, "" where nothing tells it.
+def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) -> tuple[str, bool]:
+    """Return the decimal mark of all numbers of a text, "" where nothing tells it, and whether
+    some surely have the other mark between thousands.
 
     Args:
         lines: some of its lines with numbers.
@@ -255,26 +271,29 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
         FileError: each comma may stand before decimals or between thousands.
     """
     if separator == ",":
-        return "."
-    told, open_one = {",": 0, ".": 0}, ""
+        return ".", False
+    told, grouped, open_one = {",": 0, ".": 0}, {",": False, ".": False}, ""
     for line in lines[:TELLING_MARK]:
         if "," not in line and "." not in line:
             continue
         for cell in split_cells(line, separator):
             for mark, shape in ((",", _WITH_COMMA), (".", _WITH_POINT)):
                 plain = shape.fullmatch(cell) and not _THOUSANDS[mark].fullmatch(cell)
-                told[mark] += bool(plain or _GROUPED[mark].fullmatch(cell))
+                has_groups = _GROUPED[mark].fullmatch(cell) is not None
+                grouped[mark] = grouped[mark] or has_groups
+                told[mark] += bool(plain or has_groups)
             if not open_one and _THOUSANDS[","].fullmatch(cell):
                 open_one = cell
     if told[","] or told["."]:
-        return "," if told[","] > told["."] else "."
+        mark = "," if told[","] > told["."] else "."
+        return mark, grouped[mark]
     if open_one and not live:
         whole, decimal = open_one.replace(",", ""), open_one.replace(",", ".")
         raise FileError(
             f"{source}: nothing tells whether {open_one} is {whole} or {decimal}. Write numbers "
             "with a decimal point, and nothing between thousands"
         )
-    return "," * bool(open_one)
+    return "", False
 
 
 def lines_ahead(lines: Sequence[str]) -> int:

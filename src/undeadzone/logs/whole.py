@@ -5,6 +5,7 @@ Nothing in a file is ever executed.
 
 from __future__ import annotations
 
+import io
 import math
 import zipfile
 import zlib
@@ -25,7 +26,7 @@ from undeadzone.util.files import (
     LARGEST_TABLE,
     failure_reason,
     load_arrays,
-    require_plain_file,
+    read_bytes,
 )
 
 BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
@@ -172,13 +173,14 @@ def of_mat(path: Path) -> Columns:
     from scipy.io.matlab import MatReadError
 
     try:
-        require_plain_file(path, LARGEST_TABLE)
-        _require_small(path.read_bytes())
-        declared = [entry for entry in whosmat(path) if entry[2] in NUMERIC]
+        content = read_bytes(path, LARGEST_TABLE)
+        _require_small(content)
+        declared = [entry for entry in whosmat(io.BytesIO(content)) if entry[2] in NUMERIC]
         if sum(math.prod(shape) for _, shape, _ in declared) > LARGEST_MATRICES:
             raise ValueError("its matrices are larger than any log")
         names = [name for name, _, _ in declared]
-        arrays = loadmat(path, mat_dtype=True, variable_names=names) if names else {}
+        file = io.BytesIO(content)
+        arrays = loadmat(file, mat_dtype=True, variable_names=names) if names else {}
     except NotImplementedError:
         raise FileError(f'{path}: MATLAB 7.3 file. Save it with save(..., "-v7")') from None
     except (OSError, ValueError, MatReadError) as error:

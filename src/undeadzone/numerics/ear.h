@@ -59,19 +59,18 @@ static int ear_sure(ear_real y, ear_real last, ear_real previous, ear_real gate)
   return y > 2 * gate || (last > gate && previous > gate && 2 * last - previous > gate && y > 0);
 }
 
-/* Whether the belief loses no more than all, and no less than nothing, in any direction. */
-static int ear_moments(const ear_real W[3], const ear_real G[3]) {
-  ear_real trace = W[0] * G[0] + 2 * W[1] * G[1] + W[2] * G[2];
-  ear_real det = (W[0] * W[2] - W[1] * W[1]) * (G[0] * G[2] - G[1] * G[1]);
+/* Whether the belief loses no more than all, and no less than nothing, in any direction: from the
+   larger variance and what the other edge has besides, as of edges that are nearly one the large
+   parts cancel. */
+static int ear_moments(const ear_real pull[2], const ear_real bend[2], const ear_real G[3]) {
+  int i = G[0] >= G[2] ? 0 : 1;
+  ear_real most = G[2 * i], least = G[2 - 2 * i], area = most * least - G[1] * G[1], trace, det;
+  ear_real together = pull[i] * most + pull[1 - i] * G[1];
+  if (area < (ear_real)(sizeof(ear_real) > 4 ? 1e-12 : 1e-5) * most * least) area = 0;
+  trace = most > 0 ? (together * together + pull[1 - i] * pull[1 - i] * area) / most : 0;
+  trace += bend[i] * most + bend[1 - i] * least;
+  det = area * (pull[0] * pull[0] * bend[1] + pull[1] * pull[1] * bend[0] + bend[0] * bend[1]);
   return 0 < trace && trace < 2 && 1 - trace + det > 0 && det > (ear_real)-1e-6;
-}
-
-static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_real std[2],
-                     ear_real W[3]) {
-  ear_real u = slope[0] / std[0], v = slope[1] / std[1];
-  W[0] = u * u + u * a[0] / std[0];
-  W[1] = u * v;
-  W[2] = v * v + v * a[1] / std[1];
 }
 
 /* Whether all is finite and no two states are related by more than their deviations allow. */
@@ -113,7 +112,7 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
     }
   }
   if (fabs((double)y) > gate) return side;
-  ear_real G[3], std[2], a[2], inside[2], slope[2] = {0, 0}, both[2], W[3];
+  ear_real G[3], std[2], a[2], inside[2], slope[2] = {0, 0}, both[2], pull[2], bend[2];
   int heard[2], unsure = 1;
   for (int i = 0; i < 2; i++) {
     ear_real sign = i ? -1 : 1, bound = gate / s->slope + (s->at[i] < 0 ? s->width[i] : 0);
@@ -138,14 +137,16 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
     if (left < (ear_real)1e-6) left = (ear_real)1e-6;
     for (int i = 0; i < 2; i++)
       both[i] = (ear_real)(exp(-0.5 * a[i] * a[i]) * 0.3989422804014327) / left;
-    ear_bend(both, a, std, W);
-    if (ear_moments(W, G)) slope[0] = both[0], slope[1] = both[1];
+    for (int i = 0; i < 2; i++) pull[i] = both[i] / std[i], bend[i] = pull[i] * a[i] / std[i];
+    if (ear_moments(pull, bend, G)) slope[0] = both[0], slope[1] = both[1];
   }
-  ear_bend(slope, a, std, W);
+  for (int i = 0; i < 2; i++) pull[i] = slope[i] / std[i], bend[i] = pull[i] * a[i] / std[i];
   for (int r = 0; r < n; r++) {
-    x[r] -= k[0][r] * slope[0] / std[0] + k[1][r] * slope[1] / std[1];
-    ear_real u = W[0] * k[0][r] + W[1] * k[1][r], v = W[1] * k[0][r] + W[2] * k[1][r];
-    for (int c = 0; c < n; c++) P[r * n + c] -= u * k[0][c] + v * k[1][c];
+    ear_real shift = k[0][r] * pull[0] + k[1][r] * pull[1];
+    x[r] -= shift;
+    for (int c = 0; c < n; c++)
+      P[r * n + c] -= shift * (k[0][c] * pull[0] + k[1][c] * pull[1]) +
+                      bend[0] * k[0][r] * k[0][c] + bend[1] * k[1][r] * k[1][c];
   }
   for (int i = 0; i < 2; i++)
     if (slope[i] > 0) ear->wait[i] = s->rest;

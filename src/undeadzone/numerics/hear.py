@@ -21,6 +21,7 @@ UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the
 DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
 CLIP = 30.0  # standard deviations off an edge from which all is alike
+PARALLEL = 1e-12  # 1 - correlation^2 of two edges below which they are one
 ROUNDING = 1e-6  # by which a covariance may be none, over its deviations
 
 
@@ -241,10 +242,19 @@ def _correct_linear(belief: Gauss, h: Floats, e: float, R: float) -> tuple[Gauss
     deviation.
     """
     m, P = belief
-    S = h @ P @ h + R
+    S = float(h @ P @ h) + R
+    _require_positive(S)
     K = P @ h / S
     half = P - np.outer(K, h @ P)
     return Gauss(m + K * e, half - np.outer(half @ h, K) + R * np.outer(K, K)), sqrt(S)
+
+
+def _require_positive(variance: float) -> None:
+    """Raise InputError for a variance along an edge of which rounding leaves nothing."""
+    if not variance > 0:
+        raise InputError(
+            f"cov: its variance of z less a width is {variance:.3g}; the noise is too small for it"
+        )
 
 
 def _within(
@@ -260,6 +270,7 @@ def _within(
     H = np.array([edge.sign * z - edge.row for edge in edges])
     K = P @ H.T
     G = H @ K
+    _require_positive(min(G[0, 0], G[1, 1]) + R)
     std = np.sqrt(np.diag(G) + R)
     short_of = [(edge.known + slack) for edge in edges] - H @ m
     alpha = np.clip(short_of / std, -CLIP, CLIP)
@@ -272,22 +283,33 @@ def _within(
     unsure = 1 - inside > UNSURE * inside[::-1]
     if heard.any() and np.all(asked & unsure & (alpha > -DEEP)):
         both = np.exp(-(alpha**2) / 2) / sqrt(2 * pi) / max(inside.sum() - 1, NARROW)
-        if _are_moments(_bend(both, alpha, std) @ G):
+        if _are_moments(both / std, both * alpha / std**2, G):
             slope = both
-    after = P - K @ _bend(slope, alpha, std) @ K.T
-    return Gauss(m - K @ (slope / std), (after + after.T) / 2), slope > 0
+    shift = K @ (slope / std)
+    after = P - np.outer(shift, shift) - (K * (slope * alpha / std**2)) @ K.T
+    return Gauss(m - shift, (after + after.T) / 2), slope > 0
 
 
-def _bend(slope: Floats, alpha: Floats, std: Floats) -> Floats:
-    """Of the log of the chance, less, in the directions of the edges (2 x 2)."""
-    return np.outer(slope / std, slope / std) + np.diag(slope * alpha / std**2)
-
-
-def _are_moments(lost: Floats) -> bool:
+def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
     """Return whether the belief loses no more than all, and no less than nothing, in any
     direction.
+
+    `ear.h` computes the same in the same order, from the larger variance and what the other edge
+    has besides: of two edges that are nearly one the large parts cancel.
+
+    Args:
+        pull: slope of the log of the chance along each edge (2).
+        bend: what its bend has besides the product of those (2).
+        G: covariance along the edges (2 x 2).
     """
-    trace, det = np.trace(lost), np.linalg.det(lost)
+    i = 0 if G[0, 0] >= G[1, 1] else 1
+    most, least = G[i, i], G[1 - i, 1 - i]
+    area = most * least - G[0, 1] ** 2
+    area = 0.0 if area < PARALLEL * most * least else area  # it may be rounding alone
+    together = pull[i] * most + pull[1 - i] * G[0, 1]
+    trace = (together**2 + pull[1 - i] ** 2 * area) / most if most > 0 else 0.0
+    trace += bend[i] * most + bend[1 - i] * least
+    det = area * (pull[0] ** 2 * bend[1] + pull[1] ** 2 * bend[0] + bend[0] * bend[1])
     return bool(0 < trace < 2 and 1 - trace + det > 0 and det > -NARROW)
 
 

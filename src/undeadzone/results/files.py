@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import msgspec
 import numpy as np
@@ -100,7 +101,6 @@ def read_result(path: Name, layout: Layout, kind: type[msgspec.Struct]) -> tuple
     path = to_path(path)
     try:
         if path.suffix == ".csv":
-            files.require_plain_file(path, LARGEST_RUN)
             info, table = _read_csv(path, kind)
             return info, Signals(layout, signals_from_columns(table, layout))
         arrays = files.load_arrays(path, LARGEST_RUN)
@@ -144,8 +144,11 @@ def _write_csv(path: Path, info: Any, table: Mapping[str, Floats]) -> None:
 
 def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Floats]]:
     """Return the info and the columns of a table."""
-    _require_checksum(path)
-    with open(path, encoding="utf-8", newline="") as file:
+    with (
+        files.open_plain(path, LARGEST_RUN) as opened,
+        io.TextIOWrapper(opened, "utf-8", newline="") as file,
+    ):
+        _require_checksum(opened)
         info = msgspec.json.decode(file.readline().removeprefix("# "), type=kind)
         heads = next(csv.reader([file.readline()]))
         rows = file.readlines()
@@ -156,17 +159,29 @@ def _read_csv(path: Path, kind: type[msgspec.Struct]) -> tuple[Any, dict[str, Fl
     return info, dict(zip(names, table.T, strict=True))
 
 
-def _require_checksum(path: Path) -> None:
-    """Raise ValueError if a table was changed or cut; older tables have no checksum."""
-    with open(path, "rb") as file:
-        first = file.readline()
-        start = first.rfind(CHECKSUM.encode())
-        if start < 0:
-            return
-        start += len(CHECKSUM)
-        end = start + len(NO_SUM)
-        digest = hashlib.sha256(first[:start] + NO_SUM.encode() + first[end:])
-        while chunk := file.read(2**20):
-            digest.update(chunk)
+def is_own_table(path: Path) -> bool:
+    """Return whether a `.csv` file is as `save` wrote it."""
+    try:
+        with files.open_plain(path, LARGEST_RUN) as file:
+            _require_checksum(file)
+            return CHECKSUM.encode() in file.readline()
+    except (OSError, ValueError):
+        return False
+
+
+def _require_checksum(file: BinaryIO) -> None:
+    """Raise ValueError if a table was changed or cut; older tables have no checksum.
+
+    The file stands at its beginning afterwards.
+    """
+    first = file.readline()
+    start = first.rfind(CHECKSUM.encode()) + len(CHECKSUM)
+    end = start + len(NO_SUM)
+    digest = hashlib.sha256(first[:start] + NO_SUM.encode() + first[end:])
+    while chunk := file.read(2**20):
+        digest.update(chunk)
+    file.seek(0)
+    if CHECKSUM.encode() not in first:
+        return
     if first[start:end] != digest.hexdigest().encode():
         raise ValueError("its checksum is not that of its contents: it was changed or cut")

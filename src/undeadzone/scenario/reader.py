@@ -27,6 +27,7 @@ from undeadzone.util.earlier import translate_scenario
 from undeadzone.util.files import LARGEST_TABLE, failure_reason, read_bytes, read_text, to_path
 from undeadzone.util.toml import require_short_keys
 
+FILE_KEYS: Final = ("path", "design")  # of a table, which name a file that is read
 # What people write, by what such a line holds, and what to write instead.
 HABITS = (
     (r"[\u2018\u2019\u201c\u201d\u201e]", 'write straight quotes, "..."'),
@@ -284,7 +285,7 @@ def _with_files(scenario: Scenario, change: Callable[[str, str], str]) -> Scenar
 
 def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
     """Return the part under a key with another path of the file that it names, if any."""
-    for name in ("path", "design"):
+    for name in FILE_KEYS:
         path = getattr(part, name, None)
         if path is not None:
             part = msgspec.structs.replace(part, **{name: change(f"{key}.{name}", path)})

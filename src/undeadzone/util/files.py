@@ -12,9 +12,10 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, BinaryIO, Final, TypeAlias
 
 from undeadzone.errors import FileError
+from undeadzone.util.opening import open_descriptor, require_beneath
 
 # What NumPy and the zip file around arrays raise of a file that holds others, or none.
 NO_ARRAYS: Final = (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
@@ -46,6 +47,7 @@ def replace_file(path: Path) -> Iterator[Path]:
         FileError: the file cannot be written.
     """
     with convert_write_errors(path):
+        require_beneath(path)
         if path.exists():  # a device or a pipe is never replaced
             require_plain_file(path)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,16 +84,29 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
     Raises:
         OSError, ValueError: with the `reason`, also for what is no plain file.
     """
-    require_plain_file(path, largest)
-    # Not blocking: a named pipe may have taken the file's place.
-    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    with open(os.open(path, flags), "rb") as file:
-        _require_plain_status(os.fstat(file.fileno()), largest)
+    with open_plain(path, largest) as file:
         most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # memory asked for
         content = file.read(most + 1)
     if len(content) > most:  # it grows, or the system does not know its size
         raise OSError(_describe_excess_size(len(content), most))
     return content
+
+
+@contextmanager
+def open_plain(path: Name, largest: int | None = None) -> Iterator[BinaryIO]:
+    """Provide a user's file, open for reading; nothing else that may stand in its place.
+
+    Args:
+        path: the file.
+        largest: number of bytes that it may have; None: any.
+
+    Raises:
+        OSError, ValueError: with the `reason`, also for what is no plain file.
+    """
+    _require_plain_status(os.stat(to_path(path)), largest)  # to open a device may do something
+    with open(open_descriptor(path, os.O_RDONLY), "rb") as file:
+        _require_plain_status(os.fstat(file.fileno()), largest)
+        yield file
 
 
 def read_text(path: Name, largest: int = LARGEST_TEXT) -> str:
@@ -153,9 +168,7 @@ def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.
 
 def _open_or_create(name: str, flags: int) -> int:
     """Open a file, or create a missing one; the content stays, links are not followed."""
-    for flag in ("O_NOFOLLOW", "O_CLOEXEC", "O_NONBLOCK", "O_BINARY"):
-        flags |= getattr(os, flag, 0)
-    return os.open(name, flags | os.O_CREAT, 0o600)
+    return open_descriptor(name, flags | getattr(os, "O_NOFOLLOW", 0) | os.O_CREAT)
 
 
 def _lock_exclusively(path: Path, file: io.FileIO) -> None:
@@ -221,13 +234,14 @@ def load_arrays(path: Path, largest: int) -> dict[str, Any]:
     """
     import numpy as np
 
-    require_plain_file(path, largest)
-    with zipfile.ZipFile(path) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > largest:
-        raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    with open_plain(path, largest) as opened:
+        with zipfile.ZipFile(opened) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > largest:
+            raise ValueError(f"it would unpack to {size / 1e6:,.0f} MB")
+        opened.seek(0)
+        with np.load(opened, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
 
 
 def _require_plain_status(status: os.stat_result, largest: int | None) -> None:

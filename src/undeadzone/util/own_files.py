@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from undeadzone.errors import FileError
-from undeadzone.util.files import LARGEST_RUN, read_bytes, write_text
+from undeadzone.util.files import LARGEST_RUN, convert_write_errors, read_bytes, write_text
 
 CURE: Final = "choose another name or --out, or replace it with --force"
 REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
@@ -39,7 +39,9 @@ def sign_text(text: str) -> str:
     return f"{before}{REMARK}{content_digest(text.encode())}{after}"
 
 
-def require_own_file(path: Path, force: bool = False) -> None:
+def require_own_file(
+    path: Path, force: bool = False, is_own: Callable[[Path], bool] | None = None
+) -> None:
     """Raise FileError for a file that was edited since undeadzone wrote it (`sign_text`).
 
     Called before a long computation, whose result would be lost otherwise.
@@ -47,8 +49,12 @@ def require_own_file(path: Path, force: bool = False) -> None:
     Args:
         path: of the file, which need not exist.
         force: whether it may be replaced all the same.
+        is_own: tells a file that undeadzone wrote; None: by its digest.
     """
-    if not force and (path.exists() or path.is_symlink()) and not is_own_file(path):
+    known = is_own or is_own_file
+    with convert_write_errors(path):  # a name that is too long
+        exists = path.exists() or path.is_symlink()
+    if exists and not force and not known(path):
         raise FileError(
             f"{path}: exists already, and may hold work of your own: not replaced; {CURE}"
         )

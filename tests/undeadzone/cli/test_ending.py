@@ -73,6 +73,53 @@ def test_every_end_has_its_code_and_its_line(
     assert capfd.readouterr().err == words
 
 
+SAID = {signal.SIGINT: ("interrupted", 130), signal.SIGTERM: ("terminated", 143)}
+FIRST = "as modules are imported"
+WHEN = {
+    FIRST: "import builtins\nreal = builtins.__import__\n"
+    "def bring(name, *more):\n"
+    "    if name == 'undeadzone.cli.run' and not SENT:\n"
+    "        send()\n"
+    "    return real(name, *more)\n"
+    "builtins.__import__ = bring\n",
+    "as an object is deleted": "class Last:\n    def __del__(self):\n        send()\n"
+    "def run():\n    Last()\n    time.sleep(5)\n"
+    "import undeadzone.cli as cli\n"
+    "cli.group.main = lambda standalone_mode: run()\n",
+    "as Python ends": "import atexit\nimport undeadzone.cli as cli\n"
+    "cli.group.main = lambda standalone_mode: atexit.register(send) and 0\n",
+}
+
+
+# The system itself ends a process that SIGTERM reaches before it has begun.
+MOMENTS = [(when, number) for when in WHEN for number in SAID if (when, number) != (FIRST, 15)]
+
+
+@pytest.mark.parametrize(("when", "number"), MOMENTS)
+def test_a_signal_at_any_time_is_one_line(when: str, number: int) -> None:
+    code = (
+        "import os, signal, sys, time\nSENT = []\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        f"def send():\n    SENT.append(1)\n    os.kill(os.getpid(), {int(number)})\n"
+        f"{WHEN[when]}from undeadzone.__main__ import main\nsys.argv[1:] = ['--version']\nmain()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    word, exit_code = SAID[number]
+    assert (done.returncode, done.stderr) == (exit_code, f"undeadzone: {word}\n")
+
+
+def test_ctrl_c_within_a_command_is_one_line() -> None:
+    """Click prints an empty line ahead of it, of what it knows to be Ctrl-C."""
+    code = (
+        "import signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "from undeadzone import cli\n"
+        "cli.init.callback = lambda **given: signal.raise_signal(signal.SIGINT)\n"
+        "sys.argv[1:] = ['init']\ncli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "undeadzone: interrupted\n")
+
+
 @pytest.mark.parametrize(
     "error",
     [TypeError("a\nb"), ValueError(), RecursionError("deep"), AssertionError()],

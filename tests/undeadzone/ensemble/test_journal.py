@@ -218,6 +218,28 @@ def test_a_full_disk_is_noticed_at_the_start(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_store_takes_disk_as_blocks_are_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """20,000,000 runs take 1.6 GB in the end, and nothing before they are computed."""
+    job = sines(20_000_000)
+    store = journal.start(tmp_path / "runs.partial", job.layout)
+    assert store.size_in_bytes > 4e8
+    for block in range(3):
+        store.write_block(block, job.block(block))
+    assert store.path.stat().st_blocks * 512 < 1e6
+    store.close()
+    resumed = journal.start(store.path, job.layout, resume=True)
+    assert resumed.runs_done == 30
+    resumed.close()
+    disk = os.statvfs(tmp_path)
+    small = os.statvfs_result((*disk[:4], 100, *disk[5:]))
+    monkeypatch.setattr(os, "fstatvfs", lambda descriptor: small)
+    with pytest.raises(FileError, match=r"it needs [\d,]+ MB, and the disk has"):
+        journal.start(tmp_path / "more.partial", job.layout)
+    assert not (tmp_path / "more.partial").exists()
+
+
 def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
     def progress(runs: int) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))

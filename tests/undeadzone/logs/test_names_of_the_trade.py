@@ -110,13 +110,41 @@ def test_a_time_that_comes_twice_is_counted() -> None:
 
 @pytest.mark.parametrize(
     ("cell", "time", "value"),
-    [("1,301", "0.0{}", 1301.0), ("1,301", "0,0{}", 1.301), ("1.301,5", "0,0{}", 1301.5)],
+    [("1,301.5", "0.0{}", 1301.5), ("1,301", "0,0{}", 1.301), ("1.301,5", "0,0{}", 1301.5)],
 )
 def test_one_decimal_mark_for_a_file(cell: str, time: str, value: float, tmp_path: Path) -> None:
     rows = "".join(f"{time.format(k)}\t{cell}\t995\n" for k in range(10))
     _, samples = read(tmp_path / "a.csv", "t\tu\ty\n" + rows)
     assert (samples.u == value).all()
     assert samples.t[9] == pytest.approx(0.09)
+
+
+def test_a_mark_that_may_be_either_counts_as_unreadable(tmp_path: Path) -> None:
+    """Times have a point; a recorder writes them so whatever the locale of the readings."""
+    rows = "".join(f"0.0{k}\t{3 * k}\t{'1,301' if k == 4 else 995}\n" for k in range(10))
+    reader, samples = read(tmp_path / "a.csv", "t\tu\ty\n" + rows)
+    assert np.flatnonzero(np.isnan(samples.y)).tolist() == [4]
+    assert "nothing tells whether the mark in '1,301' is the decimal mark" in reader.faults.why
+    groups = rows.replace("0.09\t27", "0.09\t2,027.5")
+    _, samples = read(tmp_path / "b.csv", "t\tu\ty\n" + groups)
+    assert samples.y[4] == 1301
+
+
+def test_live_a_mark_that_nothing_tells_yet_is_missing() -> None:
+    reader = LogReader("stdin", 1, 1, {}, live=True)
+    lines = ("t\tu\ty", "0\t1,301\t995", "1\t2\t995", "2\t0,5\t995", "3\t1,301\t995", "")
+    fed = [reader.feed(f"{line}\n".encode()) for line in lines]
+    assert np.concatenate([part.u.ravel() for part in fed]) == pytest.approx(
+        [math.nan, 2, 0.5, 1.301], nan_ok=True
+    )
+
+
+def test_blanks_between_thousands_are_no_separators(tmp_path: Path) -> None:
+    """A narrow blank, as locales write it, in a file of columns between plain ones."""
+    rows = "".join(f"0.0{k} {3 * k} 1\u202f995.0\n" for k in range(10))
+    reader, samples = read(tmp_path / "a.csv", "t u y\n" + rows)
+    assert np.isnan(samples.y).all()
+    assert "expected a number or nothing" in reader.faults.why
 
 
 def test_a_comma_that_may_be_either_is_refused(tmp_path: Path) -> None:

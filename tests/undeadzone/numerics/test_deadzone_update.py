@@ -6,7 +6,7 @@ import math
 import subprocess
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -259,63 +259,158 @@ def test_an_edge_at_infinity_is_no_edge(y: float) -> None:
 
 # --- In C
 
-EXTREMES = """
+ANY = """
 #define EAR_REAL double
 #include "ear.h"
 #include <stdio.h>
 int main(void) {
-  double C[3], x[3], P[9], v[3], work[6];
+  double v[23], work[6];
   for (;;) {
-    for (int i = 0; i < 3; i++) if (scanf("%lf", C + i) != 1) return 0;
-    for (int i = 0; i < 3; i++) if (scanf("%lf", x + i) != 1) return 1;
-    for (int i = 0; i < 9; i++) if (scanf("%lf", P + i) != 1) return 1;
-    for (int i = 0; i < 3; i++) if (scanf("%lf", v + i) != 1) return 1;
-    EarSensor s = {C, {-1, 2}, {v[1], 0}, v[2], 0, 1, 5};
-    Ear ear = {0};
-    printf("%d", ear_hear(&ear, &s, 3, x, P, v[0], work));
+    for (int i = 0; i < 23; i++) if (scanf("%lf", v + i) != 1) return i;
+    int m[5];
+    for (int i = 0; i < 5; i++) if (scanf("%d", m + i) != 1) return 1;
+    double *C = v, *x = v + 3, *P = v + 6, *w = v + 15;
+    EarSensor s = {C, {m[0], m[1]}, {w[0], w[1]}, w[2], w[3], w[4], m[4]};
+    Ear ear = {w[5], w[6], {m[2], m[3]}};
+    printf("%d", ear_hear(&ear, &s, 3, x, P, w[7], work));
+    printf(" %.17g %.17g %d %d", ear.last, ear.previous, ear.wait[0], ear.wait[1]);
     for (int i = 0; i < 3; i++) printf(" %.17g", x[i]);
     for (int i = 0; i < 9; i++) printf(" %.17g", P[i]);
     printf("\\n");
   }
 }
 """
+REST = 5
+PLACES = np.eye(3)
+NO_EAR = DeadzoneMemory()
 
 
-def test_the_header_agrees_at_extremes_and_refuses_what_cannot_be(tmp_path: Path) -> None:
-    """To 1e-6 of a deviation; estimates far beyond both edges choose the same one."""
-    rng = np.random.default_rng(3)
-    cases: list[Any] = []
-    for _ in range(300):
-        root = rng.normal(size=(3, 3)) * 10.0 ** rng.uniform(-3, 2, 3)[:, None]
-        mean = rng.normal(size=3) * 10.0 ** rng.uniform(-2, 3)
-        width = float(rng.choice([math.inf, 0.0, 1.0, 1e3]))
-        y = float(rng.choice([0.0, 0.05, 5.0, -5.0]))
-        cases.append((mean, root @ root.T, y, width, 10.0 ** rng.uniform(-3, -1)))
-    cases.append((np.array([1e6, 0.0, -3e6]), 1e-4 * np.eye(3), 0.0, 0.5, 0.02))
-    refused = [
-        (np.array([math.nan, 0, 1]), np.eye(3), 0.0, 1.0, 0.1),
-        (np.zeros(3), -np.eye(3), 0.0, 1.0, 0.1),
-        (np.zeros(3), np.eye(3) + 3 * np.eye(3, k=1) + 3 * np.eye(3, k=-1), 0.0, 1.0, 0.1),
-        (np.zeros(3), np.full((3, 3), math.nan), 0.0, 1.0, 0.1),
-    ]
-    (tmp_path / "ear.h").write_text((files("undeadzone.numerics") / "ear.h").read_text())
-    (tmp_path / "main.c").write_text(EXTREMES)
+class Case(NamedTuple):
+    """One reading for both.
+
+    Attributes:
+        widths: right and left; a place in the mean, or a known width below it.
+        at: places of the widths in the mean, -1 where they are known.
+    """
+
+    mean: Floats
+    cov: Floats
+    C: Floats = PLACES[0]
+    widths: tuple[float, float] = (1.0, 0.0)
+    at: tuple[int, int] = (-1, 2)
+    noise: float = 0.1
+    before: float = 0.0
+    slope: float = 1.0
+    y: float = 0.0
+    ear: DeadzoneMemory = NO_EAR
+
+    def heard(self) -> DeadzoneUpdate:
+        """What Python makes of it."""
+        right, left = (
+            PLACES[at] if at > 0 else width for at, width in zip(self.at, self.widths, strict=True)
+        )
+        claims = {"noise": self.noise, "noise_before": self.before, "slope": self.slope}
+        return deadzone_update(
+            self.mean, self.cov, self.C, self.y, right=right, left=left, ear=self.ear, rest=REST,
+            **claims,
+        )  # fmt: skip
+
+    def line(self) -> str:
+        """The numbers for the program."""
+        last, previous, *waits = self.ear
+        sensor = [*self.widths, self.noise, self.before, self.slope, last, previous, self.y]
+        numbers = [*self.C, *self.mean, *self.cov.ravel(), *sensor]
+        return " ".join([*map(repr, map(float, numbers)), *map(str, [*self.at, *waits, REST])])
+
+
+def in_header(cases: list[Case], folder: Path) -> Floats:
+    """What the header makes of cases: (side, ear, x, P) a row."""
+    (folder / "ear.h").write_text((files("undeadzone.numerics") / "ear.h").read_text())
+    (folder / "main.c").write_text(ANY)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
-    program = once.program(["ear", *flags, "main.c"], tmp_path)
-    text = "\n".join(
-        " ".join(map(repr, map(float, [1, 0, 0, *m, *P.ravel(), y, width, noise])))
-        for m, P, y, width, noise in [*cases, *refused]
-    )
+    program = once.program(["ear", *flags, "main.c"], folder)
+    text = "\n".join(case.line() for case in cases)
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    rows = np.array([line.split() for line in done.stdout.splitlines()], float)
-    assert rows[len(cases) :, 0].tolist() == [2.0] * len(refused)
-    for row, (m, P, y, width, noise) in zip(rows, cases, strict=False):
-        claims = {"noise": noise, "ear": DeadzoneMemory(), "rest": 5}
-        heard = deadzone_update(m, P, C, y, right=width, left=LEFT, **claims)
-        std = np.sqrt(np.diag(P))
-        assert row[0] == heard.side
-        assert np.abs((row[1:4] - heard.mean) / std).max() < 1e-6
-        assert np.abs((row[4:] - heard.cov.ravel()) / np.outer(std, std).ravel()).max() < 1e-6
+    return np.array([line.split() for line in done.stdout.splitlines()], float)
+
+
+def extreme(rng: np.random.Generator) -> Case:
+    """A belief over 24 orders of magnitude, singular or not, and any sensor and reading."""
+    scale = 10.0 ** (rng.uniform(-8, 8) + rng.uniform(-4, 4, 3))
+    root = rng.normal(size=(3, 3)) * scale[:, None]
+    kind = rng.integers(4)
+    if kind == 0:
+        root[:, 1:] *= 10.0 ** rng.uniform(-8, 0)
+    if kind == 1:
+        root[rng.integers(3)] = 0.0
+    cov = root @ root.T
+    mean = np.sqrt(np.diag(cov)) * rng.normal(size=3) * 10.0 ** rng.uniform(-2, 2.5)
+    unit = math.sqrt(cov[0, 0]) or 1.0
+    widths = [float(rng.choice([math.inf, 0.0, unit * 10.0 ** rng.uniform(-3, 3)])) for _ in "rl"]
+    before = float(rng.choice([0.0, unit * 10.0 ** rng.uniform(-4, 1)]))
+    noise = 0.0 if before and rng.integers(3) == 0 else unit * 10.0 ** rng.uniform(-4, 2)
+    gate = 4 * noise or unit
+    readings = (0.0, 0.0, 0.0, 0.7, 1.3, 2.5, -2.5, -0.9, 50.0, math.nan)
+    last, previous = rng.choice([0.0, 1.2, -1.5, 3.0], 2) * gate
+    waits = map(int, rng.choice([0, 0, 0, 1, 3], 2))
+    return Case(
+        mean, (cov + cov.T) / 2, PLACES[0] if rng.integers(2) else rng.normal(size=3),
+        (widths[0], widths[1]), (int(rng.choice([-1, 1])), int(rng.choice([-1, 2]))),
+        noise, before, 10.0 ** rng.uniform(-2, 2), float(rng.choice(readings)) * gate,
+        DeadzoneMemory(float(last), float(previous), *waits),
+    )  # fmt: skip
+
+
+def is_resolved(case: Case) -> bool:
+    """Whether the noise is more than rounding of the variances along the edges."""
+    C, (right, left) = case.C, case.at
+    rows = C - (PLACES[right] if right > 0 else 0), -C - (PLACES[left] if left > 0 else 0)
+    most = max(row @ case.cov @ row for row in rows)
+    return bool((case.noise / case.slope) ** 2 + case.before**2 > 1e-10 * most)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("ear")
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_the_header_agrees_at_extremes(seed: int, folder: Path) -> None:
+    """To 1e-6 of a deviation; both choose the same edges, and wait alike."""
+    rng = np.random.default_rng(seed)
+    cases = [case for case in (extreme(rng) for _ in range(60)) if is_resolved(case)]
+    for row, case in zip(in_header(cases, folder), cases, strict=True):
+        heard = case.heard()
+        std = np.sqrt(np.diag(case.cov))
+        std[std == 0] = 1.0
+        assert row[0] == heard.side, case
+        assert tuple(row[1:5]) == tuple(heard.ear), case
+        assert np.abs((row[5:8] - heard.mean) / std).max() < 1e-6, case
+        gap = np.abs(row[8:].reshape(3, 3) - heard.cov) / np.outer(std, std)
+        assert gap.max() < 1e-6, case
+
+
+def test_an_estimate_far_beyond_both_edges_chooses_the_same(folder: Path) -> None:
+    case = Case(np.array([1e6, 0.0, -3e6]), 1e-4 * np.eye(3), widths=(0.5, 0.0), noise=0.02)
+    (row,) = in_header([case], folder)
+    assert row[5:8] == pytest.approx(case.heard().mean, rel=1e-12)
+
+
+def test_both_refuse_what_cannot_be(folder: Path) -> None:
+    """The last: a variance of 1e16 along an edge, less itself; of noise rounding leaves nothing."""
+    pair = 1e16 * np.array([[1.0, 1.0, 0], [1.0, 1.0 - 4e-16, 0], [0, 0, 1e-16]])
+    cases = [
+        Case(np.array([math.nan, 0, 1]), np.eye(3)),
+        Case(np.zeros(3), -np.eye(3)),
+        Case(np.zeros(3), np.eye(3) + 3 * np.eye(3, k=1) + 3 * np.eye(3, k=-1)),
+        Case(np.zeros(3), np.full((3, 3), math.nan)),
+        Case(np.zeros(3), pair, at=(1, 2), noise=1e-3),
+    ]
+    assert in_header(cases, folder)[:, 0].tolist() == [2.0] * len(cases)
+    for case in cases:
+        with pytest.raises(uz.InputError, match=r"mean|cov"):
+            case.heard()
 
 
 MAIN = """

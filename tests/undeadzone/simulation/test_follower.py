@@ -7,6 +7,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -321,6 +322,45 @@ def test_a_stopped_watch_keeps_all(lever: Path, tmp_path: Path, stop: int) -> No
     watched = Watched(lever)
     load(state, watched.parts, watched.follower.digest)
     assert watched.follower.samples == 40
+
+
+MIDWAY = """
+import signal
+import sys
+
+from undeadzone.cli import main
+from undeadzone.simulation.follower import Follower
+
+count = Follower._count
+
+
+def stopped(self, *arguments):
+    if self.samples <= 20 < self.samples + len(arguments[0].y):
+        signal.raise_signal(STOP)
+    return count(self, *arguments)
+
+
+Follower._count = stopped
+signal.signal(signal.SIGINT, signal.default_int_handler)
+main()
+"""
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_within_a_sample_loses_nothing(lever: Path, tmp_path: Path, stop: int) -> None:
+    """It comes after the observer's step, before the sample is counted: the sample ends first."""
+    state = tmp_path / "state"
+    code = MIDWAY.replace("STOP", str(int(stop)))
+    done = subprocess.run(
+        [sys.executable, "-c", code, "watch", str(lever), "--state", str(state)],
+        input=stream(regular(40)),
+        capture_output=True,
+    )
+    assert done.returncode == (130 if stop == signal.SIGINT else 143), done.stderr
+    watched = Watched(lever)
+    load(state, watched.parts, watched.follower.digest)
+    assert watched.follower.samples > 20
+    assert len(done.stdout.splitlines()) == 1 + watched.follower.samples
 
 
 def test_documented_kinds() -> None:

@@ -273,3 +273,8 @@ def test_the_command_export_keeps_an_edited_file(tmp_path: Path) -> None:
     assert undeadzone(*command, "--force").returncode in (0, 1)
     assert source.read_text() != MINE
     assert (tmp_path / "fw" / "my_main.c").read_text() == MINE
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="cannot write: File name too long"):
+        require_own_file(tmp_path / ("x" * 5000))

@@ -130,3 +130,12 @@ def test_a_save_that_fails_is_said_and_tried_again(
     (tmp_path / "gone").unlink()
     kept.save_state(when_due=True)
     assert (tmp_path / "gone" / "state.npz").exists()
+
+
+def test_a_reader_that_leaves_ends_a_watch_in_silence(scenario: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [*COMMAND, str(scenario)]
+    done = subprocess.run(command, input=samples(50), stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")

@@ -1,0 +1,72 @@
+"""What installed packages register: found by entry points, imported when it is named."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+import warnings
+from collections.abc import Iterator
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from undeadzone.errors import DamagedPackage, InputError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+
+def list_registered_places(group: str) -> dict[str, str]:
+    """Return where registered objects are, `module:name`, by name; read anew after an
+    installation.
+
+    Args:
+        group: of the entry points.
+    """
+    folders = filter(os.path.isdir, map(os.path.abspath, sys.path))
+    return _find_entry_points(
+        group, tuple((folder, os.stat(folder).st_mtime_ns) for folder in folders)
+    )
+
+
+@functools.lru_cache
+def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
+    """Return the `module:Class` of a group by method; cached while the searched folders are
+    unchanged.
+    """
+    from importlib.metadata import entry_points
+
+    try:
+        return {point.name: point.value for point in entry_points(group=group)}
+    except Exception:  # whatever the reader of one damaged file raises
+        return {point.name: point.value for point in _readable_entry_points(group)}
+
+
+def _readable_entry_points(group: str) -> Iterator[EntryPoint]:
+    """Yield the entry points of packages whose files can be read, and warn of each other one."""
+    from importlib.metadata import distributions
+
+    for package in distributions():
+        try:
+            yield from package.entry_points.select(group=group)
+        except Exception:
+            name = getattr(package, "name", None) or "a package"
+            words = f"{name}: its entry points cannot be read; it is left out"
+            warnings.warn(words, DamagedPackage, stacklevel=2)
+
+
+def load_object(what: str, place: str) -> Any:
+    """Return the object that a package registers.
+
+    Args:
+        what: is registered, for messages.
+        place: `module:name`.
+
+    Raises:
+        InputError: it cannot be imported.
+    """
+    module, _, name = place.partition(":")
+    try:
+        return getattr(import_module(module), name)
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{what} is registered at {place}, which fails: {error}") from None
