@@ -143,6 +143,8 @@ class Estimate(NamedTuple):
         gap_right, gap_left: gaps c_r^, c_l^ of a play ahead of a dead zone (p).
         gap_right_std, gap_left_std: their standard deviations (p).
         gap_std: standard deviation of c_r^ + c_l^ (p).
+        slope: slope m^ of the sensor (p).
+        slope_std: standard deviation of m^ (p).
     """
 
     x: Any
@@ -174,6 +176,8 @@ class Estimate(NamedTuple):
     gap_right_std: Any = NONE
     gap_left_std: Any = NONE
     gap_std: Any = NONE
+    slope: Any = NONE
+    slope_std: Any = NONE
 
 
 _OF_FIELDS = Estimate(
@@ -222,6 +226,8 @@ _OF_FIELDS = Estimate(
     gap_right_std=Quantity("standard deviation of gap_right", "output", "c_std", float),
     gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
     gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
+    slope=Quantity("estimated slope of the sensor", "1", "slope_hat", float),
+    slope_std=Quantity("standard deviation of slope", "1", "slope_std", float),
 )
 
 

@@ -292,6 +292,8 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     beliefs, before = [], []
     for one, later in zip(every, ahead.later, strict=True):
         mean, cov, first = smooth_backward(one, later)
+        if one.unlearned.size:  # the filter's, which looking back seldom makes larger
+            cov = cov + one.unlearned
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
         before.append(first)
     logs = np.column_stack([one.log for one in every])

@@ -61,6 +61,7 @@ from undeadzone.observers.filtering.measurement_update import (
     certain_branch,
     confirm_silences,
     correct_by_readings,
+    foresee_reading,
     find_censored,
     is_surely_exact,
     range_limits,
@@ -78,6 +79,17 @@ from undeadzone.observers.filtering.recovery import (
     reset_if_invalid,
     start_rejection_rate,
 )
+from undeadzone.observers.filtering.sensor_shape import (
+    add_column_variance,
+    add_shape_states,
+    add_slope_estimate,
+    column_variance,
+    resolve_shape,
+    shape_numbers,
+    start_columns,
+    unpack_columns,
+    widen_gate,
+)
 from undeadzone.observers.filtering.smoothing import Moments, Smoothing
 from undeadzone.plants.system import System, scale_states
 from undeadzone.util.arrays import Floats
@@ -94,6 +106,7 @@ class State(NamedTuple):
         u: the last input (m).
         patience: with readings that are refused.
         pace: of z.
+        columns: of the sensor's shape, one after the other; empty where there are none.
     """
 
     mean: Any
@@ -104,6 +117,7 @@ class State(NamedTuple):
     u: Any
     patience: RejectionRate
     pace: Pace
+    columns: Any
 
 
 def build_branch_filter(
@@ -122,6 +136,7 @@ def build_branch_filter(
     careful: bool = False,
     levels: int = 1,
     recovers: bool = True,
+    learns_shape: bool = True,
 ) -> Observer:
     """Return the filter as an observer.
 
@@ -138,9 +153,14 @@ def build_branch_filter(
         claimed: whether the disturbance is claimed, and no default.
         levels: how many rms of the disturbance are weighed (`levelled`).
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
+        learns_shape: whether slope and rounding of the sensor are among its unknowns; else the
+            shape only widens what is shown.
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
+    shape = resolve_shape(sensor, prior, model, learns_shape, blind)
+    prior = widen_gate(prior, sensor, shape)
+    augmentation, layout = add_shape_states(augmentation, model, shape)
     gaps = gap_numbers(sensor, prior)
     zones = zone_numbers(model.actuator)
     augmentation = add_gap_states(add_friction_state(augmentation, sensor), gaps)
@@ -149,7 +169,7 @@ def build_branch_filter(
     doubts = glitches > 0 and not blind
     centred = prior.asymmetry is not None
     setup = Setup(
-        model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred
+        model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred, layout
     )
     p, m = model.p, model.m
 
@@ -165,6 +185,7 @@ def build_branch_filter(
             np.zeros(m),
             start_rejection_rate(p),
             start_pace(setup),
+            start_columns(setup),
         )
 
     params = build_filter_params(model, sensor, prior, augmentation)
@@ -176,6 +197,7 @@ def build_branch_filter(
         zones=zones,
         rest=np.asarray(silence_pause(model, sensor, lasting)),
         gaps=gaps,
+        shape=shape_numbers(shape),
     )
     smoothing = Smoothing(
         moments=partial(filter_moments, setup),
@@ -192,7 +214,8 @@ def build_branch_filter(
 class Update(NamedTuple):
     """Result of a measurement update.
 
-    Its fields: reading (p), certain branch (p), Gaussians before and after.
+    Its fields: reading (p), certain branch (p), Gaussians before and after, columns of the
+    sensor's shape.
     """
 
     y: Any
@@ -200,6 +223,7 @@ class Update(NamedTuple):
     before: Gaussian
     corrected: RobustUpdate
     heard: Corrected
+    columns: Any
 
 
 def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> Update:
@@ -210,12 +234,23 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
     before = Gaussian(s.mean, from_upper_entries(s.cov, setup.entries))
     R = measurement_variances(q, reading)
     surprises = silence_log_ratios(setup, q, s.pace, y, side, R)
-    corrected = correct_by_readings(setup, q, before, y, side, R, surprises, reading.motion)
+    corrected, columns = correct_by_readings(
+        setup,
+        q,
+        before,
+        y,
+        side,
+        R,
+        surprises,
+        reading.motion,
+        s.pace.ahead,
+        unpack_columns(setup, s.columns),
+    )
     heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
     heard = apply_bounds(setup, q, s, heard, reading, y, side)
     if setup.has_limits:
         heard = heard._replace(trust=reject_impossible(heard.trust, reading))
-    return Update(y, side, before, corrected, heard)
+    return Update(y, side, before, corrected, heard, columns)
 
 
 def filter_moments(
@@ -230,8 +265,9 @@ def filter_moments(
     )[2]
     slope = motion_slope(setup, q, heard.belief, u)
     log = log_likelihood(setup, corrected, heard)
+    unlearned = column_variance(q, taken.columns) if setup.shape.fixed else ca.SX(0, 0)
     known = Moments(
-        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted
+        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted, unlearned
     )
     return (known,)
 
@@ -245,12 +281,11 @@ def measurement_rows(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, 
     read = list(enumerate([0.0] * p if setup.is_jump_sensor else ca.vertsplit(side)))
     edges = [(i, edge) for edge, i in product((RIGHT, LEFT), range(p))]
 
-    def rows(branches: list[tuple[int, Any]]) -> Any:
-        """Return the linearised rows of some branches."""
-        each = (partial(branch_output, setup, q, i, branch) for i, branch in branches)
-        return ca.vertcat(*(linearise(beyond, at)[1] for beyond in each))
-
-    return rows(read), rows(edges)
+    each = (partial(branch_output, setup, q, i, edge) for i, edge in edges)
+    return (
+        ca.vertcat(*(foresee_reading(setup, q, i, branch, at, at)[1] for i, branch in read)),
+        ca.vertcat(*(linearise(beyond, at)[1] for beyond in each)),
+    )
 
 
 def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
@@ -278,18 +313,24 @@ def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> A
 
 def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
-    y, side, _, corrected, heard = update_measurement(setup, q, s, reading)
+    y, side, _, corrected, heard, columns = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
+    if setup.shape.fixed:
+        shown = add_column_variance(q, shown, columns)
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
     estimated = add_actuator_estimates(q.zones, estimated, shown)
     estimated = add_gap_estimates(q, estimated, shown, reading)
+    estimated = add_slope_estimate(setup, q, estimated, shown)
     mean, cov, restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )
     pace = predict_pace(setup, q, s.pace, heard, u, side, reading)
-    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
+    if setup.shape.fixed:
+        moved = columns + motion_slope(setup, q, heard.belief, u) @ columns
+        columns = ca.if_else(restarted, 0.0, ca.vec(moved))
+    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace, columns)
     if setup.doubts:
         after = apply_rejections(setup, q, after, side, heard.trust)
     return Step(
@@ -426,13 +467,13 @@ def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) 
 
 
 class Pace(NamedTuple):
-    """Running record of the motion of z; empty without a pace test.
+    """Running record of the motion of z; empty where nothing asks for it.
 
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].
         variance: of that (p) [z^2].
         since: steps since z was last inside of an edge, right edges, then left ones (2p); 0 where
-            it was beyond it at the last reading that was believed.
+            it was beyond it at the last reading that was believed; empty without a pace test.
     """
 
     ahead: Any
@@ -442,8 +483,8 @@ class Pace(NamedTuple):
 
 def start_pace(setup: Setup) -> Pace:
     """Return the pace before the first reading."""
-    p = setup.model.p if setup.has_pace_test else 0
-    return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p))
+    p = setup.model.p if setup.has_pace else 0
+    return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p if setup.has_pace_test else 0))
 
 
 def silence_log_ratios(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
@@ -488,7 +529,7 @@ def predict_pace(
         side: the sides on which readings were used (p).
         reading: what was read.
     """
-    if not setup.has_pace_test:
+    if not setup.has_pace:
         return pace
     belief, n = heard.belief, setup.model.n
     drive, doubt = predict_plant_input(q.zones, belief, u)
@@ -497,7 +538,7 @@ def predict_pace(
     _, h = linearise(lambda X: setup.model.output(q.model, X[:n]), belief.mean)
     believed = heard.trust > 0.5
     since = []
-    for k, edge in enumerate((RIGHT, LEFT)):
+    for k, edge in enumerate((RIGHT, LEFT) if setup.has_pace_test else ()):
         before, silence = ca.vertsplit(pace.since, setup.model.p)[k], heard.silence[k]
         across = ca.logic_and(side == -edge, believed)
         beyond = ca.logic_or(ca.logic_and(side == edge, believed), reading.side == 2 * edge)
@@ -506,5 +547,5 @@ def predict_pace(
     return Pace(
         ahead=h @ change(belief.mean),
         variance=ca.fmax(ca.diag(h @ (E @ belief.cov @ E.T + Q) @ h.T), 0.0),
-        since=ca.vertcat(*since),
+        since=ca.vertcat(*since) if since else pace.since,
     )

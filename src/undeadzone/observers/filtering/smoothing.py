@@ -25,6 +25,8 @@ class Moments(NamedTuple):
         slope: I + slope is the Jacobian of the motion to the next sample (N x N).
         log: log of the density with which the readings were foretold.
         restarted: 1 where the belief was lost, so that the next one is the prior.
+        unlearned: covariance of what the sensor's shape may have done to the mean (N x N); empty:
+            nothing.
     """
 
     before: Gaussian
@@ -35,6 +37,7 @@ class Moments(NamedTuple):
     slope: Any
     log: Any
     restarted: Any
+    unlearned: Any
 
 
 class Smoothing(NamedTuple):

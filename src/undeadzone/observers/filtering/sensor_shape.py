@@ -1,0 +1,236 @@
+"""Shape of a sensor in a filter: round edges, a slope that is a little off, readings that are late.
+
+A reading on side s of the zone, of a z that is foretold to lie zeta beyond its edge and to move by
+v in a sample, is
+
+    y / m = z - s d + gamma s zeta + rho s exp(-zeta / l) - tau v + noise.
+
+gamma and rho are unknown constants of the filter, or all three are what it does not estimate: then
+a column S = d mean / d b of each doubt b says how far the mean would move if the sensor were a
+little other, and what is shown counts var(b) S S' besides (docs/filters.md, "The sensor's shape").
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities.sensor import Zone
+from undeadzone.numerics.gaussian import Gaussian
+from undeadzone.observers.filtering.constant_states import add_constants
+from undeadzone.observers.filtering.gaussian_filter import Augmentation, Setup, ShapeLayout
+from undeadzone.observers.filtering.prior import Prior
+from undeadzone.plants.system import System, time_scale
+from undeadzone.util.arrays import Floats
+
+ROUND = 0.07  # rounding of an edge, in the smaller middle of the claimed ranges, by default
+SLOPE = 0.035  # relative error of the slope by default, where readings tell of it
+FIXED_SLOPE = 0.045  # the same where they do not
+LATE, LATEST = 0.08, 2.0  # delay by default: in quarter periods of the plant, at most in samples
+LENGTH = 1.4  # length over which an edge is round, in `rounding`
+AT_EDGE, FIXED_AT_EDGE = 0.7, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
+FAR = 30.0  # lengths beyond which an edge is not round any more
+
+
+class ShapeClaims(NamedTuple):
+    """Shape of the sensor as a filter assumes it, with defaults; 0: exact.
+
+    Attributes:
+        rounding: how far about an edge the characteristic is round (p) [z].
+        slope_std: relative standard deviation of the slope (p) [1].
+        lag: standard deviation of a delay behind the zone (p) [samples].
+        learns: whether slope and rounding are unknowns of the filter.
+    """
+
+    rounding: Floats
+    slope_std: Floats
+    lag: Floats
+    learns: bool
+
+    @property
+    def deviations(self) -> dict[str, Floats]:
+        """Return the standard deviations of the doubts by name, of those that are not exact."""
+        at_edge = AT_EDGE if self.learns else FIXED_AT_EDGE
+        every = {"slope": self.slope_std, "rounding": at_edge * self.rounding, "lag": self.lag}
+        return {name: std for name, std in every.items() if std.any()}
+
+    @property
+    def learned(self) -> tuple[str, ...]:
+        """Return the names of the doubts that are unknowns of the filter."""
+        named = ("slope", "rounding") if self.learns else ()
+        return tuple(name for name in named if name in self.deviations)
+
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """Return the names of the doubts that have a column each."""
+        return tuple(name for name in self.deviations if name not in self.learned)
+
+
+class ShapeNumbers(NamedTuple):
+    """Parameters of a filter for the shape of the sensor.
+
+    Attributes:
+        length: over which an edge is round (p) [z].
+        doubt: standard deviations of the columns, output by output of each doubt.
+    """
+
+    length: Floats
+    doubt: Floats
+
+
+def resolve_shape(
+    sensor: Zone, prior: Prior, model: System, learns: bool, blind: bool
+) -> ShapeClaims:
+    """Return the shape of a sensor as a filter assumes it.
+
+    Sensors that jump or move are exact.
+
+    Args:
+        sensor: as the filter takes it; keys that are None have defaults.
+        prior: of the filter, for its ranges.
+        model: the sampled model.
+        learns: whether slope and rounding become unknowns of the filter.
+        blind: whether it takes readings for z itself, and so asks nothing of a sensor.
+    """
+    p, Ts = model.p, model.Ts
+    assert Ts is not None
+    if sensor.kind != "deadzone" or sensor.moves or blind:
+        return ShapeClaims(np.zeros(p), np.zeros(p), np.zeros(p), learns)
+    middles = prior.ranges.mean(axis=1).reshape(2, p).min(axis=0)
+    late = min(LATE * time_scale(model.continuous, Ts) / Ts, LATEST)
+    usual = SLOPE if learns else FIXED_SLOPE
+    return ShapeClaims(
+        rounding=ROUND * middles if sensor.rounding is None else sensor.rounding,
+        slope_std=np.full(p, usual) if sensor.slope_std is None else sensor.slope_std,
+        lag=np.full(p, late) if sensor.lag is None else sensor.lag / Ts,
+        learns=learns,
+    )
+
+
+def widen_gate(prior: Prior, sensor: Zone, claims: ShapeClaims) -> Prior:
+    """Return the prior with a gate within which round edges read, too."""
+    return prior._replace(gate=np.maximum(prior.gate, claims.rounding * sensor.slope))
+
+
+def add_shape_states(
+    inner: Augmentation, model: System, claims: ShapeClaims
+) -> tuple[Augmentation, ShapeLayout]:
+    """Return the motion with slope and rounding as its last unknowns, and where they stand."""
+    first = model.n + 2 * model.p + len(inner.cov)
+    layout = ShapeLayout(first, claims.learned, claims.fixed)
+    if claims.learned:
+        std = np.concatenate([claims.deviations[name] for name in claims.learned])
+        inner = add_constants(inner, std**2)
+    return inner, layout
+
+
+def shape_numbers(claims: ShapeClaims) -> ShapeNumbers | None:
+    """Return the parameters of a filter for the shape of its sensor, or None if it is exact."""
+    deviations = claims.deviations
+    if not deviations:
+        return None
+    none: list[Floats] = [np.empty(0)]
+    doubt = np.concatenate(none + [deviations[name] for name in claims.fixed])
+    round_edge = claims.rounding > 0
+    return ShapeNumbers(LENGTH * np.where(round_edge, claims.rounding, 1.0), doubt)
+
+
+def shape_effects(
+    q: Any, names: tuple[str, ...], i: int, side: Any, beyond: Any, ahead: Any
+) -> list[Any]:
+    """Return by how much a reading of output i changes per doubt of each name [z].
+
+    Args:
+        q: the filter's numbers.
+        names: of the doubts.
+        i: number of the output.
+        side: on which it is read.
+        beyond: what it is taken to read [z].
+        ahead: by how much z moves in a sample [z].
+    """
+    every = {"slope": lambda: beyond, "lag": lambda: -ahead}
+    every["rounding"] = lambda: side * ca.exp(-ca.fmin(ca.fabs(beyond) / q.shape.length[i], FAR))
+    return [every[name]() for name in names]
+
+
+def add_shape_terms(
+    setup: Setup, q: Any, i: int, side: Any, foretold: Any, sight: tuple[Any, Any], at: Any
+) -> tuple[Any, Any]:
+    """Return (what a reading is expected to be [z], its row (1 x N)), with the sensor's shape.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        i: number of the output.
+        side: on which it is read.
+        foretold: reading of an exact sensor, before any reading of the sample [z].
+        sight: what the reading of an exact sensor is expected to be, and its row.
+        at: mean of [x; d; extra] (N).
+    """
+    expected, h = sight
+    layout = setup.shape
+    if not layout.learned:
+        return expected, h
+    beyond = ca.if_else(side * foretold > 0, foretold, 0.0)
+    effects, row = shape_effects(q, layout.learned, i, side, beyond, 0.0), ca.SX(h)
+    for k, effect in enumerate(effects):
+        place = layout.first + k * setup.model.p + i
+        expected += effect * at[place]
+        row[place] = effect
+    return expected, row
+
+
+def start_columns(setup: Setup) -> Floats:
+    """Return the columns before the first reading, one after the other."""
+    size = setup.model.n + 2 * setup.model.p + len(setup.augmentation.cov)
+    return np.zeros(size * len(setup.shape.fixed) * setup.model.p)
+
+
+def unpack_columns(setup: Setup, columns: Any) -> Any:
+    """Return the columns as a matrix (N x their number)."""
+    count = len(setup.shape.fixed) * setup.model.p
+    return ca.reshape(ca.SX(columns), columns.shape[0] // max(count, 1), count)
+
+
+def move_columns(
+    setup: Setup, q: Any, i: int, columns: Any, gain: Any, h: Any, effects: list[Any]
+) -> Any:
+    """Return the columns after a reading of output i, which moves them as it moved the mean.
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        i: number of the output.
+        columns: before the reading (N x their number).
+        gain: by which the reading moved the mean (N).
+        h: row of the reading (1 x N).
+        effects: of each doubt on the reading [z].
+    """
+    phi = ca.SX(1, columns.shape[1])
+    for k, effect in enumerate(effects):
+        phi[k * setup.model.p + i] = effect
+    return columns + gain @ (phi - h @ columns)
+
+
+def add_column_variance(q: Any, shown: Gaussian, columns: Any) -> Gaussian:
+    """Return the belief that is shown, with what the sensor's shape may have done to its mean."""
+    return Gaussian(shown.mean, shown.cov + column_variance(q, columns))
+
+
+def column_variance(q: Any, columns: Any) -> Any:
+    """Return the covariance that the doubts of the columns make (N x N)."""
+    wide = columns @ ca.diag(q.shape.doubt)
+    return wide @ wide.T
+
+
+def add_slope_estimate(setup: Setup, q: Any, estimated: Estimate, shown: Gaussian) -> Estimate:
+    """Return the estimate with the slope of the sensor, if the filter estimates it."""
+    layout, p = setup.shape, setup.model.p
+    if "slope" not in layout.learned:
+        return estimated
+    part = slice(layout.first, layout.first + p)
+    std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[part], 0.0))
+    return estimated._replace(slope=q.slope * (1 + shown.mean[part]), slope_std=q.slope * std)
