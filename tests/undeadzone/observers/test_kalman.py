@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
-from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
@@ -46,7 +46,7 @@ UPPER = ca.Sparsity.upper(4)
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def covariance(state: State) -> Floats:

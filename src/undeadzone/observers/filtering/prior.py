@@ -259,7 +259,8 @@ FEWEST = 6.0  # readings over which it is averaged at least
 CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
-MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
+MEANS = (1 / 32, 1 / 16)  # quarter periods over which inputs are averaged
+REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -270,7 +271,7 @@ class Doubt(NamedTuple):
         glitch: log of the odds that a reading on an active side is wrong.
         fake: log of the probability that a silence is fake.
         reach: range over which a wrong reading is evenly spread (p) [z].
-        noisy: 1 where two readings that are alike to the last digit show a stuck sensor (p).
+        noisy: 1 where a reading that is alike to the one before, to the last digit, is none (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
@@ -279,7 +280,8 @@ class Doubt(NamedTuple):
         limit: square of a score that is taken for chance.
         stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
-        means: shares of means of inputs that are left after a step (3), as `MEANS`.
+        means: shares of means of inputs that are left after a step (2), as `MEANS`.
+        run: readings that repeat, one after the other, up to which it is no stuck sensor.
     """
 
     glitch: Floats
@@ -295,6 +297,7 @@ class Doubt(NamedTuple):
     stays: Floats
     push: Floats
     means: Floats
+    run: Floats
 
 
 def doubt_numbers(
@@ -327,6 +330,7 @@ def doubt_numbers(
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.continuous.C @ zoh(model.continuous, quarter).B,
         means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
+        run=np.asarray(REPEATS * quarter / model.Ts),
     )
 
 

@@ -29,9 +29,9 @@ from undeadzone.util.arrays import Floats
 ROUND = 0.07  # rounding of an edge, in the smaller middle of the claimed ranges, by default
 SLOPE = 0.035  # relative error of the slope by default, where readings tell of it
 FIXED_SLOPE = 0.045  # the same where they do not
-LATE, LATEST = 0.08, 2.0  # delay by default: in quarter periods of the plant, at most in samples
+LATE, LATEST = 0.1, 2.0  # delay by default: in quarter periods of the plant, at most in samples
 LENGTH = 1.4  # length over which an edge is round, in `rounding`
-AT_EDGE, FIXED_AT_EDGE = 0.7, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
+AT_EDGE, FIXED_AT_EDGE = 0.8, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
 FAR = 30.0  # lengths beyond which an edge is not round any more
 
 
