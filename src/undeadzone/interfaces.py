@@ -143,8 +143,6 @@ class Estimate(NamedTuple):
         gap_right, gap_left: gaps c_r^, c_l^ of a play ahead of a dead zone (p).
         gap_right_std, gap_left_std: their standard deviations (p).
         gap_std: standard deviation of c_r^ + c_l^ (p).
-        slope: slope m^ of the sensor (p).
-        slope_std: standard deviation of m^ (p).
     """
 
     x: Any
@@ -176,8 +174,6 @@ class Estimate(NamedTuple):
     gap_right_std: Any = NONE
     gap_left_std: Any = NONE
     gap_std: Any = NONE
-    slope: Any = NONE
-    slope_std: Any = NONE
 
 
 _OF_FIELDS = Estimate(
@@ -226,8 +222,6 @@ _OF_FIELDS = Estimate(
     gap_right_std=Quantity("standard deviation of gap_right", "output", "c_std", float),
     gap_left_std=Quantity("standard deviation of gap_left", "output", "c_std", float),
     gap_std=Quantity("standard deviation of gap_right + gap_left", "output", "gap_std", float),
-    slope=Quantity("estimated slope of the sensor", "1", "slope_hat", float),
-    slope_std=Quantity("standard deviation of slope", "1", "slope_std", float),
 )
 
 
@@ -265,6 +259,11 @@ class AssumptionCheck(NamedTuple):
 ASSUMPTION_CHECKS: Final = {
     "noise": AssumptionCheck(
         "the noise is larger than claimed", keys=("sensor.noise", "observer.noise")
+    ),
+    "slope": AssumptionCheck(
+        "the readings follow the input with another gain than claimed",
+        "declare sensor.slope",
+        keys=("observer.tolerance",),
     ),
     "dynamics": AssumptionCheck(
         "the readings answer changes of the input too late or too early",

@@ -183,7 +183,7 @@ class _Graphs(NamedTuple):
     Attributes:
         step: step(s, w, p) is (next state, [estimate; s]).
         moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
-        shown: of a row [beliefs; share; record], what is `SHOWN`.
+        shown: of a row [beliefs; what the sensor's shape adds; share; record], what is `SHOWN`.
         filter: the filter itself.
         causal: where `SHOWN` stands in what it gives.
         like: `Moments` of the members, of arrays of their shapes.
@@ -248,10 +248,11 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
-    row, (seen, share, kept) = tree.create_symbols(
-        (tuple(beliefs), np.zeros(len(like)), record), "r"
+    wide = tuple(one.unlearned for one in like)
+    row, (seen, more, share, kept) = tree.create_symbols(
+        (tuple(beliefs), wide, np.zeros(len(like)), record), "r"
     )
-    shown: Estimate = smoothing.shown(known.params, seen, share, kept)
+    shown: Estimate = smoothing.shown(known.params, seen, more, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
     where, of_estimate = (
         tree.leaf_slices((init, np.zeros(model.m)))[0],
@@ -292,14 +293,15 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     beliefs, before = [], []
     for one, later in zip(every, ahead.later, strict=True):
         mean, cov, first = smooth_backward(one, later)
-        if one.unlearned.size:  # the filter's, which looking back seldom makes larger
-            cov = cov + one.unlearned
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
         before.append(first)
     logs = np.column_stack([one.log for one in every])
     shares, odds = _shares(graphs, states, logs, ahead.odds)
     records, worst = _records(graphs, states, ahead.worst)
-    shown = interpret.map_rows(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    # What the sensor's shape adds is the filter's: looking back seldom makes it larger.
+    wide = [one.unlearned.reshape(len(w), -1) for one in every]
+    rows = np.hstack([*beliefs, *wide, shares, records])
+    shown = interpret.map_rows(graphs.shown, rows, numbers)
     # Where no belief can be smoothed, the filter itself shows.
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])

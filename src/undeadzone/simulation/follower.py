@@ -30,7 +30,6 @@ from undeadzone.util.arrays import Floats, require_number
 
 LIMIT = 1e12  # beyond this an estimate has diverged
 FEWEST_REPEATS = 0.01  # share of the readings that may repeat the one before by chance
-SURE = 2.0  # standard deviations beyond which a slope is another one than declared
 
 
 class Follower:
@@ -261,10 +260,9 @@ class Follower:
     def _remarks(self) -> list[str]:
         """What the readings tell of the sensor beside its widths.
 
-        They stick at the end of a range of which the scenario does not know, repeat one another, or
-        tell of another slope.
+        They stick at the end of a range of which the scenario does not know, or repeat one another.
         """
-        remarks = [*self._repeated_readings(), *self._other_slopes()]
+        remarks = self._repeated_readings()
         for i, running in enumerate(self._ends):
             ends = running.ends()
             if ends.has_ends:
@@ -282,24 +280,9 @@ class Follower:
         for i in np.flatnonzero(noisy & (self._repeats > FEWEST_REPEATS * active)):
             share = 100 * self._repeats[i] / active[i]
             remarks.append(
-                f"{share:.2g} % of the readings of output {i} beyond an edge repeat the one before: "
-                "the logger polls faster than the sensor answers; they count as missing"
+                f"{share:.2g} % of the readings of output {i} repeat the one before: the logger "
+                "polls faster than the sensor answers; they count as missing"
             )
-        return remarks
-
-    def _other_slopes(self) -> list[str]:
-        """That the slope of a sensor is another one than declared, beyond what chance makes."""
-        last, remarks = self._last, []
-        if last is None:
-            return []
-        for i, (slope, std) in enumerate(zip(last.slope, last.slope_std, strict=True)):
-            off = slope - self.zone.slope[i]
-            if abs(off) > SURE * std:
-                remarks.append(
-                    f"the slope of output {i} is {slope:.3g} +- {1.96 * std:.2g}, not "
-                    f"{self.zone.slope[i]:g}: the readings are {'steeper' if off > 0 else 'flatter'}"
-                    " than declared; set sensor.slope"
-                )
         return remarks
 
 

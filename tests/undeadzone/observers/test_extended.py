@@ -37,7 +37,8 @@ SHAKEN: dict[str, Any] = {"disturbance": 0.5, "correlation_time": 0.1}
 
 
 def zone(p: int = 1, Ts: float = TS, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 0.08, "left": 0.05, "noise": 1e-3} | options), p, Ts)
+    usual = {"right": 0.08, "left": 0.05, "noise": 1e-3} | EXACT_SENSOR
+    return resolve(Sensor(**usual | options), p, Ts)
 
 
 def arm(kind: Any = TwoLink, Ts: float = TS, **numbers: float) -> System:

@@ -32,7 +32,7 @@ MOST = 1e15  # of what an input shows in z [z]: a float holds its square
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
 # Share of the square of a score that multiplies variances: what is missed is absorbed in part.
-WIDER = {"dynamics": 1 / 9, "noise": 1 / 64}
+WIDER = {"slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 
 class Scores(NamedTuple):
@@ -41,19 +41,22 @@ class Scores(NamedTuple):
     Attributes:
         size: of nu^2 - 1.
         count: half of its variance.
-        rise, rise_square: of nu times how what inputs show in z changes of late, and variance of
-            that.
+        lift, lift_square: of nu times what inputs of late show in z beyond their mean, and
+            variance of that.
+        rise, rise_square: of nu times how that changes, likewise.
         held: share of readings that stay though they were foretold to move.
         rest: the same times where they stay [z].
         row: how many readings in a row were refused and agreed.
         rows: how often it were `ROW`.
         last: reading before [y].
         same: readings in a row that equal the one before them.
-        quick, brisk: means of what inputs show in z, over the spans of `Doubt.means` [z].
+        quick, brisk, slow: means of what inputs show in z, over the spans of `Doubt.means` [z].
     """
 
     size: Any
     count: Any
+    lift: Any
+    lift_square: Any
     rise: Any
     rise_square: Any
     held: Any
@@ -64,6 +67,7 @@ class Scores(NamedTuple):
     same: Any
     quick: Any
     brisk: Any
+    slow: Any
 
 
 def start_scores(p: int) -> Scores:
@@ -95,17 +99,19 @@ def update_scores(
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     follows = ca.logic_and(y != 0, ca.fabs(y - s.last) <= AGREE * ca.fabs(e * q.slope))
     row = ca.if_else(refused, ca.if_else(follows, s.row, 0.0) + 1, ca.if_else(used, 0.0, s.row))
-    rise = counted * (s.quick - s.brisk)
-    same = ca.if_else(is_stuck(doubt, y, s.last), s.same + 1, 0.0)
+    lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
+    same = ca.if_else(is_repeated(doubt, y, s.last), s.same + 1, 0.0)
     stays = ca.logic_and(stays, ca.logic_or(far, same > doubt.run))
     stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
-    left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk)
+    left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
     means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
     return Scores(
         keep * s.size + nu**2 - counted,
         keep**2 * s.count + counted,
+        keep * s.lift + nu * lift,
+        keep**2 * s.lift_square + lift**2,
         keep * s.rise + nu * rise,
         keep**2 * s.rise_square + rise**2,
         keep * s.held + (1 - keep) * stays,
@@ -118,7 +124,7 @@ def update_scores(
     )
 
 
-def is_stuck(doubt: Any, y: Any, last: Any) -> Any:
+def is_repeated(doubt: Any, y: Any, last: Any) -> Any:
     """Return 1 if a reading repeats its predecessor, to the last digit, and so is none (p).
 
     A run of them shows a stuck sensor; single ones come of a logger that polls too fast.
@@ -128,9 +134,10 @@ def is_stuck(doubt: Any, y: Any, last: Any) -> Any:
 
 def score_squares(s: Scores) -> dict[str, Any]:
     """Return the squares of the normal scores by assumption, maximised over the outputs."""
-    of_rise = ca.if_else(s.rise_square > 0, s.rise_square, 1.0)
+    of_lift, of_rise = (ca.if_else(V > 0, V, 1.0) for V in (s.lift_square, s.rise_square))
     enough = ca.fmin(s.count / ENOUGH, 1.0)
     found = {
+        "slope": s.lift**2 / of_lift,
         "dynamics": s.rise**2 / of_rise,
         "noise": ca.fmax(s.size, 0.0) ** 2 / (2 * ca.fmax(s.count, 1.0)),
     }

@@ -54,7 +54,7 @@ from undeadzone.observers.filtering.gaussian_filter import (
     covariance_entries,
     to_estimate,
 )
-from undeadzone.observers.filtering.innovation_tests import is_stuck
+from undeadzone.observers.filtering.innovation_tests import is_repeated
 from undeadzone.observers.filtering.measurement_update import (
     Corrected,
     branch_output,
@@ -74,15 +74,14 @@ from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.observers.filtering.multiple_models import add_disturbance_levels
 from undeadzone.observers.filtering.prior import Prior, doubt_numbers
 from undeadzone.observers.filtering.recovery import (
+    LIMIT,
     RejectionRate,
     inflate_covariance,
     reset_if_invalid,
     start_rejection_rate,
 )
 from undeadzone.observers.filtering.sensor_shape import (
-    add_column_variance,
     add_shape_states,
-    add_slope_estimate,
     column_variance,
     resolve_shape,
     shape_numbers,
@@ -153,8 +152,8 @@ def build_branch_filter(
         claimed: whether the disturbance is claimed, and no default.
         levels: how many rms of the disturbance are weighed (`levelled`).
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
-        learns_shape: whether slope and rounding of the sensor are among its unknowns; else the
-            shape only widens what is shown.
+        learns_shape: whether the rounding of the edges is among its unknowns; else it only widens
+            what is shown, as errors of the slope and late readings do.
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
@@ -203,7 +202,9 @@ def build_branch_filter(
         moments=partial(filter_moments, setup),
         odds=lambda s: np.zeros(1),
         record=lambda s: (),
-        shown=lambda q, beliefs, share, record: estimate_of_belief(setup, q, beliefs[0]),
+        shown=lambda q, beliefs, wide, share, record: estimate_of_belief(
+            setup, q, beliefs[0], wide[0]
+        ),
     )
     member = Member(params, init, partial(step_filter, setup), smoothing)
     member = add_disturbance_levels(member, levels, claimed)
@@ -297,9 +298,14 @@ def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
     return linearise(change, belief.mean)[1]
 
 
-def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
-    """Return the estimate of a Gaussian, without innovations."""
+def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> Estimate:
+    """Return the estimate of a Gaussian, without innovations.
+
+    Here wide: covariance that the sensor's shape adds (N x N), or empty.
+    """
     shown, _ = clip_belief(setup, q, belief)
+    if wide.shape[0]:
+        shown = Gaussian(shown.mean, shown.cov + wide)
     none = ca.SX(setup.model.p, 1)
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
@@ -316,20 +322,20 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     y, side, _, corrected, heard, columns = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
     if setup.shape.fixed:
-        shown = add_column_variance(q, shown, columns)
+        shown = Gaussian(shown.mean, shown.cov + column_variance(q, columns))
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
     estimated = add_actuator_estimates(q.zones, estimated, shown)
     estimated = add_gap_estimates(q, estimated, shown, reading)
-    estimated = add_slope_estimate(setup, q, estimated, shown)
     mean, cov, restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )
     pace = predict_pace(setup, q, s.pace, heard, u, side, reading)
     if setup.shape.fixed:
         moved = columns + motion_slope(setup, q, heard.belief, u) @ columns
-        columns = ca.if_else(restarted, 0.0, ca.vec(moved))
+        sound = ca.logic_and(ca.logic_not(restarted), ca.fabs(moved) < LIMIT)
+        columns = ca.vec(ca.if_else(sound, moved, 0.0))
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace, columns)
     if setup.doubts:
         after = apply_rejections(setup, q, after, side, heard.trust)
@@ -419,7 +425,7 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
         side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side
-    return ca.if_else(is_stuck(q.doubt, y, s.last), 0.0, side)
+    return ca.if_else(is_repeated(q.doubt, y, s.last), 0.0, side)
 
 
 def apply_rejections(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:

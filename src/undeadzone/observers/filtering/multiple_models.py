@@ -24,7 +24,7 @@ LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
 DOUBTED = 3  # levels from which on one lies above the claim
 # Deviations, and what it is that has them: a sum of fields.
-EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left", "slope")
+EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left")
 GAPS = ("gap_right", "gap_left")
 SPREAD: dict[str, tuple[str, ...]] = {f"{name}_std": (name,) for name in (*EACH, *GAPS)}
 SPREAD |= {"width_std": ("right", "left"), "gap_std": GAPS}
@@ -155,11 +155,13 @@ def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]
             every += member.moments(variant(q), state, u, reading)
         return tuple(every)
 
-    def shown(q: Any, beliefs: Sequence[Gaussian], share: Any, record: Any) -> Estimate:
+    def shown(
+        q: Any, beliefs: Sequence[Gaussian], wide: Sequence[Any], share: Any, record: Any
+    ) -> Estimate:
         """Return the mixture estimate of smoothed Gaussians of the members."""
         each = []
-        for variant, belief in zip(variants, beliefs, strict=True):
-            each.append(member.shown(variant(q), [belief], 1.0, record))
+        for variant, belief, more in zip(variants, beliefs, wide, strict=True):
+            each.append(member.shown(variant(q), [belief], [more], 1.0, record))
         return mix_estimates(each, share)
 
     return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)

@@ -259,7 +259,7 @@ FEWEST = 6.0  # readings over which it is averaged at least
 CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
-MEANS = (1 / 32, 1 / 16)  # quarter periods over which inputs are averaged
+MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
 REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
@@ -280,7 +280,7 @@ class Doubt(NamedTuple):
         limit: square of a score that is taken for chance.
         stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
-        means: shares of means of inputs that are left after a step (2), as `MEANS`.
+        means: shares of means of inputs that are left after a step (3), as `MEANS`.
         run: readings that repeat, one after the other, up to which it is no stuck sensor.
     """
 

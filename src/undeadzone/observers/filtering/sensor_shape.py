@@ -5,9 +5,10 @@ v in a sample, is
 
     y / m = z - s d + gamma s zeta + rho s exp(-zeta / l) - tau v + noise.
 
-gamma and rho are unknown constants of the filter, or all three are what it does not estimate: then
-a column S = d mean / d b of each doubt b says how far the mean would move if the sensor were a
-little other, and what is shown counts var(b) S S' besides (docs/filters.md, "The sensor's shape").
+rho is an unknown constant of the filter. gamma and tau are not, nor is rho of a filter that shall
+stay small: a column S = d mean / d b of each such doubt b says how far the mean would move if the
+sensor were a little other, and what is shown counts var(b) S S' besides (docs/filters.md, "The
+sensor's shape").
 """
 
 from __future__ import annotations
@@ -17,9 +18,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.filtering.constant_states import add_constants
 from undeadzone.observers.filtering.gaussian_filter import Augmentation, Setup, ShapeLayout
 from undeadzone.observers.filtering.prior import Prior
@@ -27,8 +26,7 @@ from undeadzone.plants.system import System, time_scale
 from undeadzone.util.arrays import Floats
 
 ROUND = 0.07  # rounding of an edge, in the smaller middle of the claimed ranges, by default
-SLOPE = 0.035  # relative error of the slope by default, where readings tell of it
-FIXED_SLOPE = 0.045  # the same where they do not
+SLOPE = 0.045  # relative error of the slope by default
 LATE, LATEST = 0.1, 2.0  # delay by default: in quarter periods of the plant, at most in samples
 LENGTH = 1.4  # length over which an edge is round, in `rounding`
 AT_EDGE, FIXED_AT_EDGE = 0.8, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
@@ -42,7 +40,7 @@ class ShapeClaims(NamedTuple):
         rounding: how far about an edge the characteristic is round (p) [z].
         slope_std: relative standard deviation of the slope (p) [1].
         lag: standard deviation of a delay behind the zone (p) [samples].
-        learns: whether slope and rounding are unknowns of the filter.
+        learns: whether the rounding is an unknown of the filter.
     """
 
     rounding: Floats
@@ -59,8 +57,12 @@ class ShapeClaims(NamedTuple):
 
     @property
     def learned(self) -> tuple[str, ...]:
-        """Return the names of the doubts that are unknowns of the filter."""
-        named = ("slope", "rounding") if self.learns else ()
+        """Return the names of the doubts that are unknowns of the filter.
+
+        A slope is none: with a large z it would take disturbances and errors of the model for its
+        own, and the estimate of z would be three times as far off.
+        """
+        named = ("rounding",) if self.learns else ()
         return tuple(name for name in named if name in self.deviations)
 
     @property
@@ -92,7 +94,7 @@ def resolve_shape(
         sensor: as the filter takes it; keys that are None have defaults.
         prior: of the filter, for its ranges.
         model: the sampled model.
-        learns: whether slope and rounding become unknowns of the filter.
+        learns: whether the rounding becomes an unknown of the filter.
         blind: whether it takes readings for z itself, and so asks nothing of a sensor.
     """
     p, Ts = model.p, model.Ts
@@ -101,10 +103,9 @@ def resolve_shape(
         return ShapeClaims(np.zeros(p), np.zeros(p), np.zeros(p), learns)
     middles = prior.ranges.mean(axis=1).reshape(2, p).min(axis=0)
     late = min(LATE * time_scale(model.continuous, Ts) / Ts, LATEST)
-    usual = SLOPE if learns else FIXED_SLOPE
     return ShapeClaims(
         rounding=ROUND * middles if sensor.rounding is None else sensor.rounding,
-        slope_std=np.full(p, usual) if sensor.slope_std is None else sensor.slope_std,
+        slope_std=np.full(p, SLOPE) if sensor.slope_std is None else sensor.slope_std,
         lag=np.full(p, late) if sensor.lag is None else sensor.lag / Ts,
         learns=learns,
     )
@@ -118,7 +119,7 @@ def widen_gate(prior: Prior, sensor: Zone, claims: ShapeClaims) -> Prior:
 def add_shape_states(
     inner: Augmentation, model: System, claims: ShapeClaims
 ) -> tuple[Augmentation, ShapeLayout]:
-    """Return the motion with slope and rounding as its last unknowns, and where they stand."""
+    """Return the motion with the rounding among its last unknowns, and where that stands."""
     first = model.n + 2 * model.p + len(inner.cov)
     layout = ShapeLayout(first, claims.learned, claims.fixed)
     if claims.learned:
@@ -215,22 +216,7 @@ def move_columns(
     return columns + gain @ (phi - h @ columns)
 
 
-def add_column_variance(q: Any, shown: Gaussian, columns: Any) -> Gaussian:
-    """Return the belief that is shown, with what the sensor's shape may have done to its mean."""
-    return Gaussian(shown.mean, shown.cov + column_variance(q, columns))
-
-
 def column_variance(q: Any, columns: Any) -> Any:
     """Return the covariance that the doubts of the columns make (N x N)."""
     wide = columns @ ca.diag(q.shape.doubt)
     return wide @ wide.T
-
-
-def add_slope_estimate(setup: Setup, q: Any, estimated: Estimate, shown: Gaussian) -> Estimate:
-    """Return the estimate with the slope of the sensor, if the filter estimates it."""
-    layout, p = setup.shape, setup.model.p
-    if "slope" not in layout.learned:
-        return estimated
-    part = slice(layout.first, layout.first + p)
-    std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[part], 0.0))
-    return estimated._replace(slope=q.slope * (1 + shown.mean[part]), slope_std=q.slope * std)

@@ -47,11 +47,12 @@ class Smoothing(NamedTuple):
         moments: moments(q, s, u, reading) are the `Moments` of its members.
         odds: odds(s) is the log of the odds of its members before a sample (K).
         record: record(s) is what it keeps to judge its innovations; empty of a member.
-        shown: shown(q, beliefs, share, record) is the estimate that shows beliefs of its members,
-            as likely as `share` (K).
+        shown: shown(q, beliefs, wide, share, record) is the estimate that shows beliefs of its
+            members, as likely as `share` (K), with covariances that the sensor's shape adds to
+            each (`Moments.unlearned`).
     """
 
     moments: Callable[[Any, Any, Any, Reading], tuple[Moments, ...]]
     odds: Callable[[Any], Any]
     record: Callable[[Any], Any]
-    shown: Callable[[Any, Sequence[Gaussian], Any, Any], Estimate]
+    shown: Callable[[Any, Sequence[Gaussian], Sequence[Any], Any, Any], Estimate]
