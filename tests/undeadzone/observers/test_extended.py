@@ -14,7 +14,7 @@ from benchmarks.arm_coverage import PULSES, START, sines, watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, OnNumbers, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate

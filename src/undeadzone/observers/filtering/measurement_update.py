@@ -116,7 +116,7 @@ def correct_by_readings(
         belief = one.belief
         each.append(one)
         if setup.shape.fixed:
-            late = ahead[i] if ahead.shape[0] else 0.0
+            late = ca.if_else(present(ahead[i]), ahead[i], 0.0) if ahead.shape[0] else 0.0
             effects = shape_effects(q, setup.shape.fixed, i, branch, y[i] / q.slope[i], late)
             columns = move_columns(setup, q, i, columns, one.gain, h, effects)
     return stack_updates(each), columns

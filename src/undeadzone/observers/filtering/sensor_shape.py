@@ -26,7 +26,7 @@ from undeadzone.plants.system import System, time_scale
 from undeadzone.util.arrays import Floats
 
 ROUND = 0.07  # rounding of an edge, in the smaller middle of the claimed ranges, by default
-SLOPE = 0.045  # relative error of the slope by default
+SLOPE = 0.055  # relative error of the slope by default
 LATE, LATEST = 0.1, 2.0  # delay by default: in quarter periods of the plant, at most in samples
 LENGTH = 1.4  # length over which an edge is round, in `rounding`
 AT_EDGE, FIXED_AT_EDGE = 0.8, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
