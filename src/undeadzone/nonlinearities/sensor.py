@@ -255,13 +255,13 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         load_inertia: input that what is behind a play takes per acceleration; it tells whether the
             load rests in its gap (p) [u s^2/z].
         rounding: how far about an edge observers take the characteristic for round, 0 where its
-            edges are sharp (p) [z]; default 7 % of the smaller middle of the claimed ranges. A
+            edges are sharp (p) [z]; default 7 % of the smaller middle of the declared ranges. A
             simulated sensor has sharp edges.
-        slope_std: relative standard deviation of the slope to observers, alike on both sides; 0 is
-            a claim (p) [1]; default 0.03. A simulated sensor has `slope` itself.
-        lag: standard deviation of an unknown delay behind the zone to observers; 0 is a claim (p)
-            [s]; default 2 samples, at most a 16th of a quarter of the plant's period. A simulated
-            sensor has none.
+        slope_std: relative standard deviation of the slope to observers, alike on both sides; 0:
+            it is known (p) [1]; default 0.06. A simulated sensor has `slope` itself.
+        lag: standard deviation of an unknown delay behind the zone to observers; 0: it reads at
+            once (p) [s]; default 3 samples, at most a 16th of the plant's period. A simulated
+            sensor reads at once.
     """
 
     right: Array

@@ -124,9 +124,9 @@ def deadzone_update(
             correlation time of its disturbance if that is longer, up to a quarter period.
         noise_before: rms of the noise ahead of the zone [z].
         slope: of the zone's branches [y/z].
-        rounding: how far about an edge the characteristic may be round [z]; 0: it is sharp.
+        rounding: how far about an edge the characteristic may be round [z]; 0: not at all.
         slope_std: relative standard deviation of the slope; 0: it is known.
-        lag: standard deviation of an unknown delay behind the zone [samples]; 0: there is none.
+        lag: standard deviation of an unknown delay behind the zone [samples].
         ahead: by how much z was foretold to move in the last sample [z]; asked for by a lag.
         columns: what the last call returned, moved by your prediction (N x 3); None: 0.
 

@@ -273,14 +273,14 @@ class Follower:
         return remarks
 
     def _repeated_readings(self) -> list[str]:
-        """That noisy readings repeat the one before: fewer of them are readings than it seems."""
+        """Say that noisy readings repeat the one before, where they do."""
         zone, remarks = self.zone, []
         noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
         active = self._counts[:2].sum(axis=0)
         for i in np.flatnonzero(noisy & (self._repeats > FEWEST_REPEATS * active)):
             share = 100 * self._repeats[i] / active[i]
             remarks.append(
-                f"{share:.2g} % of the readings of output {i} repeat the one before: the logger "
+                f"{share:.0f} % of the readings of output {i} repeat the one before: the logger "
                 "polls faster than the sensor answers; they count as missing"
             )
         return remarks

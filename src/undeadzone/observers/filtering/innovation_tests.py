@@ -125,7 +125,7 @@ def update_scores(
 
 
 def is_repeated(doubt: Any, y: Any, last: Any) -> Any:
-    """Return 1 if a reading repeats its predecessor, to the last digit, and so is none (p).
+    """Return 1 if a reading repeats its predecessor, to the last digit, and counts as missing (p).
 
     A run of them shows a stuck sensor; single ones come of a logger that polls too fast.
     """

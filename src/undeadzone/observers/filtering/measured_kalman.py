@@ -82,11 +82,11 @@ from undeadzone.observers.filtering.recovery import (
 )
 from undeadzone.observers.filtering.sensor_shape import (
     add_shape_states,
+    arrange_columns,
     column_variance,
     resolve_shape,
     shape_numbers,
     start_columns,
-    unpack_columns,
     widen_gate,
 )
 from undeadzone.observers.filtering.smoothing import Moments, Smoothing
@@ -245,7 +245,7 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
         surprises,
         reading.motion,
         s.pace.ahead,
-        unpack_columns(setup, s.columns),
+        arrange_columns(setup, s.columns),
     )
     heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
     heard = apply_bounds(setup, q, s, heard, reading, y, side)
@@ -266,9 +266,13 @@ def filter_moments(
     )[2]
     slope = motion_slope(setup, q, heard.belief, u)
     log = log_likelihood(setup, corrected, heard)
-    unlearned = column_variance(q, taken.columns) if setup.shape.fixed else ca.SX(0, 0)
+    none = ca.SX(setup.model.n + 2 * setup.model.p + len(setup.augmentation.cov), 0)
+    doubted = (none, none)
+    if setup.shape.fixed:
+        scale = ca.diag(q.shape.doubt)
+        doubted = (arrange_columns(setup, s.columns) @ scale, taken.columns @ scale)
     known = Moments(
-        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted, unlearned
+        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted, doubted
     )
     return (known,)
 

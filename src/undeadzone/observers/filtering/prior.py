@@ -271,7 +271,7 @@ class Doubt(NamedTuple):
         glitch: log of the odds that a reading on an active side is wrong.
         fake: log of the probability that a silence is fake.
         reach: range over which a wrong reading is evenly spread (p) [z].
-        noisy: 1 where a reading that is alike to the one before, to the last digit, is none (p).
+        noisy: 1 where a reading that repeats the one before counts as missing (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
@@ -281,7 +281,7 @@ class Doubt(NamedTuple):
         stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
         means: shares of means of inputs that are left after a step (3), as `MEANS`.
-        run: readings that repeat, one after the other, up to which it is no stuck sensor.
+        run: longest row of repeats of a sensor that is not stuck.
     """
 
     glitch: Floats

@@ -25,15 +25,15 @@ from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System, time_scale
 from undeadzone.util.arrays import Floats
 
-ROUND = 0.07  # rounding of an edge, in the smaller middle of the claimed ranges, by default
-SLOPE = 0.055  # relative error of the slope by default
-LATE, LATEST = 0.1, 2.0  # delay by default: in quarter periods of the plant, at most in samples
+ROUND = 0.07  # rounding of an edge, in the smaller middle of the ranges, by default
+SLOPE = 0.06  # relative error of the slope by default
+LATE, LATEST = 0.25, 3.0  # delay by default: in quarter periods, at most in samples
 LENGTH = 1.4  # length over which an edge is round, in `rounding`
 AT_EDGE, FIXED_AT_EDGE = 0.8, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
 FAR = 30.0  # lengths beyond which an edge is not round any more
 
 
-class ShapeClaims(NamedTuple):
+class ShapeAssumptions(NamedTuple):
     """Shape of the sensor as a filter assumes it, with defaults; 0: exact.
 
     Attributes:
@@ -59,8 +59,8 @@ class ShapeClaims(NamedTuple):
     def learned(self) -> tuple[str, ...]:
         """Return the names of the doubts that are unknowns of the filter.
 
-        A slope is none: with a large z it would take disturbances and errors of the model for its
-        own, and the estimate of z would be three times as far off.
+        The slope is not one of them: with a large z it would take disturbances and errors of the
+        model for its own, and the estimate of z would be three times as far off.
         """
         named = ("rounding",) if self.learns else ()
         return tuple(name for name in named if name in self.deviations)
@@ -85,7 +85,7 @@ class ShapeNumbers(NamedTuple):
 
 def resolve_shape(
     sensor: Zone, prior: Prior, model: System, learns: bool, blind: bool
-) -> ShapeClaims:
+) -> ShapeAssumptions:
     """Return the shape of a sensor as a filter assumes it.
 
     Sensors that jump or move are exact.
@@ -100,10 +100,10 @@ def resolve_shape(
     p, Ts = model.p, model.Ts
     assert Ts is not None
     if sensor.kind != "deadzone" or sensor.moves or blind:
-        return ShapeClaims(np.zeros(p), np.zeros(p), np.zeros(p), learns)
+        return ShapeAssumptions(np.zeros(p), np.zeros(p), np.zeros(p), learns)
     middles = prior.ranges.mean(axis=1).reshape(2, p).min(axis=0)
     late = min(LATE * time_scale(model.continuous, Ts) / Ts, LATEST)
-    return ShapeClaims(
+    return ShapeAssumptions(
         rounding=ROUND * middles if sensor.rounding is None else sensor.rounding,
         slope_std=np.full(p, SLOPE) if sensor.slope_std is None else sensor.slope_std,
         lag=np.full(p, late) if sensor.lag is None else sensor.lag / Ts,
@@ -111,32 +111,32 @@ def resolve_shape(
     )
 
 
-def widen_gate(prior: Prior, sensor: Zone, claims: ShapeClaims) -> Prior:
+def widen_gate(prior: Prior, sensor: Zone, shape: ShapeAssumptions) -> Prior:
     """Return the prior with a gate within which round edges read, too."""
-    return prior._replace(gate=np.maximum(prior.gate, claims.rounding * sensor.slope))
+    return prior._replace(gate=np.maximum(prior.gate, shape.rounding * sensor.slope))
 
 
 def add_shape_states(
-    inner: Augmentation, model: System, claims: ShapeClaims
+    inner: Augmentation, model: System, shape: ShapeAssumptions
 ) -> tuple[Augmentation, ShapeLayout]:
     """Return the motion with the rounding among its last unknowns, and where that stands."""
     first = model.n + 2 * model.p + len(inner.cov)
-    layout = ShapeLayout(first, claims.learned, claims.fixed)
-    if claims.learned:
-        std = np.concatenate([claims.deviations[name] for name in claims.learned])
+    layout = ShapeLayout(first, shape.learned, shape.fixed)
+    if shape.learned:
+        std = np.concatenate([shape.deviations[name] for name in shape.learned])
         inner = add_constants(inner, std**2)
     return inner, layout
 
 
-def shape_numbers(claims: ShapeClaims) -> ShapeNumbers | None:
+def shape_numbers(shape: ShapeAssumptions) -> ShapeNumbers | None:
     """Return the parameters of a filter for the shape of its sensor, or None if it is exact."""
-    deviations = claims.deviations
+    deviations = shape.deviations
     if not deviations:
         return None
     none: list[Floats] = [np.empty(0)]
-    doubt = np.concatenate(none + [deviations[name] for name in claims.fixed])
-    round_edge = claims.rounding > 0
-    return ShapeNumbers(LENGTH * np.where(round_edge, claims.rounding, 1.0), doubt)
+    doubt = np.concatenate(none + [deviations[name] for name in shape.fixed])
+    round_edge = shape.rounding > 0
+    return ShapeNumbers(LENGTH * np.where(round_edge, shape.rounding, 1.0), doubt)
 
 
 def shape_effects(
@@ -190,7 +190,7 @@ def start_columns(setup: Setup) -> Floats:
     return np.zeros(size * len(setup.shape.fixed) * setup.model.p)
 
 
-def unpack_columns(setup: Setup, columns: Any) -> Any:
+def arrange_columns(setup: Setup, columns: Any) -> Any:
     """Return the columns as a matrix (N x their number)."""
     count = len(setup.shape.fixed) * setup.model.p
     return ca.reshape(ca.SX(columns), columns.shape[0] // max(count, 1), count)

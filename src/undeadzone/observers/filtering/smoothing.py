@@ -25,8 +25,8 @@ class Moments(NamedTuple):
         slope: I + slope is the Jacobian of the motion to the next sample (N x N).
         log: log of the density with which the readings were foretold.
         restarted: 1 where the belief was lost, so that the next one is the prior.
-        unlearned: covariance of what the sensor's shape may have done to the mean (N x N); empty:
-            nothing.
+        doubted: by how much a deviation of each doubt about the sensor's shape moves the mean
+            before the reading, and after it (2 of N x their number).
     """
 
     before: Gaussian
@@ -37,7 +37,7 @@ class Moments(NamedTuple):
     slope: Any
     log: Any
     restarted: Any
-    unlearned: Any
+    doubted: tuple[Any, Any]
 
 
 class Smoothing(NamedTuple):
@@ -49,7 +49,7 @@ class Smoothing(NamedTuple):
         record: record(s) is what it keeps to judge its innovations; empty of a member.
         shown: shown(q, beliefs, wide, share, record) is the estimate that shows beliefs of its
             members, as likely as `share` (K), with covariances that the sensor's shape adds to
-            each (`Moments.unlearned`).
+            each; empty: none.
     """
 
     moments: Callable[[Any, Any, Any, Reading], tuple[Moments, ...]]
