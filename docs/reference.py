@@ -102,9 +102,10 @@ def chooser(struct: type[msgspec.Struct]) -> str:
 
 
 def prose(struct: type[msgspec.Struct]) -> str:
-    """A struct's docstring ahead of its `Attributes:`, on one line."""
+    """Return a struct's docstring before its `Attributes:` on one line, with its DOIs as links."""
     text, _, _ = inspect.getdoc(struct).partition("\nAttributes:")
-    return " ".join(text.split())
+    line = " ".join(text.split())
+    return re.sub(r"doi:(\S*\w)", r"[doi:\1](https://doi.org/\1)", line)
 
 
 def meaning(struct: type[msgspec.Struct]) -> dict[str, str]:

@@ -30,35 +30,49 @@ PROJECT = (
     "fuzz/RESULTS.md",
     "mutants/RESULTS.md",
 )
-FIRST = {
-    "Start": [
-        "index.md",
-        "try.md",
-        "install.md",
-        "tour.md",
-        "command_line.md",
-        "keys.md",
+CHAPTERS = {
+    "Start": ["index.md", "try.md", "install.md", "gallery.md"],
+    "Tutorials": ["tour.md"],
+    "How-to": [
         "which.md",
         "compare.md",
-        "glossary.md",
         "faq.md",
+        "hear.md",
+        "watch.md",
+        "export.md",
+        "ensemble.md",
+        "tune.md",
+        "security.md",
     ],
-    "The problem": [
+    "Explanation": [
         "model.md",
         "nonlinearities.md",
         "play.md",
         "actuator.md",
-        "observer.md",
-        "paper.md",
+        "identify.md",
         "identifiability.md",
+        "filters.md",
+        "observer.md",
         "adaptation.md",
+        "certificate.md",
+        "rates.md",
+        "simulation.md",
+        "robots.md",
+        "arena.md",
+        "paper.md",
     ],
-    "Proof and speed": ["certificate.md", "rates.md"],
-    "Logs": ["identify.md", "watch.md", "filters.md", "hear.md"],
-    "Studies": ["simulation.md", "ensemble.md", "tune.md", "arena.md", "robots.md"],
-    "Elsewhere": ["export.md", "security.md"],
-    "Reference": ["scenario.md", "versions.md", "decisions.md"],
+    "Reference": [
+        "command_line.md",
+        "keys.md",
+        "scenario.md",
+        "json.md",
+        "versions.md",
+        "notation.md",
+        "references.md",
+    ],
 }
+CONTRIBUTING = ["architecture.md", "decisions.md"]
+MOVED = {"house.md": "architecture.md", "glossary.md": "notation.md"}  # old address: new page
 TRY = """# Try it
 
 The whole loop of plant, sensor, observer and controller, computed in your browser at each move of a
@@ -76,11 +90,12 @@ LINK = re.compile(r"(\]\()([^)#\s:]+)(#[^)]*)?(\))")
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Order the pages."""
     methods = sorted(path.name for path in (ROOT / "docs/methods").glob("*.md"))
-    nav: list[Any] = [{title: list(pages)} for title, pages in FIRST.items()]
-    nav[0]["Start"].insert(3, {"Tutorials": [f"tutorials/{name}.md" for name in tutorials.NAMES]})
-    nav[-1]["Reference"].insert(0, "api.md")
-    nav.append({"Methods": ["methods/index.md", *(f"methods/{name}" for name in methods)]})
-    nav.append({"Project": [project_page(path) for path in PROJECT]})
+    chapters = {title: list[Any](pages) for title, pages in CHAPTERS.items()}
+    chapters["Tutorials"] += [f"tutorials/{name}.md" for name in tutorials.NAMES]
+    chapters["Reference"].insert(0, "api.md")
+    chapters["Methods"] = ["methods/index.md", *(f"methods/{name}" for name in methods)]
+    chapters["Contributing"] = CONTRIBUTING + [project_page(path) for path in PROJECT]
+    nav = [{title: pages} for title, pages in chapters.items()]
     config.nav = nav
     return config
 
@@ -92,6 +107,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     add(files, config, "api.md", reference())
     add(files, config, "methods/index.md", methods_page())
     add(files, config, "try.md", TRY)
+    for old, new in MOVED.items():
+        add(files, config, old, redirect_page(new))
     for name, content in tutorials.pages(ROOT / "docs/tutorials").items():
         add(files, config, f"tutorials/{name}", content)
     for path in sorted((HERE / "assets").rglob("*")):
@@ -171,6 +188,15 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
 def add(files: Files, config: MkDocsConfig, uri: str, content: str | bytes) -> None:
     """Add a file to the site."""
     files.append(File.generated(config, uri, content=content))
+
+
+def redirect_page(target: str) -> str:
+    """Return a page that leads from an old address to the page that replaced it."""
+    address = target.replace(".md", ".html")
+    return (
+        f'<meta http-equiv="refresh" content="0; url={address}">\n\n# Moved\n\n'
+        f"This page is now [{target.removesuffix('.md')}]({target}).\n"
+    )
 
 
 def reference() -> str:

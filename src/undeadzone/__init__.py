@@ -40,7 +40,7 @@ def __getattr__(name: str) -> Any:
 
         current = _RENAMED[name]
         warnings.warn(
-            f"uz.{name} is now uz.{current}; the old name goes in version 0.2",
+            f"uz.{name} is now uz.{current}. The old name goes in version 0.2",
             DeprecationWarning,
             stacklevel=2,
         )

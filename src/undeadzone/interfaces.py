@@ -532,7 +532,7 @@ def require_graph(observer: Observer) -> Observer:
     if observer.python is not None:
         raise InputError(
             "observer.method: this one computes in Python, sample by sample: it runs in single "
-            "simulations only, not in ensembles, compiled lanes, live use or generated C; "
-            "use 'kalman' or 'censored' there"
+            "simulations only, not in ensembles, compiled lanes, live use or generated C. "
+            "Use 'kalman' or 'censored' there"
         )
     return observer

@@ -111,8 +111,8 @@ class Registry(NamedTuple):
         is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
         if not is_struct or not hasattr(options, "build"):
             raise InputError(
-                f"{self.group}: {tag!r} is registered at {place}, which is no class of options; "
-                "derive it from undeadzone.registry.Options, with a method build"
+                f"{self.group}: {tag!r} is registered at {place}, which is no class of options. "
+                "Derive it from undeadzone.registry.Options, with a method build"
             )
         return options
 

@@ -51,6 +51,9 @@ def build_gaussians(key: str, reach: Floats, count: int, overlap: float, normali
     sum to 1: fuzzy rules with Gaussian membership, singleton fuzzifier, product inference and
     centre average (Wang and Mendel 1992), and v is brought into the box first.
 
+    References:
+        L.-X. Wang, J. M. Mendel (1992), doi:10.1109/72.159070
+
     Args:
         key: named in errors.
         reach: half the sides of the box (k).
@@ -111,6 +114,9 @@ def build_jump_functions(key: str, count: int) -> Basis:
 
     They act on the right side and, negative, on the left.
 
+    References:
+        R. R. Selmic, F. L. Lewis (2000), doi:10.1109/9.847098
+
     Args:
         key: named in errors.
         count: functions per side.
@@ -147,7 +153,7 @@ def _require_small_basis(key: str, basis: Basis) -> Basis:
     """Return the basis if small enough to compute at every step, or raise InputError."""
     if basis.size > LARGEST:
         raise InputError(
-            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed; "
-            "use fewer per axis"
+            f"{key}: the basis would have {basis.size} functions, at most {LARGEST} are computed. "
+            "Use fewer per axis"
         )
     return basis

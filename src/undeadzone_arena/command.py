@@ -53,7 +53,7 @@ FOLDER = Path("arena-results")
     "chosen",
     type=click.Choice(("dead_zones", "plays", "both_ends")),
     default=None,
-    help="Which scenarios of the arena, without your own (default: dead_zones).",
+    help="Set of scenarios of the arena, if you give none (default: dead_zones).",
 )
 @click.option("--html", is_flag=True, help="Write results.json, figures and report.html to DIR.")
 @click.option(
@@ -61,7 +61,7 @@ FOLDER = Path("arena-results")
     type=PATH,
     default=None,
     metavar="DIR",
-    help=f"Folder for the files written; implies --html (default: {FOLDER}).",
+    help=f"Folder for the files written, implies --html (default: {FOLDER}).",
 )
 @click.option(
     "--json",
@@ -95,12 +95,12 @@ FOLDER = Path("arena-results")
     type=click.IntRange(1),
     default=None,
     metavar="N",
-    help="At once (default: one per processor).",
+    help="Number of processes (default: one per processor).",
 )
 @click.option(
     "--resume",
     is_flag=True,
-    help="Continue what was stopped, from DIR/results.json.partial or tuned.toml.partial.",
+    help="Continue an interrupted command from DIR/results.json.partial or tuned.toml.partial.",
 )
 @force_option
 @add_guards
@@ -122,18 +122,18 @@ def arena(
 ) -> int:
     """Compare methods: each replaces the scenario's observer, with the same prior information.
 
-    Without scenarios: on those that the arena holds out. Ranked by regret on the hidden z - r: 0 is
-    knowing the state, the plant and the disturbance, 1 is being off by half the zone; the median
-    over the scenarios, and the worst, with 95 % intervals. Says on stderr how many runs that are
-    and about how long they take. What is done is kept in DIR meanwhile: after Ctrl-C, kill or a
-    crash --resume goes on. See docs/arena.md.
+    Without scenarios it uses those that the arena holds out. Methods are ranked by their regret on
+    the hidden z - r: 0 knows state, plant and disturbance, 1 is wrong by half the zone. The table
+    shows the median over the scenarios, and the worst, with 95 % intervals. The number of runs and
+    their approximate time are printed on stderr first. Finished runs are kept in DIR: after Ctrl-C,
+    kill or a crash --resume goes on. See docs/arena.md.
     """
     from undeadzone.util.own_files import require_own_file
     from undeadzone_arena.contest.scenario_sets import SETS, scenarios_from_files
     from undeadzone_arena.contest.scenario_sets import arena_scenarios as built_in
 
     if chosen and scenarios:
-        raise click.UsageError("--set names scenarios of the arena; leave your own out, or --set")
+        raise click.UsageError("--set names scenarios of the arena. Leave your own out, or --set")
     _require_used_options(tuning)
     tuned_on, held_out = SETS[chosen or "dead_zones"]
     names = None if methods is None else _parse_method_names(methods)
@@ -177,7 +177,7 @@ def _require_used_options(tuning: bool) -> None:
     for name in unused:
         if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             raise click.UsageError(
-                f"--{name} has no effect {'with' if tuning else 'without'} --tune; leave it out"
+                f"--{name} has no effect {'with' if tuning else 'without'} --tune. Leave it out"
             )
 
 

@@ -34,7 +34,7 @@ def injection_gain(
     options = {"L": L, "poles": poles, "speed": speed}
     chosen = [name for name, value in options.items() if value is not None]
     if len(chosen) > 1:
-        raise InputError(f"observer: give one of L, poles, speed; found {' and '.join(chosen)}")
+        raise InputError(f"observer: give one of L, poles, speed, found {' and '.join(chosen)}")
     if L is not None:
         return innovation_gain(L, model) * model.per_step
     if poles is not None:

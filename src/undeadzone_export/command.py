@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 @value_option(
     "--out",
     "DIR",
-    "Folder for the files (default: firmware; with --check alone, none); of a page, the file "
+    "Folder for the files (default: firmware, and none with --check alone). For a page, the file "
     "(default: live.html).",
     type=PATH,
 )
@@ -46,10 +46,10 @@ if TYPE_CHECKING:
 @value_option(
     "--tunable",
     "NAME",
-    "A number that stays a parameter, such as observer.gamma; may be repeated.",
+    "Number that stays a parameter, such as observer.gamma. May be repeated.",
     multiple=True,
 )
-@value_option("--name", "NAME", "What every symbol begins with.")
+@value_option("--name", "NAME", "Prefix of every symbol.")
 @flag_option(
     "--check",
     "Build the self-test with this computer's compiler, run it, print the accuracy table.",
@@ -70,18 +70,20 @@ def export(
     as_json: bool,
     confine: Path | None,
 ) -> int:
-    """Write a scenario's observer, and its controller if asked, so that it runs elsewhere.
+    """Write a scenario's observer, and on request its controller, as code for another machine.
 
-    As C99 for firmware, as Structured Text (st) for a PLC, as an FMU for Simulink, Modelica and
-    others, or as a Python module. A folder of C holds the code, a self-test with reference vectors
-    as bits, build files, README and manifest. Single precision is run beside double along the
-    scenario's own run.
-    Exit code 1: the self-test or the accuracy fails; the files are written all the same.
-    Of an earlier export in the folder its files are replaced, others stay; one that was edited, or
-    a folder that is no export, is refused without --force.
+    The targets are C99 for firmware, Structured Text (st) for a PLC, an FMU for Simulink, Modelica
+    and others, and a Python module. A folder of C holds the code, a self-test with reference
+    vectors as bits, build files, README and manifest. Single precision is run beside double along
+    the scenario's own run.
+
     `--to page` writes one HTML file in which the whole loop runs in a browser, with sliders.
     `--to snippet` writes a few lines of C, Python and Structured Text that compensate a dead zone
-    or a gap; it takes identify.json as well, and its default folder is snippet.
+    or a gap. It takes identify.json as well, and its default folder is snippet.
+
+    Files of an earlier export in the folder are replaced, other files stay. An edited file, or a
+    folder without an export, is refused without --force. Exit code 1: the self-test or the accuracy
+    fails, but the files are written.
     """
     if to == "snippet":
         if check or tunable or precision or part != "observer":

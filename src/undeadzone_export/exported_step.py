@@ -418,7 +418,7 @@ def _find_tunable(name: str, places: dict[str, slice]) -> slice:
     if name in known:
         return places[name]
     nearest = difflib.get_close_matches(name, known, 3, 0.4) or known
-    raise InputError(f"tunable: no number {name!r}; did you mean {', '.join(nearest)}?")
+    raise InputError(f"tunable: no number {name!r}. Did you mean {', '.join(nearest)}?")
 
 
 def require_effect(every: ca.SX, params: TunableNumbers, tunable: tuple[str, ...]) -> None:

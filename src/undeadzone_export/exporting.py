@@ -200,7 +200,7 @@ def _require_page_options(
     for key, value in options.items():
         if value:
             raise InputError(
-                f"{key}: a page has the whole loop, in double, and no such choice; leave it out"
+                f"{key}: a page has the whole loop, in double, and no such choice. Leave it out"
             )
 
 
@@ -209,8 +209,8 @@ def _symbol_prefix(name: str | None, title: str) -> str:
     prefix = to_identifier(to_identifier(title)[:24]) if name is None else name
     if not NAME.fullmatch(prefix) or to_identifier(prefix) != prefix:
         raise InputError(
-            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}; "
-            "words of C and Python, headers and modules (math) are taken"
+            f"name: expected a letter, then up to 39 of a-z, 0-9 and single _, found {prefix!r}. "
+            "Words of C and Python, headers and modules (math) are taken"
         )
     return prefix
 

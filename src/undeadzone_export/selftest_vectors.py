@@ -73,7 +73,7 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     if diverged[0]:
         raise InputError(
             f"simulation: the run leaves +-{DIVERGED:g} at its first sample, so there is nothing "
-            "to measure the code on; export a scenario whose run stays bounded"
+            "to measure the code on. Export a scenario whose run stays bounded"
         )
     return rows[: int(diverged.argmax())] if diverged.any() else rows
 

@@ -240,10 +240,10 @@ def _of_answer(path: Path) -> Lost:
             f"{path}: expected the identify.json of `undeadzone identify`, or a scenario"
         ) from None
     if "outputs" in found:
-        raise InputError(f"{path}: holds several outputs; identify one, named by --columns y=NAME")
+        raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
         raise InputError(
-            f"{path}: the verdict is {verdict}, which no few lines compensate; record longer, or "
+            f"{path}: the verdict is {verdict}, which no few lines compensate. Record longer, or "
             "with larger and slower reversals, and identify again (--next says with which input)"
         )
     try:
@@ -254,13 +254,13 @@ def _of_answer(path: Path) -> Lost:
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
     except (KeyError, TypeError, ValueError):
         raise InputError(
-            f"{path}: the verdict {verdict} has no widths with intervals; record longer, with "
+            f"{path}: the verdict {verdict} has no widths with intervals. Record longer, with "
             "more passages of the edges, and identify again"
         ) from None
     if share < SURE:
         raise InputError(
             f"{path}: {verdict} is likely to {100 * share:.0f} % only, and {100 * SURE:.0f} % are "
-            "needed; record the input that `identify --next` proposes"
+            "needed. Record the input that `identify --next` proposes"
         )
     return Lost(KINDS[verdict], right, left, width, unit, path.name, silent)
 

@@ -40,7 +40,7 @@ def require_replaceable(out: Path, force: bool = False) -> None:
             may be put into any folder.
     """
     if out.exists() and not out.is_dir():
-        raise FileError(f"{out}: is a file; give another folder")
+        raise FileError(f"{out}: is a file. Give another folder")
     require_folder(out)
     if not out.exists():
         return
@@ -117,7 +117,7 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
     own = {MANIFEST, *before} - set(list_edited_files(out, before))
     for path in files:
         if (out / path).parent.resolve() != out.resolve() / Path(path).parent:
-            raise FileError(f"{out / path}: a link leads elsewhere; give another folder")
+            raise FileError(f"{out / path}: a link leads elsewhere. Give another folder")
         if not force and path not in own and (out / path).exists():
             raise FileError(f"{out / path}: exists already, and someone else wrote it; {CURE}")
     with convert_write_errors(out):

@@ -42,29 +42,33 @@ PLACES = click.Choice(["auto", "sensor"])
 @click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
 @click.argument("logs", nargs=-1, required=True, type=PATH, metavar="LOG [LOG ...]")
 @columns_option
-@value_option(
-    "--kind", None, "What stands at the output; auto finds out.", type=KINDS, default="auto"
-)
+@value_option("--kind", None, "Nonlinearity at the output, or auto.", type=KINDS, default="auto")
 @value_option(
     "--order", "N|LOW-HIGH", "Poles of the plant, or a range to choose from.", default="1-4"
 )
 @value_option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
 @value_option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
-@value_option("--zero", "READING", "What the sensor reads inside its zone.", default=0.0)
+@value_option("--zero", "READING", "Reading of the sensor inside its zone.", default=0.0)
 @rarely("--integrators", None, "Poles of the plant at 0: 1 for a motor's position.", default=0)
-@rarely("--offset", "RMS|free", "Of a constant offset of the output.", default="0")
-@rarely("--held-out", None, "Share of the log, at its end, that checks.", default=0.3)
-@rarely("--noise", None, "Whether noise is added ahead of the zone.", type=NOISES, default="auto")
-@rarely("--place", None, "sensor: ask no more where the zone is.", type=PLACES, default="auto")
+@rarely("--offset", "RMS|free", "RMS of a constant offset of the output, or free.", default="0")
+@rarely("--held-out", None, "Share of the log, at its end, for validation.", default=0.3)
+@rarely("--noise", None, "Noise enters before or after the zone.", type=NOISES, default="auto")
+@rarely(
+    "--place",
+    None,
+    "sensor: assume that the dead zone is in the sensor.",
+    type=PLACES,
+    default="auto",
+)
 @rarely("--delay", "N", "Samples by which the recording delays the input.", default="auto")
-@rarely("--threshold", "|y|", "Up to which y is silent.", type=float)
+@rarely("--threshold", "|y|", "Largest |y| that counts as inside the zone.", type=float)
 @rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @value_option(
     "--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=PATH
 )
 @value_option("--next", "FILE", "CSV of the input to record next.", "further", type=PATH)
-@flag_option("--resume", "Continue where it was stopped, from DIR/identify.json.partial.")
+@flag_option("--resume", "Continue an interrupted command from DIR/identify.json.partial.")
 @help_all
 @force_option
 @add_untrusted
@@ -81,16 +85,20 @@ def identify(
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
 
-    A log is a CSV file of any dialect (t, u, y; units in brackets), .npz or .mat; several are
-    records of one plant. Prints whether there is a dead zone, how wide each side is with 95 %
-    intervals, the plant, and how it does on held-out data. A play or an actuator's dead zone is
-    named and measured instead. Writes NAME.toml, a scenario for run,
-    check, design and watch, and identify.json, figures and report.html to DIR (default:
-    NAME-identify). With --no-figures and no --out it writes the scenario alone. What was fitted is
-    kept in DIR meanwhile: after Ctrl-C, kill or a crash --resume goes on. With --chain the scenario
-    is checked, follows the log, is exported to C, and the C follows the log: prints how far the
-    reading and the C's z^ are from z. Exit code 1: there is no dead zone of the sensor, and nothing
-    else that a scenario could be written for; or the firmware is refused.
+    A log is a CSV file of any dialect (t, u, y with units in brackets), .npz or .mat. Several logs
+    are records of one plant.
+
+    Prints whether the sensor has a dead zone, the width of each side with its 95 % interval, the
+    plant, and the fit on held-out data. Backlash, friction or a dead zone of the actuator is named
+    and measured instead. Writes NAME.toml, a scenario for run, check, design and watch, and
+    identify.json, figures and report.html to DIR (default: NAME-identify). With --no-figures and no
+    --out it writes the scenario alone. Fits are kept in DIR: after Ctrl-C, kill or a crash --resume
+    goes on.
+
+    With --chain the scenario is checked, runs along the log, is exported to C, and the C runs along
+    the log. It prints the distances of the reading and of the C's z^ from z.
+
+    Exit code 1: the log shows no nonlinearity with a scenario, or the firmware is refused.
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file

@@ -26,8 +26,8 @@ COLOURS = {"holds": "green", "holds after repair": "yellow"}  # of verdicts; of 
 def paper(output: Output) -> int:
     """Run the paper's example as printed and repaired, and check every claim.
 
-    Prints the table of claims with what was measured for each. Writes paper.json, figures 3-8 and
-    report.html to DIR (default: paper-results); with --no-figures and no --out it writes nothing.
+    Prints the table of claims, each with its measured number. Writes paper.json, figures 3-8 and
+    report.html to DIR (default: paper-results). With --no-figures and no --out it writes nothing.
     """
     from undeadzone_paper import audit, write
 

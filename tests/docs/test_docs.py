@@ -146,3 +146,12 @@ def test_links_point_to_files(page: Path) -> None:
 def test_every_method_has_its_page(method: str) -> None:
     page = (ROOT / "docs" / "methods" / f"{method}.md").read_text(encoding="utf-8")
     assert page.startswith(f"# {method}\n")
+
+
+def test_every_doi_of_the_code_is_in_the_references() -> None:
+    """A docstring that cites a publication names its DOI, and docs/references.md describes it."""
+    listed = set(re.findall(r"\[doi:(\S+)\]", (ROOT / "docs/references.md").read_text()))
+    sources = [path.read_text() for path in (ROOT / "src").rglob("*.py")]
+    cited = {doi for text in sources for doi in re.findall(r"\bdoi:(\S+)", text)}
+    assert len(cited) > 30
+    assert cited <= listed

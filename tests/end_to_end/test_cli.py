@@ -492,7 +492,7 @@ def test_init_writes_examples_with_their_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--example", "two_lnk"], "did you mean 'two_link'?"),
+        (["--example", "two_lnk"], "Did you mean 'two_link'?"),
         (["--example", "../secret"], "--list shows all"),
         (["--example", ""], "--list shows all"),
     ],

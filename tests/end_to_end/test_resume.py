@@ -112,7 +112,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
     with pytest.raises(InputError, match="numpy"):
         squares(path)
     path.write_text('{"somebody": "else"}\n')
-    with pytest.raises(FileError, match="choose another name or delete it"):
+    with pytest.raises(FileError, match="Choose another name or delete it"):
         squares(path)
     assert path.read_text() == '{"somebody": "else"}\n'
 
@@ -253,7 +253,7 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
         identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
     assert not path.exists()
     identify(**log, order=1, keep=path)
-    with pytest.raises(FileError, match="continue it with --resume"):
+    with pytest.raises(FileError, match="Continue it with --resume"):
         identify(**log, order=1, keep=path)
     with pytest.raises(InputError, match=r"another problem \(options differ\)"):
         identify(**log, order=2, keep=path, resume=True)
@@ -348,7 +348,7 @@ def test_what_is_finished_is_not_replaced_by_resuming_it(
     given = scenario if command == "tune" else log
     refused = undeadzone(command, str(given), "--out", str(folder), "--resume")
     assert refused.returncode == 2
-    assert f"{finished}: is finished; leave --resume out to replace it" in refused.stderr
+    assert f"{finished}: is finished. Leave --resume out to replace it" in refused.stderr
     assert finished.read_bytes() == before
 
 

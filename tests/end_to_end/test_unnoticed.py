@@ -134,7 +134,7 @@ def test_a_line_rests_on_one_reading_less_where_one_is_missing() -> None:
 def test_a_jump_sensor_adapts_no_width_of_any_output() -> None:
     model: Any = SimpleNamespace(p=2)
     sensor: Any = SimpleNamespace(kind="jump")
-    with pytest.raises(InputError, match="leave gamma out"):
+    with pytest.raises(InputError, match="Leave gamma out"):
         read_adapted_widths([1.0, 0.0], 0.0, None, model, sensor)
 
 

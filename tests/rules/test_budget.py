@@ -86,9 +86,9 @@ def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
         node_budget.rename_rooms(budget, nodes, [("cli", "zones")])
 
 
-def test_the_page_of_the_house_names_what_is_there() -> None:
-    """Every `room/file.name` of docs/house.md is in the code, and every room has a line there."""
-    page = (HOME / "docs" / "house.md").read_text(encoding="utf-8")
+def test_the_architecture_page_names_existing_code() -> None:
+    """Every `room/file.name` of docs/architecture.md is in the code, and every package has a line there."""
+    page = (HOME / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert len(page.splitlines()) <= 200
     named = set(re.findall(r"`((?:\w+/)*\w+)\.([A-Z_]\w+(?:\.\w+)?|[a-z_]\w*)`", page))
     assert len(named) > 50
@@ -137,12 +137,13 @@ def test_a_decision_is_a_reason_and_no_report() -> None:
     assert not long
 
 
-def test_a_gap_is_one_line() -> None:
-    """Grouped by who is hurt."""
+def test_known_gaps_stay_short() -> None:
+    """Limits by symptom, at most 75 lines; figures belong to the results of the benchmarks."""
     lines = (HOME / "KNOWN_GAPS.md").read_text(encoding="utf-8").splitlines()
     body = lines[lines.index(next(line for line in lines if line.startswith("## "))) :]
-    assert all(line.startswith(("- ", "## ")) for line in body if line)
-    assert max(map(len, lines)) <= 115
+    assert all(line.startswith(("- ", "  ", "## ")) for line in body if line)
+    assert max(map(len, lines)) <= 120
+    assert sum(map(bool, lines)) <= 75
 
 
 def test_every_table_of_results_names_the_commit_of_the_code_that_made_it() -> None:

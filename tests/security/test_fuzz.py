@@ -146,7 +146,7 @@ def test_a_column_whose_squares_vanish_identifies_nothing(column: str) -> None:
     case = Case("", {"log.csv": log}, ["identify", "log.csv", "--no-figures", "--out", "out"])
     end = perform(case)
     assert end.code == 2, end.err
-    assert "vanish once squared; use another unit" in end.err
+    assert "vanish once squared. Use another unit" in end.err
 
 
 def test_what_is_printed_past_python_is_seen() -> None:

@@ -171,7 +171,7 @@ def test_an_unknown_method_is_refused_with_those_that_there_are(
     text = SCENARIO.replace('"held", widths0 = 0.4', '"heldd"')
     (tmp_path / "near.toml").write_text(text, encoding="utf-8")
     said = command("run", "near.toml", code=2)
-    assert "observer.method: unknown choice 'heldd'; did you mean 'held'?" in said
+    assert "observer.method: unknown choice 'heldd'. Did you mean 'held'?" in said
 
 
 def test_a_new_method_of_the_tool_is_one_file_and_one_line(tmp_path: Path) -> None:

@@ -698,7 +698,7 @@ def test_a_user_picks_a_method_for_a_plant(mine: Path, tmp_path: Path) -> None:
 
 
 def test_mistakes_are_named(mine: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="methods: there is no 'ekff'; did you mean 'ekf'"):
+    with pytest.raises(InputError, match=r"methods: there is no 'ekff'\. Did you mean 'ekf'"):
         run(mine, "--methods", "ekff")
     other = tmp_path / "b" / "mine.toml"
     other.parent.mkdir()

@@ -209,7 +209,7 @@ def test_one_of_L_poles_speed() -> None:
         == injection_gain(PAPER_PLANT, None, None, None, 7.0)
     ).all()
     with pytest.raises(
-        InputError, match=r"observer: give one of L, poles, speed; found L and speed"
+        InputError, match=r"observer: give one of L, poles, speed, found L and speed"
     ):
         injection_gain(PAPER_PLANT, L, None, 3.0, 1.0)
     with pytest.raises(InputError, match=r"observer.speed: must be greater than 0"):

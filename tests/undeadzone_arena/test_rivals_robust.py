@@ -632,7 +632,7 @@ PENDULUM = system(Plant(states=["a", "b"], inputs=["u"], f=["b", "-sin(a) + u"],
             WalcottZak(L=[1.0, 2.0], poles=POLES),
             PAPER_PLANT,
             InputError,
-            "give one of L, poles, speed; found L and poles",
+            "give one of L, poles, speed, found L and poles",
         ),
         (
             WalcottZak(L=[-5.0, 0.0]),

@@ -713,24 +713,24 @@ def test_python_observers_say_where_they_cannot_run() -> None:
 
 @pytest.mark.parametrize("method", ALL, ids=lambda method: method.__struct_config__.tag)
 def test_continuous_time_is_refused_with_what_to_do(method: Any) -> None:
-    with pytest.raises(InputError, match=r"set simulation\.time"):
+    with pytest.raises(InputError, match=r"Set simulation\.time"):
         method(right=[0.5, 2.0]).build(PAPER_PLANT, zone())
     if method is EKF:
-        with pytest.raises(InputError, match=r"set simulation\.time"):
+        with pytest.raises(InputError, match=r"Set simulation\.time"):
             method(right=[0.5, 2.0], mode="measured").build(PAPER_PLANT, zone())
 
 
 @pytest.mark.parametrize(
     ("options", "where", "error", "words"),
     [
-        (lambda: EKF(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
-        (lambda: Tobit(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
-        (lambda: MovingHorizon(right=[0.5, 2.0]), zone(kind="jump"), InputError, "use 'censored'"),
+        (lambda: EKF(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
+        (lambda: Tobit(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
+        (lambda: MovingHorizon(right=[0.5, 2.0]), zone(kind="jump"), InputError, "Use 'censored'"),
         (lambda: EKF(right=[2.0, 0.5]), zone(), InputError, "observer.right: a range"),
         (lambda: UKF(right=1.0), zone(), ShapeError, "observer.right: expected the declared range"),
         (lambda: UKF(right=[0.5, 2.0], alpha=2.0), zone(), InputError, "observer.alpha"),
         (lambda: UKF(right=[0.5, 2.0], kappa=-4.0), zone(), InputError, "observer.alpha"),
-        (lambda: UKF(right=[0.5, 2.0], alpha=1e-3), zone(), InputError, "raise alpha or beta"),
+        (lambda: UKF(right=[0.5, 2.0], alpha=1e-3), zone(), InputError, "Raise alpha or beta"),
         (lambda: EKF(right=[0.5, 2.0], swing=-1.0), zone(), InputError, "observer.swing"),
         (
             lambda: EKF(right=[0.5, 2.0], disturbance=[1.0, 2.0]),

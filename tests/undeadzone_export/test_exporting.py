@@ -255,7 +255,7 @@ def test_tunable_numbers_are_parameters(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"tunable": ("observer.gama",)}, "did you mean observer.gamma"),
+        ({"tunable": ("observer.gama",)}, "Did you mean observer.gamma"),
         ({"tunable": ("observer.left0",)}, "changes nothing"),
         ({"to": "fmu9"}, "to: expected one of c, arduino, fmu2, fmu3, python"),
         ({"precision": "half"}, "precision: expected one of"),
@@ -274,7 +274,7 @@ def test_what_cannot_be_exported_is_refused(
 
 
 def test_continuous_scenarios_and_observers_in_python_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'set simulation\.time = "sampled"'):
+    with pytest.raises(InputError, match=r'Set simulation\.time = "sampled"'):
         uz.export(scene(), out=tmp_path / "fw")
     for observer in ({"method": "moving_horizon"}, {"method": "full_state"}):
         options = (

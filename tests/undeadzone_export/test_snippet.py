@@ -151,7 +151,7 @@ def test_the_command_takes_a_scenario_or_an_answer(tmp_path: Path) -> None:
     ("found", "says"),
     [
         (answer("friction"), "the verdict is friction"),
-        (answer("undecided"), "record longer"),
+        (answer("undecided"), "Record longer"),
         (answer("play", odds={"play": 0.6, "friction": 0.4}), "likely to 60 %"),
         (answer("dead_zone", width=None), "no widths"),
         ({"outputs": {}, "verdict": "dead_zone"}, "several outputs"),

@@ -72,7 +72,7 @@ def test_columns_by_name_and_number(tmp_path: Path) -> None:
     path.write_text(text_of(ROWS, header="t,torque,acceleration"))
     with pytest.raises(FileError, match=r"column holds y.*--columns y=NAME,u=NAME"):
         read_log(path)
-    with pytest.raises(FileError, match="did you mean 'torque'"):
+    with pytest.raises(FileError, match="Did you mean 'torque'"):
         read_log(path, "u=torqe,y=acceleration")
     with pytest.raises(FileError, match="used twice"):
         read_log(path, "u=torque,y=torque")

@@ -146,8 +146,8 @@ def _list_registered_commands() -> dict[str, EntryPoint]:
 @click.group(
     cls=Commands,
     invoke_without_command=True,
-    epilog="Exit codes: 0 done; 1 it ran, and the answer is no (diverged, not certified, not "
-    "identifiable); 2 bad input; 70 a mistake of undeadzone itself; 130 Ctrl-C; 143 terminated.",
+    epilog="Exit codes: 0 done. 1 finished, and the answer is no (diverged, not certified, not "
+    "identifiable). 2 bad input. 70 an error of undeadzone itself. 130 Ctrl-C. 143 terminated.",
     context_settings={
         "help_option_names": ["-h", "--help"],
         "max_content_width": 100,

@@ -25,15 +25,18 @@ from undeadzone.util.progress import terminal_progress as progress
 )
 @add_scenario_options
 def check(scenario: Path, output: Output, confine: Path | None) -> int:
-    """Assess the scenario's gains, and how strongly its readings move z^.
+    """Assess the scenario's gains, and the strength of the feedback from readings to z^.
 
-    Prints whether one V proves x^ -> x for every sequence of sides (else at which frequency 1 + G
-    fails, and the nearest certified gains; a nonlinear model is certified on the scenario's
-    [region]), how fast the error dies along the reference, and which widths its readings can tell,
-    how well, and what would help. Writes check.json, figures and report.html to DIR (default:
-    NAME-check); with --no-figures and no --out it writes nothing. Exit code 1: not certified
-    (observers without constant gains need not be), a run leaves the region, or not every width can
-    be identified.
+    Prints whether one V proves x^ -> x for every sequence of sides, the decay rate of the error
+    along the reference, and the widths that the readings identify, with the best possible standard
+    deviation and an advice. Without a proof it prints the frequency at which 1 + G fails and the
+    nearest certified gains. A nonlinear model is certified on the scenario's [region].
+
+    Writes check.json, figures and report.html to DIR (default: NAME-check). With --no-figures and
+    no --out it writes nothing.
+
+    Exit code 1: not certified (observers without constant gains need not be), a run leaves the
+    region, or a width cannot be identified.
     """
     folder = output.choose_folder(f"{scenario.stem}-check")
     written = []

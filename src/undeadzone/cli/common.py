@@ -95,12 +95,12 @@ _confined = value_option(
     "Refuse files that the scenario names outside of DIR, as a service should.",
     type=PATH,
 )
-force_option = flag_option("--force", "Replace what someone else wrote or edited.")
+force_option = flag_option("--force", "Replace files that others wrote or edited.")
 strict_option = flag_option("--strict", "Stop at the first line that cannot be read.")
 columns_option = value_option(
     "--columns",
     "y=NAME,u=NAME",
-    "Columns by name or number: t=1,y=angle,u=voltage; several: y[0]=a,y[1]=b.",
+    "Columns by name or number: t=1,y=angle,u=voltage, and several as y[0]=a,y[1]=b.",
 )
 
 
@@ -126,7 +126,7 @@ def add_untrusted(command: Command) -> Command:
     return value_option(
         "--untrusted",
         "DIR",
-        "Strangers made DIR: read it alone, write --out alone, take little time and memory.",
+        "Treat DIR as hostile: read only DIR, write only --out, limit time and memory.",
         type=PATH,
     )(held)
 
@@ -146,7 +146,7 @@ def _require_inside(folder: Path, options: Mapping[str, Any]) -> None:
                 raise InputError(f"{path}: a link that leads out of {folder} (--untrusted)")
             if target.is_file() and target.stat().st_nlink > 1:
                 raise InputError(
-                    f"{path}: hard links show this file elsewhere too (--untrusted); copy it"
+                    f"{path}: hard links show this file elsewhere too (--untrusted). Copy it"
                 )
 
 

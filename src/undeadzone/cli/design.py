@@ -26,7 +26,7 @@ def parse_weights(
         numbers = ()
     if len(numbers) != 3 or not all(0 <= power < float("inf") for power in numbers):
         raise click.BadParameter(
-            "expected three numbers, none negative, with commas between them, as in 1,0,0.5; "
+            "expected three numbers, none negative, with commas between them, as in 1,0,0.5, "
             f"found {value!r}",
             context,
             parameter,
@@ -46,12 +46,12 @@ COUNT = click.IntRange(min=0)
 @value_option(
     "--weights",
     "D,M,N",
-    "Instead: maximise rate / (disturbance^D mismatch^M noise^N).",
+    "Maximise instead rate / (disturbance^D mismatch^M noise^N).",
     callback=parse_weights,
 )
 @value_option("--margin", None, "Least margin of the certificate, between 0 and 1.", default=0.01)
 @value_option(
-    "--seed", None, "Of the search: the same seed, the same gains.", default=0, type=COUNT
+    "--seed", None, "Seed of the search. The same seed gives the same gains.", default=0, type=COUNT
 )
 @force_option
 @add_scenario_options
@@ -67,17 +67,17 @@ def design(
 ) -> int:
     """Find gains L, gamma for a scenario's plant, sensor and reference, with a proof.
 
-    Prints the gains, the proof, the rate, what they trade against your present ones, and what can
-    be known. Writes design.toml, figures and report.html to DIR (default: NAME-design); with
-    --no-figures and no --out it writes nothing. A scenario uses the file by
+    Prints the gains, the proof, the rate, the differences from your present gains, and the
+    identifiability of the widths. Writes design.toml, figures and report.html to DIR (default:
+    NAME-design). With --no-figures and no --out it writes nothing. A scenario uses the file by
 
     \b
         [observer]
         method = "certified"
         design = "NAME-design/design.toml"
 
-    and the proof is checked again whenever it is read. Exit code 1: no gains can be certified for
-    this plant.
+    and the proof is checked again whenever the file is read. Exit code 1: no gains can be certified
+    for this plant.
     """
     from undeadzone.scenario.problem import systems
     from undeadzone.synthesis.assessment import attack_gains

@@ -20,12 +20,12 @@ from undeadzone.util.progress import terminal_progress as progress
 
 
 @click.command(epilog="Example: undeadzone ensemble examples/ensemble.toml --out study")
-@value_option("--runs", "N", "How many (default: [ensemble] runs, 10000).", type=click.IntRange(1))
-@flag_option(
-    "--resume", "Compute what an interrupted command left to do in DIR; the bits are the same."
-)
 @value_option(
-    "--workers", "N", "Compute on N processes of this computer; the bits are the same.", type=int
+    "--runs", "N", "Number of runs (default: [ensemble] runs, 10000).", type=click.IntRange(1)
+)
+@flag_option("--resume", "Compute what an interrupted command left in DIR. The bits are the same.")
+@value_option(
+    "--workers", "N", "Compute on N processes of this computer. The bits are the same.", type=int
 )
 @value_option(
     "--cluster",
@@ -43,22 +43,24 @@ def ensemble(
     confine: Path | None,
     **options: Any,
 ) -> int:
-    """Run a scenario many times: how often does it settle, how large are the errors, what decides?
+    """Run a scenario many times: shares that settle, errors, and the parameters that decide.
 
-    A table of the scenario says what varies; besides, every run has noise of its own:
+    The table [ensemble] of the scenario names the parameters that vary. Every run has its own
+    noise:
 
     \b
         [ensemble]
         "sensor.right" = { uniform = [0.3, 2.0] }
         "plant.A[1,1]" = { normal = [1.0, 0.1], relative = true }
 
-    Prints the shares that settle and that diverge, quantiles with 95 % intervals, what each entry
-    decides, and the worst runs: undeadzone run DIR/runs.npz --replay NUMBER shows one in full.
-    Writes runs.npz, figures and report.html to DIR (default: NAME-ensemble); with --no-figures
-    runs.npz alone. Exit code 1: some run diverged.
+    Prints the shares that settle and that diverge, quantiles with 95 % intervals, the influence of
+    each parameter, and the worst runs. undeadzone run DIR/runs.npz --replay NUMBER shows one in
+    full. Writes runs.npz, figures and report.html to DIR (default: NAME-ensemble), and with
+    --no-figures runs.npz alone. Exit code 1: a run diverged.
 
     Every block of runs is kept on disk as it is done: after Ctrl-C, kill or a crash --resume
-    computes the rest. docs/ensemble.md says what the numbers mean, docs/scenario.md what can vary.
+    computes the rest. docs/ensemble.md explains the numbers, docs/scenario.md lists the parameters
+    that can vary.
     """
     varied = _replace_run_count(uz.read(scenario, confine), runs)
     total = varied.ensemble.runs if varied.ensemble else None

@@ -44,16 +44,18 @@ def estimate(
     confine: Path | None,
     output: Output,
 ) -> int:
-    """Let the observer of a scenario follow a log, and say what it makes of it.
+    """Run the observer of a scenario along a log, and test it against the log.
 
-    A log is a CSV file of any dialect with a header (t, y, u; units in brackets), .npz or .mat.
-    Times must fit simulation.step. Prints the widths, what was missing, and whether the
-    innovations are what the observer claims; writes estimate.npz, estimate.csv (if it has at most
-    10 MB), figure.svg and report.html to DIR (default: LOG-estimate). `kalman`, `censored`,
-    `extended` and `auto` are smoothed too: what the whole log says of each sample. The scenario
-    needs no [reference], no [controller], no widths. Exit code 1: the record is not consistent with
-    what the observer claims; columns exchanged, signs, units and delays are then tried, and what
-    would fit is told.
+    A log is a CSV file of any dialect with a header (t, y, u with units in brackets), .npz or .mat.
+    Times must fit simulation.step. The scenario needs no [reference], no [controller], no widths.
+
+    Prints the widths, the missing samples, and whether the innovations are consistent with the
+    observer's assumptions. Writes estimate.npz, estimate.csv (up to 10 MB), figure.svg and
+    report.html to DIR (default: LOG-estimate). `kalman`, `censored`, `extended` and `auto` are
+    smoothed with the whole log as well.
+
+    Exit code 1: the log is not consistent with the assumptions. Exchanged columns, signs, units and
+    delays are then tried, and a variant that fits is shown.
     """
     from undeadzone.report.log_page import write_estimation
     from undeadzone.scenario.reader import read_for_logs

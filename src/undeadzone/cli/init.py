@@ -54,8 +54,8 @@ def init(
 ) -> int:
     """Write a scenario of 25 lines to FILE (default: scenario.toml), ready to run and to change.
 
-    With --full it says what else could stand there. With --example two_link write that example
-    (default FILE: two_link.toml); --list shows all.
+    With --full it lists all other keys as comments. With --example two_link write that example
+    (default FILE: two_link.toml). --list shows all examples.
     """
     from undeadzone.util.own_files import require_own_file
 
@@ -93,7 +93,7 @@ def _texts_to_write(
     names.
     """
     if example is not None and full:
-        raise InputError("--full: an example is whole as it is; leave one of the two options out")
+        raise InputError("--full: an example is whole as it is. Leave one of the two options out")
     if example is None:
         from importlib.resources import files
 
@@ -144,8 +144,8 @@ def example_files(name: str) -> list[Path]:
     name = name.removesuffix(".toml")
     if name not in known:
         near = difflib.get_close_matches(name, known, 1)
-        advice = f"did you mean {near[0]!r}? " if near else ""
-        raise InputError(f"example: there is no {name!r}; {advice}--list shows all")
+        advice = f"Did you mean {near[0]!r}? " if near else ""
+        raise InputError(f"example: there is no {name!r}. {advice}--list shows all")
     if name in OTHERS:
         return [_examples_folder() / name]
     path = _examples_folder() / f"{name}.toml"

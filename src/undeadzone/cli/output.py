@@ -28,10 +28,10 @@ from undeadzone.util.shown import Block
 LARGE = 1e7  # [bytes] of a table of signals that is written unasked
 
 csv_option = flag_option(
-    "--csv", f"Write the table of signals too where it is larger than {LARGE / 1e6:g} MB.", "as_csv"
+    "--csv", f"Write the table of signals even if it is larger than {LARGE / 1e6:g} MB.", "as_csv"
 )
 OUTPUTS = (
-    flag_option("--no-figures", "Compute only; draw nothing."),
+    flag_option("--no-figures", "Compute without drawing."),
     flag_option("--json", "Print one JSON object on stdout and nothing else there.", "as_json"),
     value_option("--out", "DIR", "Folder for the files written (made if missing).", type=PATH),
 )
@@ -136,12 +136,12 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
     if folder is not None:
         whole, partial = folder / name, folder / f"{name}.partial"
         if resume and whole.exists() and not partial.exists():
-            raise click.UsageError(f"{whole}: is finished; leave --resume out to replace it")
+            raise click.UsageError(f"{whole}: is finished. Leave --resume out to replace it")
         if resume:
             report_fresh_start(partial)
         return partial
     if resume:
-        raise click.UsageError("--resume needs the folder that was written to; name it with --out")
+        raise click.UsageError("--resume needs the folder that was written to. Name it with --out")
     return None
 
 

@@ -52,15 +52,16 @@ def run(
 ) -> int:
     """Simulate a scenario: a plant behind its dead zone, an observer, a controller.
 
-    Prints the errors over the last 2 s, the final widths, what can be known of them, and whether a
-    certificate holds. Writes run.npz, run.csv (if it has at most 10 MB), figure.svg and report.html
-    to DIR (default: NAME-results), of gears also gears.xml for MuJoCo; with --no-figures and
-    neither --out nor --csv it writes nothing. Exit code 1: it diverged, half the step changes it
-    by more than 1 %, or its widths cannot be identified.
+    Prints the errors over the last 2 s, the final widths with intervals, their identifiability, and
+    whether a certificate holds. Writes run.npz, run.csv (up to 10 MB), figure.svg and report.html
+    to DIR (default: NAME-results), and gears.xml for MuJoCo if the plant has gears. With
+    --no-figures and neither --out nor --csv it writes nothing.
 
-    undeadzone run DIR/runs.npz --replay NUMBER shows a run of an ensemble in the same way (default
-    folder: run-NUMBER-results), computed again with its own numbers and noise, and reports whether
-    every bit agrees.
+    Exit code 1: it diverged, half the step changes it by more than 1 %, or its widths cannot be
+    identified.
+
+    undeadzone run DIR/runs.npz --replay NUMBER repeats a run of an ensemble with its own numbers
+    and noise (default folder: run-NUMBER-results), and reports whether every bit agrees.
     """
     if animation is not None:
         prepare_figures()
@@ -135,12 +136,12 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
     """
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
-            f"{path}: not a scenario; to see one of the runs of an ensemble add --replay and its "
+            f"{path}: not a scenario. To see one of the runs of an ensemble add --replay and its "
             "number"
         )
     scenario = uz.read(path, confine)
     if animated and scenario.plant.arm is None:
-        raise InputError("animation: this plant is no arm; leave the option out")
+        raise InputError("animation: this plant is no arm. Leave the option out")
     return scenario
 
 

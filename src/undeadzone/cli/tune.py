@@ -29,17 +29,17 @@ STATISTICS = click.Choice(["mean", "median", "p95", "worst"])
 @value_option(
     "--over",
     "ADDRESS=LOW:HIGH[:log]",
-    "Tune this number too, or within these bounds; may be given several times.",
+    "Tune this number too, or within these bounds. May be repeated.",
     multiple=True,
 )
-@value_option("--metric", "NAME", "What is made small (default: [tune] metric, rms_tracking).")
+@value_option("--metric", "NAME", "Metric to make small (default: [tune] metric, rms_tracking).")
 @value_option(
-    "--statistic", None, "Of the runs (default: [tune] statistic, mean).", type=STATISTICS
+    "--statistic", None, "Statistic over runs (default: [tune] statistic, mean).", type=STATISTICS
 )
 @flag_option("--certified", "Keep the observer's gains certified.", default=None)
 @value_option("--runs", "N", "Runs of each candidate (default: [tune] runs, 64).", type=int)
 @value_option("--budget", "N", "Candidates tried in all (default: [tune] budget, 200).", type=int)
-@value_option("--seed", "N", "Of the runs and the search (default: [tune] seed).", type=int)
+@value_option("--seed", "N", "Seed of the runs and the search (default: [tune] seed).", type=int)
 @flag_option("--resume", "Continue a search that was stopped, from DIR/tuned.toml.partial.")
 @force_option
 @add_scenario_options
@@ -54,7 +54,8 @@ def tune(
 ) -> int:
     """Find the numbers of observer and controller that make a metric small over many runs.
 
-    A table of the scenario says which, within which bounds; their runs vary as its [ensemble] says:
+    The table [tune] of the scenario names the numbers and their bounds. The runs vary as the table
+    [ensemble] describes:
 
     \b
         [tune]
@@ -64,12 +65,13 @@ def tune(
         "observer.gamma" = { between = [0.1, 100.0], log = true }
         "observer.L" = { between = [0.01, 100.0], log = true }
 
-    Prints the numbers found and what they are worth on held-out runs, others than those tuned on.
-    Writes tuned.toml, the scenario with these numbers, and figures and report.html to DIR (default:
-    NAME-tune);
-    with --no-figures and no --out it writes nothing. What candidates cost is kept in DIR meanwhile:
-    after Ctrl-C, kill or a crash --resume goes on. Exit code 1: no better on the held-out runs,
-    or not certified though this was asked for.
+    Prints the numbers found and their metric on held-out runs. Writes tuned.toml, the scenario with
+    these numbers, and figures and report.html to DIR (default: NAME-tune). With --no-figures and
+    no --out it writes nothing. Results of candidates are kept in DIR: after Ctrl-C, kill or a crash
+    --resume goes on.
+
+    Exit code 1: the numbers are not better on the held-out runs, or have no certificate although
+    certified = true.
     """
     from undeadzone.util.own_files import require_own_file
 

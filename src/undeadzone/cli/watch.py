@@ -59,11 +59,11 @@ def _check_seconds(
 @flag_option("--json", "Print one JSON object per sample instead of CSV.", "as_json")
 @columns_option
 @strict_option
-@value_option("--state", "FILE", "Keep the observer's state there, and go on from it.", type=PATH)
+@value_option("--state", "FILE", "Save the observer state there, continue from it.", type=PATH)
 @value_option(
     "--every",
     "SECONDS",
-    "How often the state is saved.",
+    "Time between saves of the state.",
     type=TIME,
     default=10.0,
     callback=_check_seconds,
@@ -71,7 +71,7 @@ def _check_seconds(
 @value_option(
     "--heartbeat",
     "SECONDS",
-    "Say on stderr so often how far it is.",
+    "Time between progress lines on stderr.",
     type=TIME,
     callback=_check_seconds,
 )
@@ -88,18 +88,19 @@ def watch(
 ) -> int:
     """Read samples from stdin, write one estimate per sample to stdout, flushed as they come.
 
-    A sample is a CSV line. A header says which column is which: t, y, u (or y[0], y[1], ...), with
-    units in brackets; other columns are ignored, and run.csv of `undeadzone run` is such a log.
-    Without a header name the columns: --columns t=1,y=2,u=3. u acts until the next sample.
-    Times must fit simulation.step; gaps in them, empty and NaN readings and lines that cannot be
-    read are missing samples: predicted, not corrected, and counted. So is a line whose time fits
-    none of its neighbours; where time jumps for good the observer begins anew. --strict ends at
-    the first such line. The observer and [model] (or [plant]) of the scenario are used; it needs no
+    A sample is a CSV line. A header names the columns: t, y, u (or y[0], y[1], ...), with units in
+    brackets. Other columns are ignored, and run.csv of `undeadzone run` is such a log. Without a
+    header, --columns t=1,y=2,u=3 names them. u acts until the next sample.
+
+    Times must fit simulation.step. Gaps, empty and NaN readings and unreadable lines are missing
+    samples: predicted, not corrected, and counted. A line whose time does not fit its neighbours is
+    missing as well. If the time jumps for good, the observer starts again. --strict ends at the
+    first such line. The observer and [model] (or [plant]) of the scenario are used. It needs no
     [reference], no [controller], no widths.
 
-    Ends with a table on stderr, after Ctrl-C too: widths, what was missing, and whether the
-    readings are what the observer claims; with --json it is one JSON object in one line. Exit code
-    1: they are not.
+    Ends with a table on stderr, after Ctrl-C too: widths, missing samples, and whether the readings
+    are consistent with the observer's assumptions. With --json it is one JSON object in one line.
+    Exit code 1: the readings are not consistent.
     """
     from undeadzone.logs.names import parse_columns
     from undeadzone.scenario.reader import read_for_logs
@@ -112,7 +113,7 @@ def watch(
         follower = Follower(watched, live=True)
     log = LiveLog("stdin", watched, follower, parse_columns(columns), strict)
     if sys.stdin is None:
-        raise FileError("stdin: it is closed; give lines of readings and inputs")
+        raise FileError("stdin: it is closed. Give lines of readings and inputs")
     kept = SavedWatch(state, every, follower, log)
     try:
         with _print_heartbeat(heartbeat, follower, log):

@@ -19,7 +19,7 @@ class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
         """Return the compensator for a model. Raises InputError in continuous time."""
         if model.Ts is None:
             raise InputError(
-                "compensator.method: the jump of 'inverse' slides in continuous time; use "
+                "compensator.method: the jump of 'inverse' slides in continuous time. Use "
                 "'smooth_inverse', or sampled time"
             )
         return build_zone_inverse(self, model, require_drive(belief))

@@ -133,8 +133,8 @@ def build_nodes(function: ca.Function, rules: Rules) -> Results:
     for line in lines.lines:
         if line.word not in (*_KNOWN, "input", "const"):
             raise InputError(
-                f"{lines.title}: no code can be made of the instruction OP_{line.word.upper()}; "
-                "run this graph on the engine 'interpret'"
+                f"{lines.title}: no code can be made of the instruction OP_{line.word.upper()}. "
+                "Run this graph on the engine 'interpret'"
             )
 
     def read(name: str, entry: int) -> Node:

@@ -44,6 +44,9 @@ COS = np.array([1.0, -1.233696662, 0.2535949467, -0.02039858178], np.float32)
 def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
     """Return four random words of 32 bits: Philox4x32-10 of Salmon et al. (2011).
 
+    References:
+        J. K. Salmon and others (2011), doi:10.1145/2063384.2063405
+
     Args:
         a, b, c, d: the counter, four words of 32 bits (uint64).
         key: 64 bits (uint64).

@@ -69,7 +69,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         if arm is None or arm.size != model.m:
             raise InputError(
                 "controller.method: 'computed_torque' needs an arm whose every joint has its "
-                "motor; use 'state_feedback' or 'lqr'"
+                "motor. Use 'state_feedback' or 'lqr'"
             )
         N = arm.size
         k_p, k_d = self._joint_gains(N)
@@ -110,7 +110,7 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         if chosen == ["k_p", "k_d"]:
             return per_joint("k_p"), per_joint("k_d")
         raise InputError(
-            "controller: computed_torque needs either bandwidth (and damping), or k_p and k_d; "
+            "controller: computed_torque needs either bandwidth (and damping), or k_p and k_d, "
             f"found {' and '.join(chosen) or 'none'}"
         )
 
@@ -152,8 +152,8 @@ def _require_fine_step(k_p: Floats, k_d: Floats, Ts: float) -> None:
         longest = min(2 / k_d[i], 2 * k_d[i] / k_p[i])
         raise StepError(
             f"simulation.step: {Ts:g} s is too coarse for the controller: joint {i} with K_p = "
-            f"{k_p[i]:.4g}, K_d = {k_d[i]:.4g} is stable only for steps below {longest:.2g} s; "
-            "use a smaller step or a lower bandwidth"
+            f"{k_p[i]:.4g}, K_d = {k_d[i]:.4g} is stable only for steps below {longest:.2g} s. "
+            "Use a smaller step or a lower bandwidth"
         )
 
 

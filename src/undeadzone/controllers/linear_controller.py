@@ -82,7 +82,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         by_function = self.numerator is not None or self.denominator is not None
         if by_function and by_matrices:
             raise InputError(
-                "controller: 'linear' needs A, B, C, D or numerator and denominator, not both; "
+                "controller: 'linear' needs A, B, C, D or numerator and denominator, not both, "
                 f"found {', '.join(by_matrices)} and a transfer function"
             )
         if by_function:
@@ -125,7 +125,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         if denominator.size == 0 or numerator.size > denominator.size:
             raise InputError(
                 "controller.denominator: must be of the numerator's order or above, which is "
-                f"{max(numerator.size - 1, 0)}, found order {denominator.size - 1}; add a filter"
+                f"{max(numerator.size - 1, 0)}, found order {denominator.size - 1}. Add a filter"
             )
         if numerator.size == 0:
             numerator = np.zeros(1)
@@ -138,7 +138,7 @@ class LinearController(Options, frozen=True, tag="linear"):
         if numbers.D.shape != (model.m, model.p):
             raise InputError(
                 "controller.numerator: a transfer function is for a plant of one input and one "
-                f"output, the plant has {model.m} and {model.p}; use A, B, C, D"
+                f"output, the plant has {model.m} and {model.p}. Use A, B, C, D"
             )
         if self.Ts is None:
             return numbers if model.Ts is None else _discretise_tustin(numbers, model.Ts)
@@ -191,7 +191,7 @@ def _unpack_system(options: LinearController, system: Any) -> None:
         msgspec.structs.force_setattr(options, name, numbers if numbers.size else None)
     dt = getattr(system, "dt", None)
     if dt is True:
-        raise InputError("controller: the system is in discrete time without a sample time; set it")
+        raise InputError("controller: the system is in discrete time without a sample time. Set it")
     if dt:
         msgspec.structs.force_setattr(options, "Ts", float(dt))
 
@@ -208,7 +208,7 @@ def _discretise_tustin(numbers: Params, Ts: float) -> Params:
     implicit = identity - Ts / 2 * A
     if A.size and np.linalg.cond(implicit) > 1 / np.finfo(float).eps:
         raise InputError(
-            f"controller.A: has a pole at 2 / simulation.step = {2 / Ts:g} 1/s; use a smaller step"
+            f"controller.A: has a pole at 2 / simulation.step = {2 / Ts:g} 1/s. Use a smaller step"
         )
     forward = np.linalg.solve(implicit, identity + Ts / 2 * A)
     driven = np.linalg.solve(implicit, Ts * B)

@@ -41,7 +41,7 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
         """Return the controller for a sampled model. Raises InputError."""
         if model.Ts is None:
             raise InputError(
-                "controller.method: 'lqr' works on samples; set simulation.time = \"sampled\" "
+                "controller.method: 'lqr' works on samples. Set simulation.time = \"sampled\" "
                 "(simulation.step is the sample time)"
             )
         if self.stride < 1:

@@ -47,7 +47,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         if model.delay:
             raise InputError(
                 "controller.method: 'pd' feeds back the innovation, which nothing foretells over "
-                "plant.delay; use state_feedback"
+                "plant.delay. Use state_feedback"
             )
         tau = require_number("controller.filter_time", self.filter_time, above=0.0)
         k_p, k_d = self._pd_gains(model)

@@ -100,7 +100,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         chosen = [name for name in CHOICES if getattr(self, name) is not None]
         if len(chosen) > 1:
             raise InputError(
-                "controller: state_feedback takes exactly one of K, poles, alpha, speed; "
+                "controller: state_feedback takes exactly one of K, poles, alpha, speed, "
                 f"found {' and '.join(chosen)}"
             )
         return require_weight("controller.Q", self.Q, model.n)

@@ -163,7 +163,7 @@ def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
     vary = problem.scenario.ensemble
     if vary is None:
         raise InputError(
-            "ensemble: missing; add a table [ensemble] with what varies, such as "
+            "ensemble: missing. Add a table [ensemble] with what varies, such as "
             '"sensor.right" = { uniform = [0.3, 2.0] }'
         )
     seed = _require_seed(vary, problem)

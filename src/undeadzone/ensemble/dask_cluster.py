@@ -44,7 +44,7 @@ def open_dask_pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
             """Raise ClusterError if the cluster has no worker."""
             if not client.nthreads():
                 raise ClusterError(
-                    f"{cluster}: no worker is there; start some (dask worker {cluster})"
+                    f"{cluster}: no worker is there. Start some (dask worker {cluster})"
                 )
 
         yield Pool(
@@ -74,8 +74,8 @@ def _prepare_once(payload: bytes, expected: tuple[tuple[str, str], ...]) -> Job:
             differences.append(f"{name} {installed[name]} there, {version} here")
     if differences:
         raise ClusterError(
-            f"a worker of the cluster has other versions: {', '.join(differences)}; "
-            "the last bits would differ, so install the same"
+            f"a worker of the cluster has other versions: {', '.join(differences)}. "
+            "The last bits would differ, so install the same"
         )
     return pickle.loads(payload)()
 
@@ -131,14 +131,14 @@ def _convert_failures(where: str) -> Iterator[None]:
     except KilledWorker as error:
         workers = f"{error.allowed_failures + 1} workers"
         raise ClusterError(
-            f"{where}: {workers} died one after the other at the same blocks; out of memory?"
+            f"{where}: {workers} died one after the other at the same blocks, perhaps out of memory"
         ) from None
     except CancelledError:
         raise ClusterError(f"{where}: the scheduler has gone") from None
     except ImportError as error:
         raise ClusterError(
-            f"{where}: {error.name} cannot be imported there; "
-            "install it on the scheduler and on every worker"
+            f"{where}: {error.name} cannot be imported there. "
+            "Install it on the scheduler and on every worker"
         ) from None
     except OSError as error:
         raise ClusterError(f"{where}: {error}") from None

@@ -84,7 +84,7 @@ class Store(NamedTuple):
         layout = self.layout
         if not self.done.all():
             left = f"{layout.runs - self.runs_done} of {layout.runs} runs"
-            raise InputError(f"{self.path}: {left} are missing; resume it first")
+            raise InputError(f"{self.path}: {left} are missing. Resume it first")
         shape = (len(layout.columns), layout.runs)
         numbers = np.memmap(self.file, "<f8", "r", self.start, shape)
         return dict(zip(layout.columns, numbers, strict=True))

@@ -103,8 +103,8 @@ def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[flo
             raise answer
         return answer
     raise ClusterError(
-        f"{workers} local workers: {DEATHS} workers died one after the other at the same blocks; "
-        "out of memory?"
+        f"{workers} local workers: {DEATHS} workers died one after the other at the same blocks. "
+        "Out of memory?"
     )
 
 

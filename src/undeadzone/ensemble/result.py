@@ -105,7 +105,7 @@ class Ensemble:
             return self.varied[name]
         if name not in self.errors:
             known = ", ".join([*self.varied, *self.quantities])
-            raise InputError(f"{name}: is not a column of this ensemble; there are {known}")
+            raise InputError(f"{name}: is not a column of this ensemble. There are {known}")
         return width_error(name, self.metrics, self.info.widths, self.varied, self.info.geared)
 
     def sample(self, name: str) -> Floats:

@@ -75,7 +75,7 @@ def _require_one_backend(workers: int | None, cluster: str | None) -> None:
     both = workers is not None and cluster is not None
     if both or (workers is not None and workers < 1):
         raise InputError(
-            "workers, cluster: expected a number of local processes, 1 or more, or an address; "
+            "workers, cluster: expected a number of local processes, 1 or more, or an address, "
             f"found {workers} and {cluster}"
         )
 

@@ -254,8 +254,8 @@ def resolve_entries(
         for slot, _ in number.slots:
             if slot in owners:
                 raise InputError(
-                    f"{TABLE.entry_name(number.name)}: varies what {owners[slot]} varies already; "
-                    "keep one of them"
+                    f"{TABLE.entry_name(number.name)}: varies what {owners[slot]} varies already. "
+                    "Keep one of them"
                 )
             owners[slot] = number.name
     return tuple(numbers)
@@ -296,8 +296,8 @@ def _require_settable(address: str, names: list[str], known: dict[str, Quantity]
     for name in names:
         if known[name].nominal < 0 < known[name].least:
             raise InputError(
-                f"{TABLE.entry_name(address)}: {name} is negative and varies by a factor alone; "
-                "set relative = true and give factors"
+                f"{TABLE.entry_name(address)}: {name} is negative and varies by a factor alone. "
+                "Set relative = true and give factors"
             )
 
 
@@ -313,7 +313,7 @@ def _select_scalable(
     if fixed and (not changed or set(fixed) & set(parts)):
         raise InputError(
             f"{TABLE.entry_name(address)}: {fixed[0]} is {known[fixed[0]].nominal:g}, which no "
-            "factor changes; leave out relative and give values"
+            "factor changes. Leave out relative and give values"
         )
     return changed
 
@@ -327,7 +327,7 @@ def _quantities_of_part(
     why = _advice_for_address(part, problem)
     if extent := entries_there(part, known):
         why = f"no entry {part}; there is {extent}"
-    why = why or f"nothing of that name can vary; {similar(part, known, 'what can:')}"
+    why = why or f"nothing of that name can vary. {similar(part, known, 'These can:')}"
     raise InputError(f"{TABLE.entry_name(address)}: {why}")
 
 

@@ -88,7 +88,7 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     key, begin = "reference.swing", path.output_at(np.zeros(1))
     joints = begin.shape[1]
     if path.output_at(np.zeros(1), 1).any():
-        raise InputError(f"{key}: the path that follows must begin at rest; set reference.ramp")
+        raise InputError(f"{key}: the path that follows must begin at rest. Set reference.ramp")
     points = require_matrix(f"{key}.points", swing.points, None, joints, "a row per point")
     times = require_series(f"{key}.times", swing.times)
     through = Quintic(
@@ -290,7 +290,7 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     if arm.size < tip.numel():
         raise TrackingError(
             f"reference.space: an arm with {arm.size} joint{'s' * (arm.size > 1)} cannot move its "
-            f"tip along a path in {tip.numel()} coordinates; give the joints' path "
+            f"tip along a path in {tip.numel()} coordinates. Give the joints' path "
             "(space = 'joint')"
         )
     reach = float(np.linalg.norm(np.diff(arm.points(params, start).full(), axis=0), axis=1).sum())
@@ -306,8 +306,8 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
         raise TrackingError(
             f"reference: the arm is singular where the path starts from, "
             f"q = {list_numbers(start)}: "
-            "its tip cannot move in every direction there; "
-            "let it start from another configuration (plant.x0)"
+            "its tip cannot move in every direction there. "
+            "Let it start from another configuration (plant.x0)"
         )
     null_space = np.linalg.svd(J[0])[2][arm.size - free :]
     place = ca.vertcat(place, null_space @ (q - start))

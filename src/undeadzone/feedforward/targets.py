@@ -134,7 +134,7 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         many = "s" * (model.m > 1)
         raise TrackingError(
             f"tracked: the plant has {model.m} input{many} and cannot make {len(tracked)} outputs "
-            f"follow; name at most {model.m}"
+            f"follow. Name at most {model.m}"
         )
     linear = linear._replace(C=linear.C[tracked])
     Pi, Gamma, residual = regulator(linear, S, exo.Q)
@@ -145,8 +145,8 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         where = list_numbers([complex(round(s.real, 9), round(s.imag, 9))])
         raise TrackingError(
             f"reference: the plant cannot follow it: a zero of the plant at s = {where} lies on "
-            f"the reference's spectrum (regulator equations, residual {residual:.1g}); "
-            "change the frequency or the tracked outputs"
+            f"the reference's spectrum (regulator equations, residual {residual:.1g}). "
+            "Change the frequency or the tracked outputs"
         )
     return Pi, Gamma
 
@@ -257,8 +257,8 @@ def _derivatives(model: System, tracked: list[int], x: ca.SX, u: ca.SX) -> list[
         degrees = [derivative.order for derivative in with_input]
         raise TrackingError(
             f"reference: the nonlinear plant has zero dynamics (relative degrees {degrees} "
-            f"add up to {len(without_input)}, not to n = {model.n}); "
-            "its feedforward cannot be computed by inversion"
+            f"add up to {len(without_input)}, not to n = {model.n}). "
+            "Its feedforward cannot be computed by inversion"
         )
     return without_input + with_input
 

@@ -65,6 +65,9 @@ def discretise_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
 
     His matrix holds e^(-A t), so that it is taken of a short part of the step, which is doubled.
 
+    References:
+        C. F. Van Loan (1978), doi:10.1109/TAC.1978.1101743
+
     Args:
         A: (n x n).
         W: density of w (n x n) per second.

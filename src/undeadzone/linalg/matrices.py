@@ -87,6 +87,9 @@ def balance_states(A: Floats) -> Floats:
     A.
 
     LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
+
+    References:
+        B. N. Parlett, C. Reinsch (1969), doi:10.1007/BF02165404
     """
     from scipy.linalg import matrix_balance
 

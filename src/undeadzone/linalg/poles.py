@@ -35,7 +35,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
     if parsed.shape != (n,):
         expected = f"{n} pole{'s' * (n != 1)}"
         raise ShapeError(
-            f"{key}: expected {expected} (one per state; complex ones as [real, imaginary]), "
+            f"{key}: expected {expected} (one per state, complex ones as [real, imaginary]), "
             f"found {describe_shape(parsed.shape)}"
         )
     if not np.allclose(np.sort_complex(parsed), np.sort_complex(parsed.conj())):
@@ -78,7 +78,7 @@ def pole_placement_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Fl
     if not off < ACCURATE:
         raise StructureError(
             f"{key}: the poles cannot be placed accurately (characteristic polynomial off by "
-            f"{off:.1g}); the pair is nearly uncontrollable"
+            f"{off:.1g}). The pair is nearly uncontrollable"
         )
     return np.asarray(K)
 

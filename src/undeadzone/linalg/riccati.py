@@ -75,6 +75,10 @@ def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = Non
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
     improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
 
+    References:
+        D. L. Kleinman (1968), doi:10.1109/TAC.1968.1098829
+        G. A. Hewer (1971), doi:10.1109/TAC.1971.1099755
+
     Args:
         linear: the model, continuous or sampled; any number of inputs.
         Q: weight of the states (n x n).
@@ -198,7 +202,7 @@ def paper_feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) 
     if radius >= 1:
         raise StructureError(
             f"controller.alpha: (34) sampled at {Ts:g} s does not stabilise (spectral radius "
-            f"{radius:.4g}); use a smaller step or poles"
+            f"{radius:.4g}). Use a smaller step or poles"
         )
     return np.asarray(K)
 
@@ -263,7 +267,7 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
             f"observer.speed: {speed:.4g} 1/s cannot be reached, the outputs hardly show some "
-            "state; give a lower speed, or poles"
+            "state. Give a lower speed, or poles"
         )
     return unit[:, None] * L
 
@@ -285,7 +289,7 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     except StructureError:
         raise StructureError(
             f"controller.speed: {speed:.4g} 1/s cannot be reached, the inputs hardly move some "
-            "state; give a lower speed, poles or K"
+            "state. Give a lower speed, poles or K"
         ) from None
 
 

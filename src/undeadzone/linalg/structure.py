@@ -65,13 +65,13 @@ def require_structure(linear: Matrices, key: str) -> None:
     modes = unobservable_modes(linear.A, linear.C)
     if modes:
         raise StructureError(
-            f"{key}: the pair (A, C) is unobservable: {_modes_text(modes)}; measure another output"
+            f"{key}: the pair (A, C) is unobservable: {_modes_text(modes)}. Measure another output"
         )
     modes = uncontrollable_modes(linear.A, linear.B)
     if modes:
         raise StructureError(
-            f"{key}: the pair (A, B) is uncontrollable: {_modes_text(modes)}; "
-            "add an input or remove the state"
+            f"{key}: the pair (A, B) is uncontrollable: {_modes_text(modes)}. "
+            "Add an input or remove the state"
         )
 
 

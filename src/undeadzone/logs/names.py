@@ -221,7 +221,7 @@ def layout_of_numbers(
     """
     if not chosen:
         raise FileError(
-            f"{source}: without a header nobody can tell which column is which; add one, t,y,u, or "
+            f"{source}: without a header nobody can tell which column is which. Add one, t,y,u, or "
             "name the columns by number: --columns t=1,y=2,u=3"
         )
     titles = [Title(str(k + 1), "") for k in range(width)]
@@ -317,7 +317,7 @@ class _Header(NamedTuple):
         named = [key for key in wanted if key in self.chosen]
         if named and len(named) < count:
             missing = next(key for key in wanted if key not in self.chosen)
-            raise InputError(f"--columns: {missing} is missing; expected {count} of {signal}")
+            raise InputError(f"--columns: {missing} is missing. Expected {count} of {signal}")
         if named:
             return [self.column_of_name(key) for key in wanted]
         for name in usual:
@@ -327,15 +327,15 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}; say which by --columns "
+                    f"{_list_columns([self.titles[k] for k in columns])}. Say which by --columns "
                     f"{wanted[0]}=NAME"
                 )
         if columns := self.of_the_trade(signal, count, taken):
             return columns
         require_table(self.source)
         raise FileError(
-            f"{self.source}: no name says which column holds {signal}; there are "
-            f"{_list_columns(self.titles)}{self.near(usual)}; say which "
+            f"{self.source}: no name says which column holds {signal}. There are "
+            f"{_list_columns(self.titles)}{self.near(usual)}. Say which "
             f"by --columns {self.to_be_named()}"
         )
 
@@ -406,8 +406,8 @@ class _Header(NamedTuple):
             return int(name) - 1
         how = "several columns are named" if same else "no column"
         raise FileError(
-            f"{self.source}: --columns {key}: {how} {name!r}; "
-            f"there are {_list_columns(self.titles)}"
+            f"{self.source}: --columns {key}: {how} {name!r}. "
+            f"There are {_list_columns(self.titles)}"
             f"{self.near([name])}"
         )
 
@@ -417,7 +417,7 @@ class _Header(NamedTuple):
         for name in names:
             near = difflib.get_close_matches(name.lower(), lower, 1)
             if near:
-                return f"; did you mean {lower[near[0]]!r}?"
+                return f". Did you mean {lower[near[0]]!r}?"
         return ""
 
 
@@ -453,7 +453,7 @@ def _seconds(title: Title, source: str) -> float | None:
         return None
     if unit not in SECONDS:
         raise FileError(
-            f"{source}: unit of time not understood: {title.unit!r}; use s, ms, us, min, h or "
+            f"{source}: unit of time not understood: {title.unit!r}. Use s, ms, us, min, h or "
             "samples"
         )
     return SECONDS[unit]
@@ -467,13 +467,13 @@ def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> N
         known += [f"{signal}[{i}]" for i in range(count)]
     for key in chosen:
         if key not in known:
-            raise InputError(f"--columns: the plant has no {key}; it has {', '.join(known[2:])}")
+            raise InputError(f"--columns: the plant has no {key}. It has {', '.join(known[2:])}")
 
 
 def require_table(source: str) -> None:
     """Raise FileError for the path of a scenario, which is no log."""
     if source.endswith(".toml"):
-        raise FileError(f"{source}: this is a scenario, no log; the log is a table with t, u, y")
+        raise FileError(f"{source}: this is a scenario, no log. The log is a table with t, u, y")
 
 
 def _of_signal(chosen: Mapping[str, str], signal: str) -> list[str]:

@@ -290,7 +290,7 @@ class LogReader:
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
                     f"{self._source}, line {number}: nothing tells which number of {text!r} is the "
-                    "month; write dates as 2026-04-03"
+                    "month. Write dates as 2026-04-03"
                 )
             return
 
@@ -510,7 +510,7 @@ def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
         t = samples.t[k]
         raise FileError(
             f"{source}, line {samples.lines[k]}: time does not increase: {t:.9g} s after "
-            f"{t - intervals[k]:.9g} s; sort the lines, or give each run by itself"
+            f"{t - intervals[k]:.9g} s. Sort the lines, or give each run by itself"
         )
 
 
@@ -542,7 +542,7 @@ def _placeable(intervals: Floats, step: float, samples: Samples, source: str) ->
         k = int(bad[0])
         raise FileError(
             f"{source}, line {samples.lines[k]}: t = {samples.t[k]:.9g} s is {intervals[k]:.6g} s "
-            f"after the sample before; expected a multiple of the step, {step:g} s, and at most "
+            f"after the sample before. Expected a multiple of the step, {step:g} s, and at most "
             f"{LONGEST} of them: bring the log onto regular steps (never by interpolating "
             "readings), or split it"
         )

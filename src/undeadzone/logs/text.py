@@ -271,7 +271,7 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     if open_one and not live:
         whole, decimal = open_one.replace(",", ""), open_one.replace(",", ".")
         raise FileError(
-            f"{source}: nothing tells whether {open_one} is {whole} or {decimal}; write numbers "
+            f"{source}: nothing tells whether {open_one} is {whole} or {decimal}. Write numbers "
             "with a decimal point, and nothing between thousands"
         )
     return "," * bool(open_one)

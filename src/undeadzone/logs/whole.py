@@ -180,7 +180,7 @@ def of_mat(path: Path) -> Columns:
         names = [name for name, _, _ in declared]
         arrays = loadmat(path, mat_dtype=True, variable_names=names) if names else {}
     except NotImplementedError:
-        raise FileError(f'{path}: MATLAB 7.3 file; save it with save(..., "-v7")') from None
+        raise FileError(f'{path}: MATLAB 7.3 file. Save it with save(..., "-v7")') from None
     except (OSError, ValueError, MatReadError) as error:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except Exception as error:  # damaged files raise whatever their decoders raise
@@ -238,5 +238,5 @@ def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
             title = name if rows.shape[1] == 1 else f"{name}[{k}]"
             columns.append((Title(title, ""), rows[:, k].astype(float)))
     if not columns:
-        raise FileError(f"{path}: holds no arrays of numbers; it should hold t, y and u")
+        raise FileError(f"{path}: holds no arrays of numbers. It should hold t, y and u")
     return columns

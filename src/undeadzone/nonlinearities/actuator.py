@@ -186,7 +186,7 @@ def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
     for side, other in (SIDES, SIDES[::-1]):
         if side not in ranges:
             raise InputError(
-                f"{key}.{side}: must be a range too where {other} is one; write "
+                f"{key}.{side}: must be a range too where {other} is one. Write "
                 f"{side} = [lo, hi], narrow if it is known"
             )
     middles = {side: interval.mean(axis=1).tolist() for side, interval in ranges.items()}

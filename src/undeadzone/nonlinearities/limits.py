@@ -128,5 +128,5 @@ def require_readings(low: Floats, high: Floats, threshold: Floats) -> None:
         i = int(within.argmax())
         raise InputError(
             f"sensor.range: a limit of {nearest[i]:g} lies within the silence, |y| <= "
-            f"{threshold[i]:g} (sensor.threshold): no reading lies between; check both"
+            f"{threshold[i]:g} (sensor.threshold): no reading lies between. Check both"
         )

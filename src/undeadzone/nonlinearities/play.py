@@ -139,7 +139,7 @@ def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
     if value.shape not in ((2, 2), (p, 2, 2)):
         raise ShapeError(
             f"{key}: expected [c_r, c_l], the gaps ahead of the dead zone, or one such pair per "
-            f"output ({p} x 2); to an observer [[lo, hi], [lo, hi]], their ranges; found "
+            f"output ({p} x 2). To an observer [[lo, hi], [lo, hi]], their ranges, found "
             f"{describe_shape(value.shape)}"
         )
     ranges = np.broadcast_to(value, (p, 2, 2)).swapaxes(0, 1).reshape(2 * p, 2)

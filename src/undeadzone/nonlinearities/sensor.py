@@ -365,7 +365,7 @@ def _width(key: str, value: Array, p: int) -> Floats:
     widths = require_vector(key, value, p, f"one per output, the plant has {p}")
     if (widths < 0).any():
         raise InputError(
-            f"{key}: must not be negative, found {widths.min():g}; it is a width, from 0 to the "
+            f"{key}: must not be negative, found {widths.min():g}. It is a width, from 0 to the "
             "edge on that side"
         )
     return widths
@@ -449,7 +449,7 @@ def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
         return None
     if sensor.kind != "deadzone":
         raise InputError(
-            f'{KEY}: stands ahead of kind = "deadzone", found "{sensor.kind}"; a play alone has '
+            f'{KEY}: stands ahead of kind = "deadzone", found "{sensor.kind}". A play alone has '
             "its gaps in sensor.right and sensor.left"
         )
     (right, left), ranges = gaps_of(sensor.play, p)
@@ -474,11 +474,11 @@ def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
     inertia = require_nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
     for name, given in (("load_friction", known), ("load_inertia", inertia)):
         if sensor.kind != "play" and given.any():
-            raise InputError(f"sensor.{name}: only a play has a load behind it; leave it out")
+            raise InputError(f"sensor.{name}: only a play has a load behind it. Leave it out")
     if ((inertia > 0) & (known == 0)).any():
         raise InputError(
             "sensor.load_friction: a load with inertia and without friction coasts through its "
-            "gap; give both, or neither"
+            "gap. Give both, or neither"
         )
     return known, inertia, std
 
@@ -488,12 +488,12 @@ def _window(sensor: Sensor, step: float, pace: float) -> int:
     if sensor.kind != "play" and sensor.play is None:
         for name, given in (("start", np.any(sensor.start)), ("window", sensor.window)):
             if given:
-                raise InputError(f"sensor.{name}: only a play has one; leave it out")
+                raise InputError(f"sensor.{name}: only a play has one. Leave it out")
         return 1
     if np.any(sensor.noise_before):
         raise InputError(
             "sensor.noise_before: noise ahead of a play drives it like a ratchet, which no method "
-            "here knows; give sensor.noise"
+            "here knows. Give sensor.noise"
         )
     if sensor.window is None:
         return play.readings_of_motion(step, pace)

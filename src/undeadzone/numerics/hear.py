@@ -144,7 +144,7 @@ def deadzone_update(
     if not (rms > 0 and noise >= 0 and noise_before >= 0):
         raise InputError(
             f"noise: expected some rms behind or ahead of the zone, found {noise:g} and "
-            f"{noise_before:g}; of a clean sensor give its resolution"
+            f"{noise_before:g}. Of a clean sensor give its resolution"
         )
     z = _row("C", C, len(belief.mean))
     S = _require_columns(columns, len(belief.mean))
@@ -221,8 +221,8 @@ def _require_belief(mean: Array, cov: Array) -> Gauss:
     least = np.linalg.eigvalsh(related).min(initial=0)
     if least < -ROUNDING:
         raise InputError(
-            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations); "
-            "use Joseph's form in your filter"
+            f"cov: expected a covariance, found one with eigenvalue {least:.3g} (of correlations). "
+            "Use Joseph's form in your filter"
         )
     return Gauss(m, P)
 

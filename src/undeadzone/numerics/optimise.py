@@ -30,6 +30,9 @@ def minimise_by_cmaes(
 ) -> tuple[Floats, float]:
     """Return the point of least cost found in a box by CMA-ES, Hansen and Ostermeier (2001).
 
+    References:
+        N. Hansen, A. Ostermeier (2001), doi:10.1162/106365601750190398
+
     Args:
         cost: takes points (size, d) and gives their costs (size).
         low, high: the corners of the box (d).

@@ -67,7 +67,7 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
             return self.L, default_adaptation(model) if self.gamma is None else self.gamma
         if self.L is not None or self.gamma is not None:
             raise InputError(
-                "observer.design: it brings L and gamma; give either the design or these"
+                "observer.design: it brings L and gamma. Give either the design or these"
             )
         return _load_design_gains(self.design, model)
 

@@ -134,13 +134,13 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         gears, Ts = model.gears, model.Ts
         if gears is None or Ts is None:
             raise InputError(
-                "observer.method: 'contact' is for an arm with gears in sampled time; give "
+                "observer.method: 'contact' is for an arm with gears in sampled time. Give "
                 "plant.arm.gears, or use 'extended'"
             )
         if gears.size > MOST_COUPLED and self.joints == "coupled":
             raise InputError(
                 f"observer.joints: {gears.size} joints have {3**gears.size} combinations of "
-                f'contacts, each a filter of its own; use joints = "separate" beyond {MOST_COUPLED}'
+                f'contacts, each a filter of its own. Use joints = "separate" beyond {MOST_COUPLED}'
             )
         if not 1 <= self.starts <= len(STARTS):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")

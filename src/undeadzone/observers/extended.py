@@ -161,7 +161,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             if self.uncertain or bias.any():
                 key = "uncertain: a parameter" if self.uncertain else "bias: a constant"
                 raise InputError(
-                    f'observer.{key} binds the joints together; take joints = "coupled"'
+                    f'observer.{key} binds the joints together. Take joints = "coupled"'
                 )
             return build_separate_joints(model, colour, rms)
         augmentation = build_unknown_inputs(
@@ -213,7 +213,7 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
     if rate is None or flow is None or Ts is None or not is_mechanical(model):
         raise InputError(
-            "observer.joints: separate joints need a nonlinear model of states [q; q'] that "
+            "observer.joints: separate joints need a nonlinear model of states [q. Q'] that "
             "measures each position, such as a rigid arm's"
         )
     variance = flow.B[N:] ** 2 @ rms**2

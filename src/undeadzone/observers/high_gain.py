@@ -26,6 +26,9 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     are those that make the coordinates complete; for a nonlinear plant they are those of its
     linearisation, which is exact if the states are outputs and their derivatives.
 
+    References:
+        H. K. Khalil, L. Praly (2014), doi:10.1002/rnc.3051
+
     Attributes:
         epsilon: all poles tend to -1 / epsilon [s]; default a tenth of the time of the plant's
             fastest pole, but at least four samples.
@@ -55,8 +58,8 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
             if fastest >= 1:
                 raise StepError(
                     f"simulation.step: {model.Ts:g} s is too coarse for observer.epsilon = "
-                    f"{epsilon:g} s (spectral radius {fastest:.4g}); "
-                    "use a larger epsilon or a shorter step"
+                    f"{epsilon:g} s (spectral radius {fastest:.4g}). "
+                    "Use a larger epsilon or a shorter step"
                 )
         return build_output_error_observer(model, sensor, L, widths)
 

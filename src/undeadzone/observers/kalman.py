@@ -60,7 +60,7 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: readings of a jump sensor only bound its widths, which 'kalman' "
-                "cannot use; use 'censored'"
+                "cannot use. Use 'censored'"
             )
         prior = build_prior(self, model, sensor, centre=self.centre)
         rms = resolve_input_rms(

@@ -20,6 +20,9 @@ from undeadzone.util.arrays import Array, Floats
 class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
     """Observer x^' = A x^ + B u + L (y / m - C x^), Luenberger (1966), with L or poles.
 
+    References:
+        D. G. Luenberger (1966), doi:10.1109/TAC.1966.1098323
+
     Attributes:
         L: gains (n x p) [1/s], as in `Certified`.
         poles: poles of A - L C (n) [1/s].

@@ -80,7 +80,7 @@ def linear_matrices(plant: Plant, key: str = "plant") -> Matrices:
     if plant.transfer_function is not None:
         return _transfer_function_matrices(f"{key}.transfer_function", plant.transfer_function)
     if plant.f is not None or plant.arm is not None:
-        raise InputError(f"{key}: is nonlinear; matrices A, B, C exist for a linear plant only")
+        raise InputError(f"{key}: is nonlinear. Matrices A, B, C exist for a linear plant only")
     return _require_given_matrices(plant, key)
 
 
@@ -142,7 +142,7 @@ def _require_one_form(plant: Plant, key: str) -> str:
         absent = value is None or (name == "parameters" and not value)
         if not absent and name not in known:
             raise InputError(
-                f"{key}.{name}: has no meaning for a plant given by {form}; remove one of them"
+                f"{key}.{name}: has no meaning for a plant given by {form}. Remove one of them"
             )
     return form
 
@@ -152,7 +152,7 @@ def _require_given_matrices(plant: Plant, key: str) -> Matrices:
     for name in "ABC":
         if getattr(plant, name) is None:
             raise InputError(
-                f"{key}.{name}: missing; a linear plant needs A (n x n), B (n x m) and C (p x n)"
+                f"{key}.{name}: missing. A linear plant needs A (n x n), B (n x m) and C (p x n)"
             )
     A = require_matrix(f"{key}.A", plant.A)
     n = A.shape[0]
@@ -388,8 +388,8 @@ def _lookup_name(formula: _Formula, name: str) -> Any:
 def _unknown_name_error(formula: _Formula, name: str, known: list[str]) -> InputError:
     """Return the error for an unknown name, with the nearest known name."""
     near = difflib.get_close_matches(name, known, 1)
-    advice = f"did you mean {near[0]!r}?" if near else f"known names: {', '.join(known)}"
-    return _formula_error(formula, f"unknown name {name!r}", f"; {advice}")
+    advice = f"Did you mean {near[0]!r}?" if near else f"Known names: {', '.join(known)}"
+    return _formula_error(formula, f"unknown name {name!r}", f". {advice}")
 
 
 def _formula_error(formula: _Formula, what: str, advice: str = "") -> InputError:

@@ -27,7 +27,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     """
     if getattr(system, "dt", None) not in (None, 0):
         raise InputError(
-            f"plant: expected a continuous-time system, found sample time {system.dt}; give the "
+            f"plant: expected a continuous-time system, found sample time {system.dt}. Give the "
             "continuous one, simulation.step samples it"
         )
     system = to_state_space(system, "plant", "Plant")
@@ -62,7 +62,7 @@ def to_state_space(system: Any, key: str, options: str) -> Any:
         raise InputError(f"{key}: this transfer function has no state space: {error}") from None
     raise InputError(
         f"{key}: expected a state space or a transfer function of scipy or python-control, found "
-        f"{type(system).__name__}; matrices go to uz.{options}(A=..., B=..., C=...)"
+        f"{type(system).__name__}. Matrices go to uz.{options}(A=..., B=..., C=...)"
     )
 
 

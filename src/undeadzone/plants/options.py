@@ -71,6 +71,9 @@ class ElasticJoint(Kind, frozen=True, kw_only=True, tag="elastic_joint"):
     """Motor that moves a link through a spring, with a sensor on the motor or the link (Spong
     1987).
 
+    References:
+        M. W. Spong (1987), doi:10.1115/1.3143860
+
     Attributes:
         measured: the part whose angle, less `reference`, is the output.
         reference: angle at which the sensor reads 0 [rad].

@@ -50,7 +50,7 @@ def build_box(region: Region, model: System) -> Box:
     """
     if not model.nonlinear:
         raise InputError(
-            "region: the model is linear, and its certificate holds everywhere; remove the region"
+            "region: the model is linear, and its certificate holds everywhere. Remove the region"
         )
     inputs = _input_ranges(region, model)
     states = _require_ranges("region.x", region.x, model.n, "one [lo, hi] per state")
@@ -66,7 +66,7 @@ def _input_ranges(region: Region, model: System) -> Floats:
     if model.limit is not None and np.isfinite(model.limit).all():
         return np.stack([-model.limit, model.limit], axis=1)
     raise InputError(
-        "region.u: missing; give a range [lo, hi] per input, "
+        "region.u: missing. Give a range [lo, hi] per input, "
         "this model has no torque limits to take in its place"
     )
 

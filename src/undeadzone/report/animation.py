@@ -122,15 +122,15 @@ def require_movie(path: Path) -> None:
     suffix = path.suffix.lower()
     if suffix not in MOVIES:
         raise FileError(
-            f"{path}: cannot write an animation with this name; "
-            f"it must end in {' or '.join(MOVIES)}"
+            f"{path}: cannot write an animation with this name. "
+            f"It must end in {' or '.join(MOVIES)}"
         )
     if suffix == ".mp4":
         from matplotlib.animation import FFMpegWriter
 
         if not FFMpegWriter.isAvailable():
             raise FileError(
-                f"{path}: cannot write MP4: ffmpeg is not installed; write a .gif instead"
+                f"{path}: cannot write MP4: ffmpeg is not installed. Write a .gif instead"
             )
 
 
@@ -151,7 +151,7 @@ def write_movie(
     """
     require_movie(path)
     if run.poses is None:
-        raise InputError("animation: this plant is no arm; leave the option out")
+        raise InputError("animation: this plant is no arm. Leave the option out")
     stage = _build_stage(run, _build_arms(run, rival))
     _draw_frame(stage, 0)
     stage.figure.draw_without_rendering()

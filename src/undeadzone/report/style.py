@@ -208,7 +208,7 @@ def write_figure(figure: Figure, path: Path) -> Path:
     """
     if path.suffix.lower() not in SUFFIXES:
         expected = ", ".join(SUFFIXES)
-        raise FileError(f"{path}: cannot write a figure with this name; it must end in {expected}")
+        raise FileError(f"{path}: cannot write a figure with this name. It must end in {expected}")
     with replace_file(path) as temporary:
         temporary.write_bytes(figure_to_bytes(figure, path.suffix.lower()[1:]))
     return path

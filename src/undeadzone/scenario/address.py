@@ -84,7 +84,7 @@ def similar(address: str, names: Iterable[str], otherwise: str) -> str:
     """
     keys = sorted({stem(name) for name in names})
     near = difflib.get_close_matches(stem(address), keys, 1)
-    return f"did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(keys)}"
+    return f"Did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(keys)}"
 
 
 def child(parent: Any, name: str) -> Any:
@@ -213,7 +213,7 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
     for name, change in sorted(changes.items(), key=lambda item: item[0] == LAST):
         if name not in hints:
             near = difflib.get_close_matches(name, hints, 1) or sorted(hints)
-            raise InputError(f"{name}: unknown key; did you mean {', '.join(near)}?")
+            raise InputError(f"{name}: unknown key. Did you mean {', '.join(near)}?")
         if isinstance(change, msgspec.Struct) or change is None:
             fields[name] = change
         elif name == LAST and isinstance(change, Mapping) and "like" in change:
@@ -247,7 +247,7 @@ def alike(compare: Any, observer: Any) -> Any:
     if _is_another(observer, own):
         raise InputError(
             f"compare.like: takes the keys of [observer], method {observer.get('method')!r}, which "
-            f"{own.get('method')!r} need not have; leave out like, or compare.method"
+            f"{own.get('method')!r} need not have. Leave out like, or compare.method"
         )
     return {**observer, **own}
 

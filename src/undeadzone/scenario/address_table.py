@@ -48,7 +48,7 @@ class Table(NamedTuple):
         for key, value in table.items():
             if isinstance(value, dict) and key != "entries" and "." not in key:
                 raise InputError(
-                    f"{self.name}.{key}: unknown key; an address stands in quotes: {self.example}"
+                    f"{self.name}.{key}: unknown key. An address stands in quotes: {self.example}"
                 )
         entries = entries | {key: value for key, value in table.items() if "." in key}
         options = {key: value for key, value in table.items() if "." not in key}

@@ -38,7 +38,7 @@ def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> 
     if zones or sensor.kind != "deadzone":
         raise InputError(
             f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, which have "
-            "no zone; the gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
+            "no zone. The gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
             "leave out what else belongs to a zone"
         )
     always = msgspec.structs.replace(sensor, threshold=0.0)
@@ -68,5 +68,5 @@ def require_gears(kind: str, options: Any, system: System) -> None:
     known = {"observer": "'contact' or 'full_state'", "controller": "'computed_torque'"}
     raise InputError(
         f"{kind}.method: {options.__struct_config__.tag!r} takes motors for links, and this arm "
-        f"has gears with a gap between them; use {known[kind]}, or leave plant.arm.gears out"
+        f"has gears with a gap between them. Use {known[kind]}, or leave plant.arm.gears out"
     )

@@ -160,8 +160,8 @@ def _require_range(key: str, median: float, deviation: float) -> None:
     """Raise InputError unless a log-normal distribution has values to compute with."""
     if median <= 0:
         raise InputError(
-            f"{key}: the median must be positive, found {median:g}; "
-            "for a negative number vary a factor on it (relative = true)"
+            f"{key}: the median must be positive, found {median:g}. "
+            "For a negative number vary a factor on it (relative = true)"
         )
     if np.log(median) + REACH * deviation > np.log(LARGEST):
         raise InputError(

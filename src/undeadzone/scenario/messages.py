@@ -35,38 +35,38 @@ _WORDS = {
     "null": "nothing",
 }
 _SYNONYMS = {  # words of other tools, and what stands for them here
-    "dt": "the sample time is simulation.step",
-    "Ts": "the sample time is simulation.step",
-    "sample_time": "the sample time is simulation.step",
-    "fs": "the sample time is simulation.step = 1 / fs",
-    "d_r": "write right",
-    "d_l": "write left",
-    "range_right": "write right = [least, largest]",
-    "Kp": "write k_p",
-    "Ki": "write k_i",
-    "Kd": "write k_d",
-    "kp": "write k_p",
-    "ki": "write k_i",
-    "kd": "write k_d",
-    "controller": "the controller has a table of its own, [controller]",
-    "discrete": "write sampled",
-    "discrete-time": "write sampled",
-    "T": "the length of a run is simulation.duration, the sample time simulation.step",
-    "num": "write numerator",
-    "den": "write denominator",
-    "tf": "write transfer_function = { numerator = [...], denominator = [...] }",
-    "D": "direct feedthrough is not supported; leave D out where it is 0",
-    "upper": "the upper edge of the zone is sensor.right",
-    "lower": "the lower edge of the zone is -sensor.left",
-    "deadband": "the widths are sensor.right and sensor.left, from 0 to each edge",
-    "deadzone": "the widths are sensor.right and sensor.left, from 0 to each edge",
-    "width": "the widths are sensor.right and sensor.left, from 0 to each edge",
+    "dt": "The sample time is simulation.step",
+    "Ts": "The sample time is simulation.step",
+    "sample_time": "The sample time is simulation.step",
+    "fs": "The sample time is simulation.step = 1 / fs",
+    "d_r": "Write right",
+    "d_l": "Write left",
+    "range_right": "Write right = [least, largest]",
+    "Kp": "Write k_p",
+    "Ki": "Write k_i",
+    "Kd": "Write k_d",
+    "kp": "Write k_p",
+    "ki": "Write k_i",
+    "kd": "Write k_d",
+    "controller": "The controller has a table of its own, [controller]",
+    "discrete": "Write sampled",
+    "discrete-time": "Write sampled",
+    "T": "The length of a run is simulation.duration, the sample time simulation.step",
+    "num": "Write numerator",
+    "den": "Write denominator",
+    "tf": "Write transfer_function = { numerator = [...], denominator = [...] }",
+    "D": "Direct feedthrough is not supported. Leave D out if it is 0",
+    "upper": "The upper edge of the zone is sensor.right",
+    "lower": "The lower edge of the zone is -sensor.left",
+    "deadband": "The widths are sensor.right and sensor.left, from 0 to each edge",
+    "deadzone": "The widths are sensor.right and sensor.left, from 0 to each edge",
+    "width": "The widths are sensor.right and sensor.left, from 0 to each edge",
     "gain": "L and gamma are the observer's gains, K the controller's, slope the sensor's",
-    "type": "write kind or method",
-    "freq": "write frequency, in Hz",
-    "omega": "write frequency, in Hz",
-    "saturation": "write range = [least, largest]",
-    "sigma": "write noise, the rms of white noise on the reading",
+    "type": "Write kind or method",
+    "freq": "Write frequency, in Hz",
+    "omega": "Write frequency, in Hz",
+    "saturation": "Write range = [least, largest]",
+    "sigma": "Write noise, the rms of white noise on the reading",
 }
 NEAR = 0.65  # likeness from which on a name may be meant
 CHOOSERS = ("kind", "method")  # keys that choose among the variants of a table
@@ -87,10 +87,10 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     unknown = re.match(r"(?s)Object contains unknown field `(.*)`", body)
     if unknown:
         name = unknown[1]
-        advice = _advice(name, _fields(root, key, data), "known keys:")
-        if name in _SYNONYMS and not advice.startswith("did you mean"):
-            advice = f"{advice}; {_SYNONYMS[name]}"
-        return f"{_join(key, name)}: unknown key; {advice}"
+        advice = _advice(name, _fields(root, key, data), "Known keys:")
+        if name in _SYNONYMS and not advice.startswith("Did you mean"):
+            advice = f"{advice}. {_SYNONYMS[name]}"
+        return f"{_join(key, name)}: unknown key. {advice}"
     missing = re.match(r"Object missing required field `(.*)`", body)
     if missing:
         return _missing(key, missing[1], root)
@@ -145,10 +145,10 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
 
 def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
     """Return the message about a word that is none of those that may stand at a key."""
-    advice = _advice(str(word), choices, "expected one of")
+    advice = _advice(str(word), choices, "Expected one of")
     if str(word) in _SYNONYMS:
-        advice = f"{advice}; {_SYNONYMS[str(word)]}"
-    return f"{key}: unknown choice {word!r}; {advice}"
+        advice = f"{advice}. {_SYNONYMS[str(word)]}"
+    return f"{key}: unknown choice {word!r}. {advice}"
 
 
 def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
@@ -192,7 +192,7 @@ def _advice(name: str, known: list[str], otherwise: str) -> str:
     lower = {each.lower(): each for each in known}
     near = [each for each in known if each in difflib.get_close_matches(name, known, 1, NEAR)]
     near = near or [lower[each] for each in difflib.get_close_matches(name.lower(), lower, 1, NEAR)]
-    return f"did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(sorted(known))}"
+    return f"Did you mean {near[0]!r}?" if near else f"{otherwise} {', '.join(sorted(known))}"
 
 
 def _walk(key: str, data: Any) -> Any:

@@ -91,8 +91,8 @@ def require_contact(
             stops = sensor.friction[i] / sensor.inertia[i]
             raise InputError(
                 f"sensor.load_inertia: output {i} is out of reach for a play at the sensor: its "
-                f"overrun number J a / f is {number:.3g}; above 1 the load coasts through its gap "
-                f"and y moves without contact; slow the reference down until it decelerates by "
-                f"less than f / J = {stops:.3g} 1/s^2, or measure ahead of the gap; a load "
+                f"overrun number J a / f is {number:.3g}. Above 1 the load coasts through its gap "
+                f"and y moves without contact. Slow the reference down until it decelerates by "
+                f"less than f / J = {stops:.3g} 1/s^2, or measure ahead of the gap. A load "
                 "with inertia behind gears is two masses: plant.arm.gears (docs/robots.md)"
             )

@@ -167,7 +167,7 @@ def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
     }
     for reason, is_needed in needed.items():
         if is_needed:
-            raise InputError(f'{reason}; set simulation.time = "sampled"')
+            raise InputError(f'{reason}. Set simulation.time = "sampled"')
 
 
 def watching(
@@ -217,12 +217,12 @@ def _require_numbers(sensor: Zone) -> None:
     """Raise InputError where the sensor itself has a range in place of a number."""
     if sensor.friction_std.any():
         raise InputError(
-            "sensor.load_friction: expected a number, a simulation needs one; give the range as "
+            "sensor.load_friction: expected a number, a simulation needs one. Give the range as "
             "model.load_friction"
         )
     if sensor.play is not None and sensor.play.ranges is not None:
         raise InputError(
-            "sensor.play: expected numbers, a simulation needs them; give the ranges as model.play"
+            "sensor.play: expected numbers, a simulation needs them. Give the ranges as model.play"
         )
 
 
@@ -231,7 +231,7 @@ def _require_play(told: Array, sensor: Zone) -> None:
     gaps_of(told, sensor.right.size, "model.play")
     if sensor.play is None and np.any(told):
         raise InputError(
-            "model.play: the sensor has no play ahead of its dead zone; give sensor.play, or leave "
+            "model.play: the sensor has no play ahead of its dead zone. Give sensor.play, or leave "
             "it out"
         )
 
@@ -243,7 +243,7 @@ def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | N
         return None, belief
     drive = resolve_actuator(scenario.actuator, inputs)
     if drive.has_rate_limit and scenario.simulation.time != "sampled":
-        raise InputError('actuator.rate: needs samples; set simulation.time = "sampled"')
+        raise InputError('actuator.rate: needs samples. Set simulation.time = "sampled"')
     return drive, belief
 
 
@@ -265,8 +265,8 @@ def _require_room(sensor: Zone, observer: Observer) -> None:
         raise InputError(
             f"observer.width_max: the sensor's widths of output {output}, right "
             f"{sensor.right[output]:g} and left {sensor.left[output]:g}, lie beyond d_M = "
-            f"{limit[output]:g}: the projection would keep the estimates from the truth; "
-            "raise width_max"
+            f"{limit[output]:g}: the projection would keep the estimates from the truth. "
+            "Raise width_max"
         )
 
 
@@ -278,7 +278,7 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
     """
     if not isinstance(scenario, Scenario):
         raise InputError(
-            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}; a file is read "
+            f"scenario: expected uz.Scenario(...), found {type(scenario).__name__}. A file is read "
             'by uz.read("mine.toml")'
         )
     for key, options in (("sensor", Sensor), ("simulation", Simulation)):
@@ -320,7 +320,7 @@ def plant_of_model(scenario: Scenario) -> Plant:
         return _with_parameters(model, plant, _given_keys(model, "ABC"))
     if model.parameters:
         raise InputError(
-            "model.parameters: only a plant given by formulas or an arm has parameters; use A, B, C"
+            "model.parameters: only a plant given by formulas or an arm has parameters. Use A, B, C"
         )
     linear = plants.linear_matrices(plant)
     return Plant(**{**linear._asdict(), **_given_keys(model, "ABC")}, delay=plant.delay)
@@ -333,13 +333,13 @@ def _with_parameters(model: Model, plant: Plant, matrices: dict[str, object]) ->
     """
     if matrices:
         raise InputError(
-            f"model.{min(matrices)}: the plant is given by formulas or an arm; its model can "
+            f"model.{min(matrices)}: the plant is given by formulas or an arm. Its model can "
             "change parameters only"
         )
     unknown = sorted(set(model.parameters) - set(plant.parameters))
     if plant.f is not None and unknown:
         raise InputError(
-            f"model.parameters.{unknown[0]}: unknown parameter; the plant has "
+            f"model.parameters.{unknown[0]}: unknown parameter. The plant has "
             f"{', '.join(plant.parameters) or 'none'}"
         )
     return msgspec.structs.replace(plant, parameters=plant.parameters | model.parameters)
@@ -424,7 +424,7 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
             require_range(body.chain, t, path.output_at(t), path.output_at(t, 1))
     elif model.m < body.size:
         raise InputError(
-            "reference.space: the path of an elastic joint is its link's angle; use space = 'joint'"
+            "reference.space: the path of an elastic joint is its link's angle. Use space = 'joint'"
         )
     else:
         task = signals.build_exosystem("reference", reference, len(body.chain.plane), task=True)

@@ -102,7 +102,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
                 )
         if observer is None and "right" not in sensor and "declared" not in data:
             raise InputError(
-                "observer: missing; name one and the range of the widths, such as "
+                "observer: missing. Name one and the range of the widths, such as "
                 'observer = { method = "auto", right = [0.0, 2.0] }'
             )
         data["sensor"] = {"right": 0.0, "left": 0.0} | sensor
@@ -131,7 +131,7 @@ def _text(path: Path) -> str:
     try:
         return read_text(path)
     except UnicodeDecodeError:
-        raise FileError(f"{path}: cannot read: not UTF-8 text; save it as UTF-8") from None
+        raise FileError(f"{path}: cannot read: not UTF-8 text. Save it as UTF-8") from None
     except (OSError, ValueError) as error:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
 
@@ -216,11 +216,11 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
 
     def inside(key: str, path: str) -> str:
         if "\0" in path:
-            raise InputError(f"{key}: no path: it holds a NUL character; take it out")
+            raise InputError(f"{key}: no path: it holds a NUL character. Take it out")
         real = Path(os.path.realpath(path))
         if _has_further_names(real):
             raise InputError(
-                f"{key}: the file has further names, maybe outside of {folder}; copy it there"
+                f"{key}: the file has further names, maybe outside of {folder}. Copy it there"
             )
         if not real.is_relative_to(root):
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")

@@ -51,7 +51,7 @@ def _require_order(simulation: Simulation, plant: System) -> None:
     if order > 4 and (not smooth or plant.nonlinear):
         raise InputError(
             "simulation.order: above 4 only in continuous time, for a linear plant, with located "
-            "switching; use 4"
+            "switching. Use 4"
         )
 
 
@@ -61,8 +61,8 @@ def _require_memory(steps: float, plant: System) -> None:
     numbers = 15 * (plant.n + 2 * plant.m + 4 * plant.p)
     if steps * numbers * 8 > MEMORY:
         raise StepError(
-            f"simulation.step: {steps:.3g} steps would need more than {MEMORY / 1e9:g} GB; "
-            "use a longer step or a shorter duration"
+            f"simulation.step: {steps:.3g} steps would need more than {MEMORY / 1e9:g} GB. "
+            "Use a longer step or a shorter duration"
         )
 
 
@@ -110,7 +110,7 @@ def sample_within_limits(key: str, system: System, step: float, substeps: int) -
         raise StepError(
             f"simulation.step: {step:g} s in {substeps} Runge-Kutta steps is too coarse: the {key} "
             f"has a mode at {fastest:.4g} 1/s where it is linearised (an arm's Coulomb friction is "
-            f"steep near rest); use simulation.substeps = {needed} or more"
+            f"steep near rest). Use simulation.substeps = {needed} or more"
         )
     result = sample_plant(system, step, substeps)
     if not all(np.isfinite(part).all() for part in result.linear):
@@ -152,7 +152,7 @@ def require_bounded_error(model: System, observer: Observer, step: float) -> Non
     if free > 1e-9 and active >= 0:
         raise StructureError(
             f"observer.L: the model is unstable (growth rate {free:.4g} 1/s) and this gain cannot "
-            f"bound the estimation error: A - L C grows at {active:.4g} 1/s; choose L so that "
+            f"bound the estimation error: A - L C grows at {active:.4g} 1/s. Choose L so that "
             "A - L C is stable"
         )
 
@@ -183,5 +183,5 @@ def require_fine_step(
         if fastest * step > STABLE:
             raise StepError(
                 f"simulation.step: {step:g} s is too coarse: {name} has a mode at {fastest:.4g} "
-                f"rad/s; use at most {1.0 / fastest:.2g} s"
+                f"rad/s. Use at most {1.0 / fastest:.2g} s"
             )

@@ -191,11 +191,11 @@ def build_exosystem(key: str, signal: Signal, channels: int, task: bool = False)
             if signal.space == "task" and not task:
                 raise InputError(
                     f"{key}.space: task, the coordinates of an arm's tip, needs a plant with an "
-                    "arm (plant.arm); use space = 'joint'"
+                    "arm (plant.arm). Use space = 'joint'"
                 )
             if getattr(signal, "swing", None) is not None and not task:
                 raise InputError(
-                    f"{key}.swing: joints swing ahead of a path of an arm's tip; set space = 'task'"
+                    f"{key}.swing: joints swing ahead of a path of an arm's tip. Set space = 'task'"
                 )
             path = build_curve(key, signal, channels)
             exo = piecewise_exosystem(path.derivatives, channels, path.closure)

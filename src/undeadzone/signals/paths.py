@@ -38,6 +38,9 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     points): four times continuously differentiable; it may swing beyond the points where the times
     do not suit them. It is held before and after.
 
+    References:
+        T. Flash, N. Hogan (1985), doi:10.1523/JNEUROSCI.05-07-01688.1985
+
     Attributes:
         points: the points, a row per point (K x channels).
         times: times of the points, increasing (K) [s].
@@ -215,7 +218,7 @@ def _plane_directions(key: str, path: Circle | FigureEight, channels: int) -> tu
         )
     if channels == 2:
         if path.normal is not None:
-            raise InputError(f"{key}.normal: has no meaning in two coordinates; remove it")
+            raise InputError(f"{key}.normal: has no meaning in two coordinates. Remove it")
         return np.array([1.0, 0.0]), np.array([0.0, 1.0])
     z = np.array([0.0, 0.0, 1.0])
     normal = z if path.normal is None else require_vector(f"{key}.normal", path.normal, 3)

@@ -471,6 +471,6 @@ def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_ou
     if nonlinear_rate or any(ca.which_depends(output(x), x, 2, True)):
         raise InputError(
             "simulation.order: above 4 only for a plant, an observer and a controller that are "
-            "linear on each side of the zone; use 4"
+            "linear on each side of the zone. Use 4"
         )
     return dense_output.build_taylor_arcs(rate_of_series, output, step.columns, size, h)

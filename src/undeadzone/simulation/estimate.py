@@ -5,6 +5,9 @@ The filter runs forward; adjoint variables run backward through its stored momen
 Bryson-Frazier form: Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J.
 Control 18). It gives what the equations of Rauch, Tung and Striebel (1965) give, but inverts no
 motion. docs/filters.md, "Looking back", says what is exact and what is not.
+
+References:
+    H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166
 """
 
 from __future__ import annotations
@@ -97,7 +100,7 @@ def estimate(
     regular = log.placed.samples
     if regular.t.size > LARGEST_LOG:
         raise FileError(
-            f"{log.source}: more than {LARGEST_LOG} samples; give it to undeadzone watch, or split "
+            f"{log.source}: more than {LARGEST_LOG} samples. Give it to undeadzone watch, or split "
             "it"
         )
     with notebook_progress(progress, "estimating", None) as advance:

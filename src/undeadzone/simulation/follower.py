@@ -205,7 +205,7 @@ class Follower:
         unreadable = faults.unreadable
         if self._last is None:
             seen = f" that can be read; {faults.why}" if faults.why else ""
-            raise FileError(f"{source}: no samples{seen}; give lines of times, readings and inputs")
+            raise FileError(f"{source}: no samples{seen}. Give lines of times, readings and inputs")
         last, scenario = self._last, self._scenario
         given = last.right_std.size > 0
         stds = np.concatenate([last.right_std, last.left_std]) if given else None
@@ -304,7 +304,7 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
                 key = "output" if signal == "y" else "input"
                 raise FileError(
                     f"{source}: {signal} is in {unit!r}, but units.{key} of the scenario is "
-                    f"{expected!r}: numbers are never converted; bring both to one unit"
+                    f"{expected!r}: numbers are never converted. Bring both to one unit"
                 )
 
 

@@ -245,7 +245,7 @@ class Online:
         if number > 1:
             self._load = None
             warnings.warn(
-                f"sensor.load_inertia: the overrun number J a / f reaches {number:.3g}; above 1 "
+                f"sensor.load_inertia: the overrun number J a / f reaches {number:.3g}. Above 1 "
                 "the load coasts through its gap, and gaps come out wrong (docs/play.md)",
                 stacklevel=3,
             )

@@ -66,13 +66,13 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except NO_ARRAYS as error:
         raise FileError(
-            f"{path}: no state saved by undeadzone, or a damaged one ({error}); name another file, "
+            f"{path}: no state saved by undeadzone, or a damaged one ({error}). Name another file, "
             "or delete this one to begin anew"
         ) from None
     if not is_of_these:
         raise FileError(
-            f"{path}: the state of another observer (model, sensor, options, step or version); "
-            "name another file, or delete this one to begin anew"
+            f"{path}: the state of another observer (model, sensor, options, step or version). "
+            "Name another file, or delete this one to begin anew"
         )
 
 

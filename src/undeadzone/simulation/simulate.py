@@ -115,12 +115,12 @@ def _under(law: live.ControlLaw, problem: Problem, engine: Engine) -> Problem:
     """Return the problem with a control law in Python for its controller. Raises InputError."""
     if not callable(law):
         raise InputError(
-            f"controller: expected a function of t, estimate and r, found {type(law).__name__}; "
-            "a controller with options stands in the scenario"
+            f"controller: expected a function of t, estimate and r, found {type(law).__name__}. "
+            "A controller with options stands in the scenario"
         )
     if problem.plant.Ts is None:
         raise InputError(
-            'controller: a function runs sample by sample; set simulation.time = "sampled"'
+            'controller: a function runs sample by sample. Set simulation.time = "sampled"'
         )
     if engine == "lanes":
         raise InputError("engine: a controller that is a Python function cannot be compiled")
@@ -302,7 +302,7 @@ def compare(
     """
     if scenario.compare is None:
         raise InputError(
-            "compare: this scenario has no [compare]; name there the observer whose run is to be "
+            "compare: this scenario has no [compare]. Name there the observer whose run is to be "
             'shown beside the first, such as method = "luenberger"'
         )
     with notebook_progress(progress, "simulating", 2 * steps(scenario)) as advance:

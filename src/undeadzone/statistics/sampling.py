@@ -114,12 +114,12 @@ def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
     if entries > qmc.Sobol.MAXDIM:
         raise InputError(
             f"ensemble.sampling: Sobol points have at most {qmc.Sobol.MAXDIM} dimensions, "
-            f"found {entries}; use random"
+            f"found {entries}. Use random"
         )
     if first + count > 2 ** (BITS - 1):
         raise InputError(
             f"runs: [ensemble] or [tune] asks for {first + count}, Sobol points are "
-            f"2^{BITS - 1}; use random"
+            f"2^{BITS - 1}. Use random"
         )
     design = qmc.Sobol(entries, bits=BITS, rng=seed)
     if first:
@@ -132,6 +132,9 @@ def _saltelli_points(seed: int, first: int, count: int, entries: int, runs: int)
     """Return the design of Saltelli et al. (2010), from two halves A and B of Sobol points.
 
     The runs of A come first, then those of B, of A with column 1 of B, of A with column 2 of B, ...
+
+    References:
+        A. Saltelli and others (2010), doi:10.1016/j.cpc.2009.09.018
     """
     matrices = entries + 2
     _require_saltelli(entries, runs)

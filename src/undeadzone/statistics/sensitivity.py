@@ -2,6 +2,10 @@
 
 They are estimated from given runs, after Plischke, Borgonovo and Smith 2013, or from the runs of
 Saltelli's design, Saltelli et al. 2010. X (runs x entries) and y (runs) are finite numbers.
+
+References:
+    A. Saltelli and others (2010), doi:10.1016/j.cpc.2009.09.018
+    E. Plischke, E. Borgonovo, C. L. Smith (2013), doi:10.1016/j.ejor.2012.11.047
 """
 
 from __future__ import annotations

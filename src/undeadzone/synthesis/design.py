@@ -133,10 +133,10 @@ def _require_linear_task(scenario: Scenario, flow: System) -> None:
     if flow.nonlinear or scenario.sensor.kind == "jump":
         what = "plant: a nonlinear plant" if flow.nonlinear else "sensor.kind: a jump sensor"
         raise InputError(
-            f"{what} has no automatic design; choose gains and judge them by simulation"
+            f"{what} has no automatic design. Choose gains and judge them by simulation"
         )
     if not isinstance(scenario.controller, StateFeedback):
-        raise InputError("controller.method: a design plans on z = r; use state_feedback")
+        raise InputError("controller.method: a design plans on z = r. Use state_feedback")
 
 
 def _find_present_gains(scenario: Scenario, problem: Problem) -> tuple[Floats, Floats] | None:

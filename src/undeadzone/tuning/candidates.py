@@ -158,8 +158,8 @@ def prepare_test_runs(
     for column in bind_ensemble(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
-                f"tune: [ensemble] varies {column.name}, which what is tuned decides; "
-                "keep one of them"
+                f"tune: [ensemble] varies {column.name}, which what is tuned decides. "
+                "Keep one of them"
             )
     none_yet = TestRuns(prepare_batch(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
     return none_yet.redraw_runs(runs, seed)
@@ -424,12 +424,12 @@ def certificate_margin(problem: Problem) -> float:
     gains = constant_gains(problem.observer, problem.model)
     if gains is None:
         raise InputError(
-            "tune.certified: this observer has no constant gains L and gamma to certify; "
-            "leave certified out, or use method = certified"
+            "tune.certified: this observer has no constant gains L and gamma to certify. "
+            "Leave certified out, or use method = certified"
         )
     if problem.model.nonlinear:
         raise InputError(
-            "tune.certified: a nonlinear model has no certificate; leave certified out"
+            "tune.certified: a nonlinear model has no certificate. Leave certified out"
         )
     proof = certify(problem.model.linear, *gains, problem.model.Ts)
     return proof.margin if proof.certified else min(proof.margin, -1e-9)

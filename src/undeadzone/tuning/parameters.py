@@ -87,7 +87,7 @@ def _explain_unknown_address(address: str, known: Mapping[str, Number]) -> str:
     key = stem(address)
     extent = entries_there(address, known)
     if not extent:
-        return f"no number of that name in the options; {similar(address, known, 'there are')}"
+        return f"no number of that name in the options. {similar(address, known, 'There are')}"
     if key in known and known[key].value is None:
         return (
             f"the scenario gives no {key}; write it there, entry by entry, or name another number"
@@ -107,7 +107,7 @@ def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tupl
     """
     if not entries:
         raise InputError(
-            "tune: nothing to tune; name a number and its bounds in a table [tune]: "
+            "tune: nothing to tune. Name a number and its bounds in a table [tune]: "
             f"{TABLE.example}"
         )
     known = numbers(scenario)
@@ -116,7 +116,7 @@ def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tupl
         for name in numbers_of_address(address, known):
             if name in tuned:
                 place = TABLE.entry_name(name)
-                raise InputError(f"{place}: tuned twice; keep one entry that names it")
+                raise InputError(f"{place}: tuned twice. Keep one entry that names it")
             tuned[name] = _build_parameter(address, name, bounds, known[name])
     return tuple(tuned.values())
 
@@ -134,8 +134,8 @@ def _build_parameter(address: str, name: str, bounds: Range, number: Number) -> 
         )
     if bounds.log and low <= 0:
         raise InputError(
-            f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}; "
-            "leave out log or raise it"
+            f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}. "
+            "Leave out log or raise it"
         )
     start, whose, advice = bounds.start, "start", "widen between"
     if start is None:

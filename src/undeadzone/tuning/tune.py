@@ -67,6 +67,9 @@ def tune(
     too. What is left goes to CMA-ES around the best, which needs no slope where runs take turns as
     the median or the worst. The same seed gives the same numbers, whatever the threads.
 
+    References:
+        N. Hansen, A. Ostermeier (2001), doi:10.1162/106365601750190398
+
     Args:
         scenarios: one, or several whose mean is made small
         what: numbers and their bounds, metric, statistic, budget; default: the [tune] of the first
@@ -449,7 +452,7 @@ def _resolve_axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict
         axes |= dict.fromkeys(numbers_of_address(address, known), require_series(address, values))
     if not axes:
         raise InputError(
-            "sweep: nothing to sweep; give values by address, such as "
+            "sweep: nothing to sweep. Give values by address, such as "
             "{'observer.gamma': [1.0, 10.0]}"
         )
     return axes

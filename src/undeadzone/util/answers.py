@@ -64,10 +64,10 @@ def load_saved_problem(
         there: dict[str, Any] = json.loads(head)
         there[mark]
     except (ValueError, TypeError, KeyError):
-        raise FileError(f"{path}: {no_such_file}; choose another name or delete it") from None
+        raise FileError(f"{path}: {no_such_file}. Choose another name or delete it") from None
     if not resume:
         raise FileError(
-            f"{path}: {is_there}; continue it with --resume, or delete it to start anew"
+            f"{path}: {is_there}. Continue it with --resume, or delete it to start anew"
         )
     return there
 
@@ -162,8 +162,8 @@ class Answers:
         other = sorted(key for key in here | there if here.get(key) != there.get(key))
         if other:
             raise InputError(
-                f"{self._path}: holds another problem ({', '.join(other)} differ); "
-                "delete it to start anew, or choose another name"
+                f"{self._path}: holds another problem ({', '.join(other)} differ). "
+                "Delete it to start anew, or choose another name"
             )
         for line in lines[1:]:
             question, answer = json.loads(line)

@@ -40,7 +40,7 @@ def translate_scenario(data: dict[str, Any]) -> dict[str, Any]:
     schema = data.get("schema")
     if schema not in (None, BEFORE, SCHEMA):
         raise InputError(
-            f"schema: expected {SCHEMA}, or {BEFORE} of old files; found {schema!r:.40}"
+            f"schema: expected {SCHEMA}, or {BEFORE} of old files, found {schema!r:.40}"
         )
     if schema == SCHEMA:
         return data

@@ -178,7 +178,7 @@ def _lock_exclusively(path: Path, file: io.FileIO) -> None:
         return
     if used:
         raise FileError(
-            f"{path}: another process is writing it; wait for it, or choose another name"
+            f"{path}: another process is writing it. Wait for it, or choose another name"
         )
 
 

@@ -27,7 +27,7 @@ def require_short_keys(text: str) -> str:
         return text
     line = text.count("\n", 0, found.start()) + 1
     raise InputError(
-        f"line {line}: a dotted key of more than {MOST_PARTS} parts: {found[0]:.20}...; no "
+        f"line {line}: a dotted key of more than {MOST_PARTS} parts: {found[0]:.20}.... No "
         "scenario has such a key"
     )
 
@@ -59,7 +59,7 @@ def _to_python_value(value: Any) -> Any:
     """Return NumPy numbers and arrays as numbers and lists of Python."""
     if isinstance(value, np.ndarray | np.number):
         return value.tolist()
-    raise InputError(f"{value!r:.60} cannot be written as TOML; give formulas as text")
+    raise InputError(f"{value!r:.60} cannot be written as TOML. Give formulas as text")
 
 
 def _drop_none(value: Any) -> Any:

@@ -1,4 +1,8 @@
-"""Adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994)."""
+"""Adaptive inverse of an actuator's dead zone, Tao and Kokotovic (1994).
+
+References:
+    G. Tao, P. V. Kokotovic (1994), doi:10.1109/9.273339
+"""
 
 from __future__ import annotations
 
@@ -42,6 +46,9 @@ class AdaptiveZoneInverse(
     unknown dead-zones, IEEE Trans. Automatic Control 39 (1994). It needs a stable, linear plant, in
     sampled time.
 
+    References:
+        G. Tao, P. V. Kokotovic (1994), doi:10.1109/9.273339
+
     Attributes:
         gain: of the normalised gradient [1/s].
         widths0: b_r and b_l at first, one or one per input [u].
@@ -56,13 +63,13 @@ class AdaptiveZoneInverse(
         """Build the compensator for a model."""
         if model.Ts is None:
             raise InputError(
-                "compensator.method: 'adaptive_inverse' needs samples; set simulation.time = "
+                "compensator.method: 'adaptive_inverse' needs samples. Set simulation.time = "
                 '"sampled"'
             )
         stable = np.abs(np.linalg.eigvals(model.linear.A)).max() < 1
         if model.nonlinear or not stable:
             raise StructureError(
-                "compensator.method: 'adaptive_inverse' needs a linear, stable plant; use "
+                "compensator.method: 'adaptive_inverse' needs a linear, stable plant. Use "
                 "'smooth_inverse' with widths that the observer estimates"
             )
         m, n = model.m, model.n

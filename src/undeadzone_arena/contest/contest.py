@@ -233,7 +233,7 @@ def arena(
     known = method_registry()
     for name in own:
         if name in known:
-            raise InputError(f"also: {name!r} is in the catalogue; give your method another name")
+            raise InputError(f"also: {name!r} is in the catalogue. Give your method another name")
     names = RECOMMENDED if methods is None and own else methods
     entries: Sequence[str] | Mapping[str, Method] | None = names
     if own:

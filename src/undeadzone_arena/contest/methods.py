@@ -321,8 +321,8 @@ def require_method(name: str) -> str:
     if name in known:
         return name
     near = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
-    raise InputError(f"methods: there is no {name!r}; {hint}")
+    hint = f"Did you mean {near[0]!r}?" if near else f"There are {', '.join(known)}"
+    raise InputError(f"methods: there is no {name!r}. {hint}")
 
 
 def middle_knobs(method: Method) -> dict[str, float]:

@@ -152,12 +152,12 @@ def build_setting(scenario: Scenario) -> Setting:
     if scenario.sensor.play is not None:
         raise InputError(
             "sensor.play: the arena has no play ahead of a dead zone, which most of its methods do "
-            "not know; compare two observers by [compare]"
+            "not know. Compare two observers by [compare]"
         )
     if getattr(scenario.plant.arm, "gears", None) is not None:
         raise InputError(
-            "plant.arm.gears: the arena has no gears with gaps, which its methods do not know; "
-            "compare two observers by [compare]"
+            "plant.arm.gears: the arena has no gears with gaps, which its methods do not know. "
+            "Compare two observers by [compare]"
         )
     problem = resolve_scenario(scenario)
     claims = scenario_assumptions(scenario)

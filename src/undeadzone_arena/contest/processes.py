@@ -72,7 +72,7 @@ def iterate_results(
                 yield waiting[future], future.result()
         except BrokenProcessPool:
             raise ClusterError(
-                f"arena: one of {count} processes died; out of memory? Take fewer with --processes"
+                f"arena: one of {count} processes died (out of memory?), try --processes"
             ) from None
         except BaseException:
             made.shutdown(wait=False, cancel_futures=True)

@@ -46,5 +46,5 @@ def scenarios_from_files(
     """
     own = {Path(path).stem: read(path, confine) for path in paths}
     if len(own) < len(paths):
-        raise InputError("arena: two scenarios have the same file name; rename one")
+        raise InputError("arena: two scenarios have the same file name. Rename one")
     return own

@@ -21,6 +21,10 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
     g is the torque that holds the arm against gravity. An elastic joint is fed back from its motor,
     and g is that of the link: Tomei (1991).
 
+    References:
+        P. Tomei (1991), doi:10.1109/9.90238
+        M. Takegaki, S. Arimoto (1981), doi:10.1115/1.3139651
+
     Attributes:
         k_p: K_p, one or one per joint [N m/rad].
         k_d: K_d, one or one per joint [N m s/rad].
@@ -36,7 +40,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         flat = model.flat
         if flat is None:
             raise InputError(
-                "controller.method: 'gravity_pd' needs an arm (plant.arm); for another plant use "
+                "controller.method: 'gravity_pd' needs an arm (plant.arm). For another plant use "
                 "'state_feedback' or 'lqr'"
             )
         m, half = model.m, model.n // 2
@@ -85,5 +89,5 @@ def _require_no_alternation(model: System, K: Floats) -> None:
     if ((np.abs(poles) > 1) & (poles.real < 0)).any():
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for controller.k_p, k_d: from sample "
-            "to sample the arm swings ever more; lower them"
+            "to sample the arm swings ever more. Lower them"
         )

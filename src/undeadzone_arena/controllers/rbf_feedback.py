@@ -16,6 +16,10 @@ class RBFFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="rbf_feedback"
     makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is
     blind to the dead zone, the wrong output.
 
+    References:
+        R. M. Sanner, J.-J. E. Slotine (1992), doi:10.1109/72.165588
+        F. L. Lewis, A. Yesildirek, K. Liu (1996), doi:10.1109/72.485674
+
     Attributes:
         centres: number of Gaussians per axis, at least 2.
         overlap: overlap of neighbours, standard deviation in spacings.

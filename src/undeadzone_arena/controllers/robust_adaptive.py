@@ -29,6 +29,9 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
     k' = learning |s_e|, and the inverse of its slope moves by phi' = -slope_learning u_ff s_e.
     Automatica 40 (2004). It needs as many independent columns of B as inputs.
 
+    References:
+        X.-S. Wang, C.-Y. Su, H. Hong (2004), doi:10.1016/j.automatica.2003.10.021
+
     Attributes:
         rate: rate at which s decays [1/s]; default ten times the fastest pole of the plant.
         poles: poles of the error on s = 0 (n - m of them) [1/s]; default about `rate`.

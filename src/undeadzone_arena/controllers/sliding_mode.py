@@ -33,6 +33,9 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
     s = G (x^ - x_ref), G B = I. Needs as many independent columns of B as inputs; of a nonlinear
     plant, a constant B.
 
+    References:
+        W. Gao, Y. Wang, A. Homaifa (1995), doi:10.1109/41.370376
+
     Attributes:
         gain: what exceeds the input disturbances to suppress, one or one per input [u].
         poles: poles of the error on s = 0 (n - m of them) [1/s]; default about ten times the
@@ -60,8 +63,8 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         if Ts is not None and (gain * Ts > boundary).any():
             raise StepError(
                 f"simulation.step: {Ts:g} s is too coarse: gain / boundary = "
-                f"{(gain / boundary).max():.4g} 1/s inside the layer must be below 1 / step; "
-                "use a wider controller.boundary or a shorter step"
+                f"{(gain / boundary).max():.4g} 1/s inside the layer must be below 1 / step. "
+                "Use a wider controller.boundary or a shorter step"
             )
         keep = -rate if Ts is None else np.exp(-rate * Ts)
         params = SlidingModeParams(
@@ -85,7 +88,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
         gain = require_nonnegative("controller.gain", self.gain, m, "one per input")
         if not gain.all():
             raise InputError(
-                "controller.gain: must be positive, found 0; without it the law is a state feedback"
+                "controller.gain: must be positive, found 0. Without it the law is a state feedback"
             )
         width = gain / (2 * rate) if self.boundary is None else self.boundary
         boundary = require_vector("controller.boundary", width, m, "one per input")

@@ -30,6 +30,9 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
 
     Adaptive Control of Systems with Actuator and Sensor Nonlinearities.
 
+    References:
+        G. Tao, P. V. Kokotovic (1994), doi:10.1109/9.273339
+
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
         poles: poles of A - L C (n) [1/s], in place of L and speed.

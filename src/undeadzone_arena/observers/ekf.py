@@ -39,6 +39,9 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
     Joint with parameters: Cox (1964). By default noise is at least 1 % of the range, x_std five
     times and drift 0.5 % of the largest width.
 
+    References:
+        H. Cox (1964), doi:10.1109/TAC.1964.1105635
+
     Attributes:
         mode: the branch of the dead zone is the predicted one, where the estimate is (the Jacobian
             of the dead zone itself), or the measured one.
@@ -54,7 +57,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
-                "so that 'ekf' cannot find them; use 'censored'"
+                "so that 'ekf' cannot find them. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         correct = correct_predicted

@@ -20,6 +20,9 @@ class FuzzyResidual(LearnedOptions, frozen=True, kw_only=True, tag="fuzzy_residu
 
     They are a universal approximator (Wang and Mendel 1992).
 
+    References:
+        L.-X. Wang, J. M. Mendel (1992), doi:10.1109/72.159070
+
     Attributes:
         reach: |z| up to which the sets lie, one or one per output [z].
         rules: number of fuzzy sets, at least 2.

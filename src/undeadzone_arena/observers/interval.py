@@ -30,6 +30,9 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
     standard deviation of a uniform distribution. Where claimed bounds contradict each other the
     boxes start anew.
 
+    References:
+        F. Mazenc, O. Bernard (2011), doi:10.1016/j.automatica.2010.10.019
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.
@@ -62,7 +65,7 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
         """Build the observer for a linear model, continuous or sampled."""
         if model.nonlinear:
             raise InputError(
-                "observer.method: 'interval' bounds linear plants only; use 'censored' for a "
+                "observer.method: 'interval' bounds linear plants only. Use 'censored' for a "
                 "nonlinear one"
             )
         n, p = model.n, model.p

@@ -24,6 +24,9 @@ class InverseNetwork(LearnedOptions, frozen=True, kw_only=True, tag="inverse_net
     Deadzone compensation in motion control systems using neural networks. phi are the jump
     functions (1 - e^(-|y| / scale))^k on each side. Silent samples are left out.
 
+    References:
+        R. R. Selmic, F. L. Lewis (2000), doi:10.1109/9.847098
+
     Attributes:
         scale: |y / m| over which the functions rise, one or one per output [z].
         functions: number of jump functions on each side.

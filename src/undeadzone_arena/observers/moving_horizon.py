@@ -54,6 +54,9 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
     The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
     and drift 0.5 % of the largest width. It runs in Python: in single runs only.
 
+    References:
+        C. V. Rao, J. B. Rawlings, D. Q. Mayne (2003), doi:10.1109/TAC.2002.808470
+
     Attributes:
         horizon: length of the horizon [s]; default a quarter period of the plant, 50 samples if
             it only integrates.
@@ -74,11 +77,11 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'moving_horizon' takes a reading for z - d_r or z + d_l, which "
-                "that of a jump sensor is not; use 'censored'"
+                "that of a jump sensor is not. Use 'censored'"
             )
         if not ca.has_conic(self.solver):
             raise InputError(
-                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}; choose "
+                f"observer.solver: this CasADi ({ca.__version__}) has no {self.solver!r}. Choose "
                 "another of daqp, osqp"
             )
         nodes, stride = self._horizon_grid(model)

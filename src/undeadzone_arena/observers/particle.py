@@ -45,6 +45,10 @@ class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_
     least 10 % of the range, drift 10 % and x_std 50 % of the largest width. Random numbers follow
     from simulation.seed. It runs in Python: in single runs only.
 
+    References:
+        N. J. Gordon, D. J. Salmond, A. F. M. Smith (1993), doi:10.1049/ip-f-2.1993.0015
+        G. Kitagawa (1996), doi:10.1080/10618600.1996.10474692
+
     Attributes:
         swing: rms, in largest widths, by which the default disturbance moves z in a quarter period.
         particles: how many particles.

@@ -20,6 +20,9 @@ class RBFResidual(LearnedOptions, frozen=True, kw_only=True, tag="rbf_residual")
 
     Gaussian networks for direct adaptive control.
 
+    References:
+        R. M. Sanner, J.-J. E. Slotine (1992), doi:10.1109/72.165588
+
     Attributes:
         reach: |z| up to which the Gaussians lie, one or one per output [z].
         centres: number of Gaussians, at least 2.

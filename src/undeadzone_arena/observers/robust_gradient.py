@@ -59,7 +59,7 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'robust_gradient' compares with a dead zone, which a jump sensor "
-                "has not; use 'certified' or 'censored'"
+                "has not. Use 'certified' or 'censored'"
             )
         gamma = 3 * fastest_pole(model) if self.gamma is None else self.gamma
         widths = read_adapted_widths(gamma, self.widths0, self.width_max, model, sensor)
@@ -111,6 +111,6 @@ def steady_input(model: System, L: Floats) -> Floats:
     if np.linalg.matrix_rank(still, 1e-9 * float(np.linalg.norm(B))) < model.p:
         raise StructureError(
             "observer.rho: inputs cannot move every output in steady state (fewer inputs than "
-            "outputs, or a zero at s = 0); set rho = 0"
+            "outputs, or a zero at s = 0). Set rho = 0"
         )
     return B @ np.linalg.pinv(still)

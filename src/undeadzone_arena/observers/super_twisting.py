@@ -35,6 +35,11 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
     (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e: 1.5 and
     1.1 for r = 2.
 
+    References:
+        J. Davila, L. Fridman, A. Levant (2005), doi:10.1109/TAC.2005.858636
+        A. Levant (1998), doi:10.1016/S0005-1098(97)00209-4
+        J. A. Moreno, M. Osorio (2012), doi:10.1109/TAC.2012.2186179
+
     Attributes:
         lipschitz: what exceeds the effect of a disturbance on the r-th derivative, one or one per
             output [z/s^r]; default 5 times the fastest pole, to the power r, fit for z of order 1.

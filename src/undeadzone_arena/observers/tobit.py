@@ -46,7 +46,7 @@ class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
         if sensor.kind == "jump":
             raise InputError(
                 "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
-                "sensor reads z itself; use 'censored'"
+                "sensor reads z itself. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
         counted = scale_states(model, power_of_two_units(model))

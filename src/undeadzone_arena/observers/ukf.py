@@ -34,6 +34,10 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
     Weights of Wan and van der Merwe (2000). By default noise is at least 15 % of the range, drift
     10 % and x_std 50 % of the largest width.
 
+    References:
+        S. J. Julier, J. K. Uhlmann (1997), doi:10.1117/12.280797
+        E. A. Wan, R. van der Merwe (2000), doi:10.1109/ASSPCC.2000.882463
+
     Attributes:
         alpha, kappa: of N = n + 2p variables, points lie alpha sqrt(N + kappa) standard deviations
             from the mean.
@@ -76,6 +80,6 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
         if weights.cov < 0:
             raise InputError(
                 f"observer.alpha: the mean's own point would weigh {weights.cov:.3g} in "
-                "covariances, which need not stay positive then; raise alpha or beta"
+                "covariances, which need not stay positive then. Raise alpha or beta"
             )
         return weights

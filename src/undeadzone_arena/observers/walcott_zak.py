@@ -1,4 +1,8 @@
-"""Sliding-mode observer of Walcott and Zak with a boundary layer and adaptive widths."""
+"""Sliding-mode observer of Walcott and Zak with a boundary layer and adaptive widths.
+
+References:
+    B. L. Walcott, S. H. Zak (1987), doi:10.1109/TAC.1987.1104530
+"""
 
 from __future__ import annotations
 
@@ -27,6 +31,9 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
 
     Also Edwards and Spurgeon (1998). G is P^-1 C' made so that C G = I, with
     (A - L C)'P + P (A - L C) = -Q.
+
+    References:
+        B. L. Walcott, S. H. Zak (1987), doi:10.1109/TAC.1987.1104530
 
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
@@ -109,8 +116,8 @@ def _require_stable_layer(model: System, L: Floats, law: SlidingLaw) -> None:
     if fastest >= 1:
         raise StepError(
             f"simulation.step: {model.Ts:g} s is too coarse for rho / boundary inside the boundary "
-            f"layer (spectral radius {fastest:.4g}); "
-            "use a wider observer.boundary, a smaller rho or a shorter step"
+            f"layer (spectral radius {fastest:.4g}). "
+            "Use a wider observer.boundary, a smaller rho or a shorter step"
         )
 
 
@@ -152,7 +159,7 @@ def _require_stable_matrix(A: Floats, Ts: float | None, what: str) -> None:
     unstable = poles.real.max() >= 0 if Ts is None else np.abs(poles).max() >= 1
     if unstable:
         raise StructureError(
-            f"observer.L: {what} is not stable, its poles are {list_numbers(poles)}; "
-            "choose another L, "
+            f"observer.L: {what} is not stable, its poles are {list_numbers(poles)}. "
+            "Choose another L, "
             "or slower poles"
         )

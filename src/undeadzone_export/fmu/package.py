@@ -248,8 +248,8 @@ def binary_path(prefix: str, version: int) -> str:
     known = PLATFORMS.get(sys.platform)
     if known is None or (version == 2 and machine != "x86_64"):
         raise InputError(
-            f"to: FMI {version} has no folder for binaries of {sys.platform} on {machine}; "
-            "use --to fmu3, or --to c"
+            f"to: FMI {version} has no folder for binaries of {sys.platform} on {machine}. "
+            "Use --to fmu3, or --to c"
         )
     system, ending = known
     folder = f"{system}64"

@@ -73,7 +73,7 @@ def _fourier_data(problem: Problem) -> dict[str, Any]:
     length = reference_period(problem)
     if length is None:
         raise InputError(
-            "reference: of a nonlinear plant the page draws periodic references only; take a sine, "
+            "reference: of a nonlinear plant the page draws periodic references only. Take a sine, "
             "or a circle or figure eight of an arm"
         )
     t = np.arange(SAMPLES) * length / SAMPLES
@@ -92,7 +92,7 @@ def _fourier_data(problem: Problem) -> dict[str, Any]:
     if np.abs(series - np.hstack(targets(problem, between))).max() > SERIES * size:
         raise InputError(
             "reference: the state that belongs to it has corners, which the page does not draw "
-            "for a nonlinear plant; take a smooth reference"
+            "for a nonlinear plant. Take a smooth reference"
         )
     return {"gains": gains.tolist(), "omegas": omegas.tolist(), "offset": True}
 
@@ -222,26 +222,26 @@ def _require_drawable(problem: Problem) -> None:
     scenario, sensor = problem.scenario, problem.sensor
     if problem.plant.gears is not None:
         raise InputError(
-            "plant.arm.gears: the page draws a band in which a sensor reads 0; encoders have none"
+            "plant.arm.gears: the page draws a band in which a sensor reads 0. Encoders have none"
         )
     if problem.controller.plan is not None:
         raise InputError(
             "controller.method: this one computes its gains ahead of a run, which the page does "
-            "not; use state_feedback"
+            "not. Use state_feedback"
         )
     if scenario.simulation.order > RUNGE_KUTTA:
         raise InputError(
-            f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}; "
-            "leave the key out"
+            f"simulation.order: the page takes RK4 steps, found {scenario.simulation.order}. "
+            "Leave the key out"
         )
     if sensor.play is not None:
         raise InputError(
-            "sensor.play: the page draws one band, a dead zone's or a play's, not both; leave one "
+            "sensor.play: the page draws one band, a dead zone's or a play's, not both. Leave one "
             "of them out"
         )
     for key in ("drift", "dropout"):
         if getattr(sensor, key).any():
-            raise InputError(f"sensor.{key}: the page's sensor has none; leave the key out")
+            raise InputError(f"sensor.{key}: the page's sensor has none. Leave the key out")
 
 
 def _require_quick_run(problem: Problem, size: int) -> None:
@@ -250,7 +250,7 @@ def _require_quick_run(problem: Problem, size: int) -> None:
     if count > MOST:
         raise InputError(
             f"simulation.duration: the page computes the whole run at each move of a slider, and "
-            f"{problem.steps:,} steps of {size:,} operations take too long; take a shorter "
+            f"{problem.steps:,} steps of {size:,} operations take too long. Take a shorter "
             f"duration or a longer step, {MOST // size:,} steps at most"
         )
 

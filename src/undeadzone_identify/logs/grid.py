@@ -88,7 +88,7 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         pieces.append(on_grid(log, steps[-1], remarks))
     if max(steps) > min(steps) * (1 + JITTER):
         raise InputError(
-            f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s; use --resample STEP"
+            f"logs: steps differ, from {min(steps):.6g} to {max(steps):.6g} s. Use --resample STEP"
         )
     sizes = np.cumsum([0] + [piece.t.size for piece in pieces])
     starts = [piece.start + size for piece, size in zip(pieces, sizes[:-1], strict=True)]
@@ -197,7 +197,7 @@ def find_sample_time(log: Log) -> float:
             f"{sample_location(log.source, log.lines, worst + 1)}: irregular step: "
             f"{spacing[worst]:.6g} s where the log has {step:.6g} s; "
             f"{bad.size} of {spacing.size} steps differ by more than 1 % from "
-            f"a multiple; use --resample {step:.3g}, or give times with more digits"
+            f"a multiple. Use --resample {step:.3g}, or give times with more digits"
         )
     return step
 

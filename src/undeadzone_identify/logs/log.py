@@ -80,7 +80,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         ends = _parse_one_or_two(self.order, "-", int)
         if not ends or not 1 <= ends[0] <= ends[-1] <= MOST_POLES:
             raise InputError(
-                f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4;"
+                f"order: expected a number or a range within 1 to {MOST_POLES}, as 2 or 1-4,"
                 f" found {self.order!r}"
             )
         return range(max(ends[0], self.integrators), max(ends[-1], self.integrators) + 1)
@@ -115,7 +115,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         ends = _parse_one_or_two(text, ",", float)
         if not ends or not 0 <= ends[0] <= ends[-1]:
             raise InputError(
-                f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf;"
+                f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf,"
                 f" found {text!r}"
             )
         return (ends[0], ends[-1])
@@ -126,11 +126,11 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             words = get_args(get_type_hints(Options)[name])
             if getattr(self, name) not in words:
                 found = getattr(self, name)
-                raise InputError(f"{name}: expected {', '.join(words)}; found {found!r}")
+                raise InputError(f"{name}: expected {', '.join(words)}, found {found!r}")
         if self.integrators not in (0, 1, 2):
             raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
         if self.kind == "jump" and self.integrators:
-            raise InputError("kind: a jump sensor's readings show z; it has no --integrators")
+            raise InputError("kind: a jump sensor's readings show z. It has no --integrators")
         if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
             raise InputError(
                 f"delay: expected auto or samples up to {MOST_LATE}, found {self.delay!r}"
@@ -270,7 +270,7 @@ def _require_increasing(t: Floats, source: str, lines: Any) -> None:
         index = int(back[0]) + 1
         raise FileError(
             f"{sample_location(source, lines, index)}: time does not increase: "
-            f"{t[index]:.9g} s after {t[index - 1]:.9g} s; sort the "
+            f"{t[index]:.9g} s after {t[index - 1]:.9g} s. Sort the "
             "lines, or give logs of several runs as several files"
         )
 
@@ -282,7 +282,7 @@ def _require_finite_inputs(u: Floats, inputs: Sequence[str], source: str, lines:
         row, column = bad[0]
         raise FileError(
             f"{sample_location(source, lines, int(row))}: input {inputs[column]!r} is "
-            "missing or not a usable number; an input must be known at every sample"
+            "missing or not a usable number. An input must be known at every sample"
         )
 
 
@@ -318,7 +318,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
             samples, layout = _read_csv_samples(path, chosen, strict, remarks)
     if layout.time is None:
         raise FileError(
-            f"{name}: no name says which column holds the times; say which by --columns t=NAME"
+            f"{name}: no name says which column holds the times. Say which by --columns t=NAME"
         )
     log = log_from_samples(samples, layout, name)
     return log._replace(remarks=(*log.remarks, *remarks))

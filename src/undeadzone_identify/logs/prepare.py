@@ -264,15 +264,15 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
         raise InputError(f"log: {y.size} readings are too few; {needed}{remarks}")
     for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
         if 0 < size < LEAST:
-            raise InputError(f"log: values of {size:.3g} vanish once squared; use another unit")
+            raise InputError(f"log: values of {size:.3g} vanish once squared. Use another unit")
     moves = grid.u.std(axis=0) > 1e-12 * np.abs(grid.u).max(axis=0, initial=0.0)
     if not moves.any():
         raise InputError("log: the input is constant: nothing can be learnt about the plant")
     if not moves.all():
         name = grid.inputs[int(np.argmin(moves))]
-        raise InputError(f"log: input {name!r} is constant; leave it out by --columns")
+        raise InputError(f"log: input {name!r} is constant. Leave it out by --columns")
     if not side.any():
-        raise InputError("log: the sensor never speaks, all is silent; record with a larger input")
+        raise InputError("log: the sensor never speaks, all is silent. Record with a larger input")
     if np.ptp(y) <= 1e-12 * np.abs(y).max():
         raise InputError("log: the reading never changes: nothing can be known from it")
 
@@ -283,7 +283,7 @@ def _feasible_orders(count: int, options: Options, remarks: list[str]) -> list[i
     orders = [n for n in asked if count >= PER_NUMBER * (n + 1)]
     if not orders:
         raise InputError(
-            f"log: {count} readings are too few for order {asked[0]}; it needs"
+            f"log: {count} readings are too few for order {asked[0]}. It needs"
             f" {PER_NUMBER * (asked[0] + 1)}"
         )
     if len(orders) < len(asked):
@@ -297,7 +297,7 @@ def _is_noise_ahead(y: Floats, silent: Flags, options: Options) -> bool:
     """Return whether noise acts ahead of the zone, so that readings inside are exact zeros."""
     if options.noise == "before" and not silent.any():
         raise InputError(
-            "noise: before the zone means exact zeros inside it, and no reading is silent; give"
+            "noise: before the zone means exact zeros inside it, and no reading is silent. Give"
             " --threshold, or --noise after"
         )
     if options.noise != "auto":
@@ -396,8 +396,8 @@ def to_dead_zone_data(
     """
     if not data.silent_zeros:
         raise InputError(
-            "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros;"
-            " give --threshold, |y| up to which a reading counts as silent"
+            "kind: a jump sensor is silent inside its zone, and these readings have no exact zeros."
+            " Give --threshold, |y| up to which a reading counts as silent"
         )
     right, left = (_estimate_edge(data, sign, name, options) for name, sign in SIDES.items())
     shift = zone_offset(data.side, right.value, left.value)
@@ -420,7 +420,7 @@ def _estimate_edge(data: RecordData, sign: int, name: str, options: Options) -> 
     if least.size < FEWEST:
         raise InputError(
             f"log: the {name} edge of the jump sensor is passed {least.size} times, and"
-            f" {FEWEST} are needed; record for longer, or give --{name}"
+            f" {FEWEST} are needed. Record for longer, or give --{name}"
         )
     return jump_edge_below(least)
 

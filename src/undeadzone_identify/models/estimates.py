@@ -324,6 +324,9 @@ class EstimateCovariance(NamedTuple):
 def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
     """Return share and degrees of freedom of a variance that a few samples dominate.
 
+    References:
+        F. E. Satterthwaite (1946), doi:10.2307/3002019
+
     Args:
         scores: of each sample at the estimate (N x P).
         row: H^-1 c, for the estimate c' theta (P).
@@ -369,7 +372,7 @@ def require_finite_matrix(matrix: Floats) -> Floats:
     """
     if not np.isfinite(matrix).all():
         raise InputError(
-            "log: what the readings tell of the plant overflows; try a lower --order, or a log"
+            "log: what the readings tell of the plant overflows. Try a lower --order, or a log"
             " whose readings move more"
         )
     return matrix

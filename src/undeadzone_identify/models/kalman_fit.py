@@ -150,6 +150,9 @@ class _BackwardPass(NamedTuple):
 def smooth_states(fit: KalmanFit) -> SmoothedStates:
     """Smooth the filter's moments over a fixed interval (Rauch, Tung and Striebel 1965).
 
+    References:
+        H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166
+
     Args:
         fit: of (L3).
 

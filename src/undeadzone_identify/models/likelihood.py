@@ -466,6 +466,9 @@ def rectangle_rho_slope(
 ) -> Floats:
     """Return the derivative of ln P(both inside) by rho: corner densities (Plackett 1954).
 
+    References:
+        R. L. Plackett (1954), doi:10.1093/biomet/41.3-4.351
+
     Args:
         a0, b0, a, b, rho: as for `log_rectangle`.
         log_mass: ln P (N).

@@ -5,6 +5,9 @@ more turns, and the gap comes out too small. So logs with the plant, the gap and
 the fit are simulated and fitted in the same way, and the numbers are moved until the mean of these
 fits is the fit of the log (indirect inference: Gourieroux, Monfort and Renault 1993). The spread of
 the fits is a second opinion on the interval.
+
+References:
+    C. Gourieroux, A. Monfort, E. Renault (1993), doi:10.1002/jae.3950080507
 """
 
 from __future__ import annotations

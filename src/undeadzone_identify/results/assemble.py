@@ -528,7 +528,7 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     low, high = max(told.low, low, 0.0), min(told.high, high)
     if not math.isfinite(high):
         raise InputError(
-            f"scenario: the log gives no upper bound of d_{side}; bound it by --{side} LOW,HIGH"
+            f"scenario: the log gives no upper bound of d_{side}. Bound it by --{side} LOW,HIGH"
         )
     return _widen_to_rounding(low, high)
 

@@ -146,8 +146,8 @@ def _require_gain(best: NextLog | None, what: str) -> NextLog:
     gains = best is not None and (best.left or 0.0) < GAINS
     if best is None or not gains or (best.nats is not None and best.nats < PARTS_THEM):
         raise InputError(
-            f"next: no input within the amplitude and the rate of this log's tells more of {what};"
-            " record with a larger or a faster one"
+            f"next: no input within the amplitude and the rate of this log's tells more of {what}."
+            " Record with a larger or a faster one"
         )
     return best
 

@@ -50,13 +50,13 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
     if np.any(np.abs(poles) < 1e-6):
         raise InputError(
             "plant: a sampled pole lies at 0, a delay, which a plant in continuous time with these"
-            " states does not have; try another --order"
+            " states does not have. Try another --order"
         )
     if np.any(real & (poles.real < 0)):
         worst = float(poles[real & (poles.real < 0)][0].real)
         raise InputError(
             f"plant: a sampled pole lies at {worst:.3g}, and no plant in continuous time has a"
-            " negative real one; try another --order, or sample faster"
+            " negative real one. Try another --order, or sample faster"
         )
     block = np.zeros((n + layout.m, n + layout.m))
     block[:n, :n], block[:n, n:] = sampled.A, sampled.B

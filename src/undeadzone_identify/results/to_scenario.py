@@ -156,7 +156,7 @@ def _common_delay(answers: Sequence[Answer]) -> int:
     if len(late) > 1:
         raise InputError(
             f"scenario: inputs act {min(late)} to {max(late)} samples late on different outputs,"
-            " and a plant has one delay; identify each output alone"
+            " and a plant has one delay. Identify each output alone"
         )
     return late.pop()
 
@@ -207,7 +207,7 @@ def _require_nonnegative(
     for name, edge in (("right", right), ("left", left)):
         if not math.isfinite(edge.value):
             raise InputError(
-                f"scenario: the {name} edge is never reached in the log; give it by --{name}"
+                f"scenario: the {name} edge is never reached in the log. Give it by --{name}"
             )
         if edge.value < 0:
             cure = "take a constant offset away from the readings that are not silent, or from u"

@@ -4,6 +4,9 @@ Odds compare models with each other: the best of them may still be wrong. A righ
 innovations depend on nothing that is known. So they are regressed on what a wrong model would
 leave, after whatever a change of the model's own numbers explains is taken out (Rao 1948; White
 1982). One regression a direction and no fit is needed.
+
+References:
+    H. White (1982), doi:10.2307/1912526
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def drop_unvisited_edges(prepared: PreparedLog) -> tuple[PreparedLog, tuple[str,
             bounds[name] = (FAR_EDGE, FAR_EDGE)
     if unreached and limits.tied:
         raise InputError(
-            f"log: no reading lies beyond the {' or the '.join(unreached)} edge; z of an"
+            f"log: no reading lies beyond the {' or the '.join(unreached)} edge: z of an"
             " integrating plant has no zero, so nothing is known of the zone: record with a larger"
             " input"
         )
@@ -146,7 +146,7 @@ def _fit_without_glitches(
         fits = fit_orders(data, prepared.orders, limits, held_out, advance, integrators, begun)
         if not fits:
             raise InputError(
-                "log: no stable plant of these orders fits; try another --order, or another input"
+                "log: no stable plant of these orders fits. Try another --order, or another input"
             )
         glitches = _find_glitches(best_order(fits))
         if not glitches.size:

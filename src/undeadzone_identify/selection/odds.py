@@ -8,6 +8,9 @@ what the models leave.
 
 Beforehand a plant without a zone is as likely as all that may be there together, so that the more
 is asked the less is found by chance (Scott and Berger 2010).
+
+References:
+    J. G. Scott, J. O. Berger (2010), doi:10.1214/10-AOS792
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def test_the_page_and_the_arena_refuse_it(tmp_path: Path) -> None:
     scenario = both({}, KALMAN, disturbance=None)
     with pytest.raises(InputError, match="one band, a dead zone's or a play's, not both"):
         uz.export(scenario, out=tmp_path / "p.html", to="page")
-    with pytest.raises(InputError, match="compare two observers"):
+    with pytest.raises(InputError, match="Compare two observers"):
         build_setting(scenario)
 
 

@@ -166,7 +166,7 @@ def test_a_closed_stdout_is_refused_before_anything_is_computed(scenario: Path) 
 def test_a_closed_stdin_is_one_line(scenario: Path) -> None:
     done = run("watch", scenario, closed=(0,))
     assert done.returncode == 2
-    assert done.stderr == "undeadzone: stdin: it is closed; give lines of readings and inputs\n"
+    assert done.stderr == "undeadzone: stdin: it is closed. Give lines of readings and inputs\n"
 
 
 def test_a_terminal_of_few_characters_is_no_error(scenario: Path) -> None:

@@ -455,7 +455,7 @@ ELASTIC = resolve_scenario(
             ComputedTorque(),
             arm_model(1e-3),
             InputError,
-            "needs either bandwidth .* or k_p and k_d; found none",
+            "needs either bandwidth .* or k_p and k_d, found none",
         ),
         (
             ComputedTorque(bandwidth=1.0, k_p=1.0),
@@ -493,7 +493,7 @@ ELASTIC = resolve_scenario(
             LQR(),
             arm_model(),
             InputError,
-            r"'lqr' works on samples; set simulation.time = \"sampled\"",
+            r"'lqr' works on samples. Set simulation.time = \"sampled\"",
         ),
         (
             LQR(Q=[1.0, 2.0, 3.0]),

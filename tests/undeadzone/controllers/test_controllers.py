@@ -113,7 +113,7 @@ def test_robust_term_is_bounded_smooth_and_zero_on_the_target() -> None:
     ("options", "error", "words"),
     [
         ({"speed": 0.0}, InputError, "controller.speed: must be greater than 0, found 0"),
-        ({"speed": 1.0, "alpha": 1.0}, InputError, "exactly one of .*; found alpha and speed"),
+        ({"speed": 1.0, "alpha": 1.0}, InputError, "exactly one of .*, found alpha and speed"),
         ({"K": [1.0, 2.0], "alpha": 1.0}, InputError, "found K and alpha"),
         (
             {"K": [1.0, 2.0, 3.0]},

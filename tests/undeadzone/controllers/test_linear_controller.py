@@ -175,7 +175,7 @@ def test_what_is_no_law_is_refused() -> None:
         ({"method": "linear"}, "needs A, B, C and D"),
         ({"method": "linear", "A": [[1.0]]}, r"controller\.B: .*together"),
         ({"method": "linear", "numerator": [1.0]}, r"controller\.denominator"),
-        ({"method": "linear", "numerator": [1, 2, 3], "denominator": [1, 2]}, "add a filter"),
+        ({"method": "linear", "numerator": [1, 2, 3], "denominator": [1, 2]}, "Add a filter"),
         ({"method": "linear", "D": [[1.0]], "numerator": [1.0], "denominator": [1.0]}, "not both"),
         ({"method": "pid", "k_p": 1.0, "limits": [1.0, -1.0]}, "least < largest"),
         ({"method": "pid", "k_p": 1.0, "filter_time": 0.0}, r"controller\.filter_time"),

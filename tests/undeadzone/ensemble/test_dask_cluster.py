@@ -147,7 +147,7 @@ def test_a_module_that_workers_cannot_import(
     monkeypatch.syspath_prepend(str(tmp_path))
     from only_here import make
 
-    words = "only_here cannot be imported there; install it on the scheduler and on every worker"
+    words = "only_here cannot be imported there. Install it on the scheduler and on every worker"
     with pytest.raises(ClusterError, match=words):
         run_blocks.compute_job(make, tmp_path / "runs.partial", cluster=dask.scheduler_address)
 
@@ -155,7 +155,7 @@ def test_a_module_that_workers_cannot_import(
 def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job, "PATIENCE", 0.3)
     make, path = functools.partial(sines, 605), tmp_path / "runs.partial"
-    words = r"no worker is there; start some \(dask worker tcp://"
+    words = r"no worker is there. Start some \(dask worker tcp://"
     with local(0) as empty, pytest.raises(ClusterError, match=words):
         run_blocks.compute_job(make, path, cluster=empty.scheduler_address)
     assert list(tmp_path.iterdir()) == []

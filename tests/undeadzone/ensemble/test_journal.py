@@ -102,7 +102,7 @@ def test_a_file_cut_short_is_completed(tmp_path: Path, kept: int) -> None:
     store.close()
     os.truncate(store.path, kept)
     if kept < 200:  # the header itself is torn
-        words = "is not an unfinished ensemble; choose another name or delete it"
+        words = "is not an unfinished ensemble. Choose another name or delete it"
         with pytest.raises(FileError, match=words):
             again(store.path)
         return
@@ -122,7 +122,7 @@ def test_a_file_whose_header_was_never_written_is_begun_anew(
 def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial")
     store.close()
-    words = "an unfinished ensemble is there; continue it with --resume, or delete it to start anew"
+    words = "an unfinished ensemble is there. Continue it with --resume, or delete it to start anew"
     with pytest.raises(FileError, match=words):
         journal.start(store.path, store.layout)
     assert again(store.path) == []
@@ -182,7 +182,7 @@ def test_a_long_scenario_in_the_header(tmp_path: Path) -> None:
 
 def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial", blocks=range(2))
-    words = "another process is writing it; wait for it, or choose another name"
+    words = "another process is writing it. Wait for it, or choose another name"
     for resume in (False, True):
         with pytest.raises(FileError, match=words):
             journal.start(store.path, store.layout, resume)

@@ -141,7 +141,7 @@ def test_the_worst_runs_come_first() -> None:
     assert row["metrics"]["rms_tracking"] == 7
     with pytest.raises(InputError, match="expected 0 to 7"):
         result.row(8)
-    words = "no_such: is not a column of this ensemble; there are sensor"
+    words = "no_such: is not a column of this ensemble. There are sensor"
     with pytest.raises(InputError, match=words):
         result.worst("no_such")
     with pytest.raises(InputError, match=r"d_up_error\[0\]: is not a column"):

@@ -455,7 +455,7 @@ def test_wrong_use_is_one_clear_line(undeadzone: Call, study: Path, tmp_path: Pa
     plain = tmp_path / "plain.toml"
     plain.write_text(to_toml(small("sampled")))
     refused(
-        undeadzone("ensemble", plain, "--out", out), "ensemble: missing; add a table [ensemble]"
+        undeadzone("ensemble", plain, "--out", out), "ensemble: missing. Add a table [ensemble]"
     )
     study.write_text(study.read_text().replace("sensor.right", "sensor.rihgt"))
     refused(undeadzone("run", study, "--no-figures"), 'ensemble."sensor.rihgt"')
@@ -478,7 +478,7 @@ def test_a_full_disk_is_noticed_and_loses_nothing(
         "--resume",
     )
     assert [path.name for path in out.iterdir()] == ["runs.npz.partial"]
-    refused(undeadzone("ensemble", study, "--out", out), "continue it with --resume, or delete it")
+    refused(undeadzone("ensemble", study, "--out", out), "Continue it with --resume, or delete it")
     refused(
         undeadzone("ensemble", study, "--out", out, "--resume", "--runs", 9),
         "holds another problem (runs: 150 there, 9 here",

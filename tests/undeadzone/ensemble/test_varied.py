@@ -500,12 +500,12 @@ def parse_table(text: str) -> Any:
 TABLES: list[tuple[Any, str]] = [
     (3, "ensemble: expected a table, found a whole number"),
     ({"entries": 3}, "ensemble.entries: expected a table, found a whole number"),
-    ({"run": 5}, "ensemble.run: unknown key; did you mean 'runs'?"),
+    ({"run": 5}, "ensemble.run: unknown key. Did you mean 'runs'?"),
     ({"runs": 1.5}, "ensemble.runs: expected a whole number, found a number"),
-    ({"sampling": "sobl"}, "ensemble.sampling: unknown choice 'sobl'; did you mean 'sobol'?"),
+    ({"sampling": "sobl"}, "ensemble.sampling: unknown choice 'sobl'. Did you mean 'sobol'?"),
     (
         {"sensor": {"right": uniform()}},
-        'ensemble.sensor: unknown key; an address stands in quotes: "sensor.right" = { uniform = ',
+        'ensemble.sensor: unknown key. An address stands in quotes: "sensor.right" = { uniform = ',
     ),
     (
         {"sensor.right": [0.3, 2.0]},
@@ -514,7 +514,7 @@ TABLES: list[tuple[Any, str]] = [
     ),
     (
         {"sensor.right": {"unifrm": [0.3, 2.0]}},
-        "ensemble.\"sensor.right\".unifrm: unknown key; did you mean 'uniform'?",
+        "ensemble.\"sensor.right\".unifrm: unknown key. Did you mean 'uniform'?",
     ),
     (
         {"sensor.right": {"uniform": [0.3]}},
@@ -542,7 +542,7 @@ def test_tables_that_cannot_be_read(ensemble: Any, words: str) -> None:
 
 
 def test_unquoted_addresses_in_a_file() -> None:
-    with pytest.raises(InputError, match="an address stands in quotes"):
+    with pytest.raises(InputError, match="An address stands in quotes"):
         parse("[ensemble]\nsensor.right = { uniform = [0.3, 2.0] }")
 
 
@@ -568,7 +568,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"plant.A[1,0]": {"log_normal": [-1.0, 0.1]}},
         {},
-        r'ensemble."plant.A\[1,0\]".log_normal: the median must be positive, found -1; .*relative',
+        r'ensemble."plant.A\[1,0\]".log_normal: the median must be positive, found -1. .*relative',
     ),
     (
         {"plant.A[1,0]": {"log_normal": [1.0, 50.0]}},
@@ -606,13 +606,13 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"sensor.rigth": uniform()},
         {},
-        "ensemble.\"sensor.rigth\": nothing of that name can vary; did you mean 'sensor.right'?",
+        "ensemble.\"sensor.rigth\": nothing of that name can vary. Did you mean 'sensor.right'?",
     ),
     (
         {"gravity.g": uniform()},
         {},
-        "nothing of that name can vary; "
-        "what can: .*plant.x0, reference.amplitude, .*sensor.threshold",
+        "nothing of that name can vary. "
+        "These can: .*plant.x0, reference.amplitude, .*sensor.threshold",
     ),
     (
         {"plant.A[2,0]": uniform()},
@@ -634,7 +634,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"plant.parameters.l": uniform()},
         {"plant": PENDULUM},
-        "nothing of that name can vary; did you mean 'plant.parameters",
+        "nothing of that name can vary. Did you mean 'plant.parameters",
     ),
     ({"plant.A[1,0]": uniform()}, {"plant": PENDULUM}, "nothing of that name can vary"),
     (
@@ -668,7 +668,7 @@ WRONG: list[tuple[dict[str, Any], dict[str, Any], str]] = [
     (
         {"plant.A[0,0]": uniform(relative=True)},
         {},
-        r"plant.A\[0,0\] is 0, which no factor changes; leave out relative and give values",
+        r"plant.A\[0,0\] is 0, which no factor changes. Leave out relative and give values",
     ),
     (
         {"sensor.noise": uniform(relative=True)},
@@ -770,7 +770,7 @@ def test_numbers_that_cannot_be(ensemble: dict[str, Any], words: str) -> None:
 
 def test_a_scenario_without_the_table() -> None:
     problem = resolve_scenario(scene())
-    with pytest.raises(InputError, match=r"ensemble: missing; add a table \[ensemble\]"):
+    with pytest.raises(InputError, match=r"ensemble: missing. Add a table \[ensemble\]"):
         bind_ensemble(problem, prepare(problem)[0])
 
 

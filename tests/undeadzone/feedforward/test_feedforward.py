@@ -171,7 +171,7 @@ def test_more_outputs_than_inputs_cannot_follow() -> None:
     plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2))
     with pytest.raises(
         TrackingError,
-        match=r"^tracked: the plant has 1 input and cannot make 2 outputs follow; name at most 1",
+        match=r"^tracked: the plant has 1 input and cannot make 2 outputs follow. Name at most 1",
     ):
         linear_targets(plant, exo(SINE, 2), [0, 1], T)
 

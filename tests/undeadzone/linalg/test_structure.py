@@ -60,13 +60,13 @@ def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float
             [[-1.0, 0.0], [0.0, -2.0]],
             [[1.0], [1.0]],
             [[1.0, 0.0]],
-            r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output",
+            r"plant: the pair \(A, C\) is unobservable: mode -2. Measure another output",
         ),
         (
             [[-1.0, 0.0], [0.0, -2.0]],
             [[1.0], [0.0]],
             [[1.0, 1.0]],
-            r"plant: the pair \(A, B\) is uncontrollable: mode -2; add an input",
+            r"plant: the pair \(A, B\) is uncontrollable: mode -2. Add an input",
         ),
         ([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[0.0, 0.0]], "is unobservable: modes -1"),
         (

@@ -63,10 +63,10 @@ def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
     ("header", "columns", "words"),
     [
         ("time,angle,voltage", None, "'angle', 'voltage'"),
-        ("t,yy,u", None, "did you mean 'yy'"),
+        ("t,yy,u", None, "Did you mean 'yy'"),
         ("t,y,y,u", None, "the log has 2"),
         ("t,y[0],y[1],u", None, "the log has 2"),
-        ("t,angle,u", "y=angel", "did you mean 'angle'"),
+        ("t,angle,u", "y=angel", "Did you mean 'angle'"),
         ("t,angle,u", "y=u", "used twice"),
         ("t [days],y,u", None, "'days'"),
     ],

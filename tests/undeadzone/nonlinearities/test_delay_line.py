@@ -112,7 +112,7 @@ def test_certified_gains_are_certified_whatever_the_delay() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"time": "continuous"}, 'plant.delay: .*set simulation.time = "sampled"'),
+        ({"time": "continuous"}, 'plant.delay: .*Set simulation.time = "sampled"'),
         ({"samples": -1}, "plant.delay: expected 0 to 1000 samples, found -1"),
         ({"told": 2000}, "model.delay: expected 0 to 1000 samples, found 2000"),
         ({"controller": 'method = "pd"\nk_p = 1.0\nk_d = 0.1'}, "'pd' feeds back the innovation"),

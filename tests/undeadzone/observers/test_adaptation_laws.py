@@ -363,8 +363,8 @@ def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None
         ({"method": "least_squares", "forgetting": -1.0}, "observer.adaptation.forgetting"),
         ({"method": "normalised", "weight": -1.0}, "observer.adaptation.weight"),
         ({"method": "sigma"}, "observer.adaptation.leak: missing"),
-        ({"method": "sigm", "leak": 1.0}, "did you mean 'sigma'"),
-        ({"method": "sigma", "leek": 1.0}, "did you mean 'leak'"),
+        ({"method": "sigm", "leak": 1.0}, "Did you mean 'sigma'"),
+        ({"method": "sigma", "leek": 1.0}, "Did you mean 'leak'"),
     ],
 )
 def test_wrong_options_are_named(adaptation: dict[str, Any], words: str) -> None:

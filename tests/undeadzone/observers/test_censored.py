@@ -682,7 +682,7 @@ def test_twenty_seconds_at_1_khz_leave_every_covariance_positive() -> None:
 @pytest.mark.parametrize(
     ("changes", "model", "error", "words"),
     [
-        ({}, PAPER_PLANT, InputError, r"set simulation\.time"),
+        ({}, PAPER_PLANT, InputError, r"Set simulation\.time"),
         ({"bias": [1.0, 2.0]}, MODEL, ShapeError, "observer.bias: expected 1 number"),
         ({"disturbance": -1.0}, MODEL, InputError, "observer.disturbance: must not be negative"),
         (

@@ -542,7 +542,7 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
             arm(),
             "deadzone",
             InputError,
-            "observer.uncertain.paylod: unknown parameter; the model has m1",
+            "observer.uncertain.paylod: unknown parameter. The model has m1",
         ),
         (
             {"uncertain": {"payload": 0.0}},
@@ -605,7 +605,7 @@ SEPARATE: dict[str, Any] = {"joints": "separate", "disturbance": 0.1}
             system(Plant(arm=TwoLink())),
             "deadzone",
             InputError,
-            'set simulation.time = "sampled"',
+            'Set simulation.time = "sampled"',
         ),
     ],
 )

@@ -499,7 +499,7 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
     ("changes", "model", "where", "error", "words"),
     [
         ({}, PAPER_PLANT, zone(), InputError, 'simulation.time = "sampled"'),
-        ({}, MODEL, zone(kind="jump"), InputError, "use 'censored'"),
+        ({}, MODEL, zone(kind="jump"), InputError, "Use 'censored'"),
         ({"right": [2.0, 0.5]}, MODEL, zone(), InputError, "observer.right: a range"),
         ({"left": [-1.0, 0.5]}, MODEL, zone(), InputError, "observer.left: a range"),
         ({"right": 1.0}, MODEL, zone(), ShapeError, "observer.right: expected the declared range"),
@@ -529,7 +529,7 @@ def test_wrong_options_are_named(
 
 
 def test_continuous_time_is_refused_with_what_to_do() -> None:
-    with pytest.raises(InputError, match=r"set simulation\.time"):
+    with pytest.raises(InputError, match=r"Set simulation\.time"):
         simulate(scene(observer=OPTIONS))
 
 

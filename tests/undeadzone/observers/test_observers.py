@@ -295,7 +295,7 @@ def test_a_list_of_gains_needs_one_output_and_a_default_needs_stability() -> Non
         Certified(L=L).build(linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], np.eye(2)), zone(2))
     for build in (Certified, Oracle):
         with pytest.raises(
-            StructureError, match=r"observer.L: missing; there is a default only for a stable model"
+            StructureError, match=r"observer.L: missing. There is a default only for a stable model"
         ):
             build().build(linear([[0.0, 1.0], [1.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]]), ZONE)
 

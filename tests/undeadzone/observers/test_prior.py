@@ -189,7 +189,7 @@ def formulas() -> Iterator[tuple[str, str]]:
 
 def test_wherever_a_formula_is_called_centre_it_is_the_middle() -> None:
     found = list(formulas())
-    assert {"docs/glossary.md", "docs/json.md", "docs/scenario.md"} <= {where for where, _ in found}
+    assert {"docs/notation.md", "docs/json.md", "docs/scenario.md"} <= {where for where, _ in found}
     for where, formula in found:
         words = re.sub(r"[dcb]_r\^?", str(RIGHT), formula.replace("−", "-"))
         words = re.sub(r"[dcb]_l\^?", str(LEFT), words)
@@ -260,7 +260,7 @@ def test_gears_that_contact_claims_had_this_meaning_before() -> None:
 
 @pytest.mark.parametrize("schema", [1, 4, "3", True, [3]])
 def test_a_schema_that_is_not_known_is_refused(schema: Any) -> None:
-    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files; found"):
+    with pytest.raises(InputError, match="schema: expected 3, or 2 of old files, found"):
         convert(claiming(0.0, schema=schema))
 
 

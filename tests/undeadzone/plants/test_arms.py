@@ -140,7 +140,7 @@ def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
     [
         (
             InputError,
-            "plant.parameters.paylaod: unknown; did you mean 'payload'",
+            "plant.parameters.paylaod: unknown. Did you mean 'payload'",
             {"parameters": {"paylaod": 1.0}},
         ),
         (
@@ -167,7 +167,7 @@ def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
         (ShapeError, "plant.x0: expected 4 numbers", {"x0": [0.0, 1.0]}),
         (
             InputError,
-            "unknown choice 'torque'; expected one of position, velocity",
+            "unknown choice 'torque'. Expected one of position, velocity",
             {"arm": {"kind": "two_link", "measured": "torque"}},
         ),
     ],
@@ -208,7 +208,7 @@ def test_a_path_that_the_arm_cannot_follow_is_refused_before_the_run(
 
 def test_steep_friction_asks_for_shorter_steps() -> None:
     with pytest.raises(
-        StepError, match=r"mode at 4092 1/s .* use simulation.substeps = (\d+)"
+        StepError, match=r"mode at 4092 1/s .* Use simulation.substeps = (\d+)"
     ) as error:
         simulate(two_link(plant={"parameters": {"f2": 10.0}}))
     enough = int(re.findall(r"substeps = (\d+)", str(error.value))[0])
@@ -306,7 +306,7 @@ def test_rounding_is_to_the_nearest_and_none_without_a_quantum() -> None:
 
 def test_readings_are_rounded_in_sampled_time_only() -> None:
     continuous = {"time": "continuous", "duration": 0.1, "step": 1e-3}
-    with pytest.raises(InputError, match=r"sensor\.quantum: .* set simulation\.time"):
+    with pytest.raises(InputError, match=r"sensor\.quantum: .* Set simulation\.time"):
         resolve_scenario(
             two_link(
                 sensor={"quantum": 0.01}, observer={"method": "certified"}, simulation=continuous
@@ -498,7 +498,7 @@ def test_a_gif_is_written_and_other_names_are_refused(
     with image.open(path) as gif:
         assert gif.n_frames == sum(told) == animation.count_frames(both[0]) > 2
         assert gif.info["duration"] == 1000 * animation.SKIPPED / FRAMES
-    with pytest.raises(FileError, match=r"it must end in \.gif or \.mp4"):
+    with pytest.raises(FileError, match=r"It must end in \.gif or \.mp4"):
         animation.write_movie(both[0], None, tmp_path / "arm.txt")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileError, match="ffmpeg is not installed"):

@@ -69,9 +69,9 @@ def test_names_of_the_plant_hide_constants() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("angel", "unknown name 'angel' in formula 'angel'; did you mean 'angle'"),
-        ("zzz", "unknown name 'zzz' in formula 'zzz'; known names: angle, pi"),
-        ("sinn(angle)", "did you mean 'sin'"),
+        ("angel", "unknown name 'angel' in formula 'angel'. Did you mean 'angle'"),
+        ("zzz", "unknown name 'zzz' in formula 'zzz'. Known names: angle, pi"),
+        ("sinn(angle)", "Did you mean 'sin'"),
         ("__import__('os')", "unknown name '__import__'"),
         ("angle.__class__", "found 'angle.__class__' in formula .*; only numbers, names"),
         ("(lambda: 1)()", "only numbers, names"),

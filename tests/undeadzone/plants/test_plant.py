@@ -316,7 +316,7 @@ A2: Any = [[0.0, 1.0], [-1.0, -2.0]]
         ),
         (PENDULUM | {"h": None}, InputError, "plant: formulas need lists f and h"),
         (PENDULUM | {"h": []}, InputError, "h must not be empty"),
-        (PENDULUM | {"h": ["agle"]}, InputError, "did you mean 'angle'"),
+        (PENDULUM | {"h": ["agle"]}, InputError, "Did you mean 'angle'"),
         (
             PENDULUM | {"h": ["angle", 1.0]},
             InputError,

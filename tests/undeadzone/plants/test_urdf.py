@@ -304,12 +304,12 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
         (
             ["shoulder", "elbo"],
             None,
-            r"plant\.arm\.joints\[1\]: no joint 'elbo'; did you mean 'elbow'",
+            r"plant\.arm\.joints\[1\]: no joint 'elbo'. Did you mean 'elbow'",
         ),
         (
             ["shoulder", "x"],
             None,
-            r"plant\.arm\.joints\[1\]: no joint 'x'; the file has shoulder, elbow",
+            r"plant\.arm\.joints\[1\]: no joint 'x'. The file has shoulder, elbow",
         ),
         (
             ["elbow", "shoulder"],
@@ -322,7 +322,7 @@ def test_a_part_of_a_tree(tmp_path: Path) -> None:
             "upper",
             r"plant\.arm\.joints\[1\]: 'elbow' is not between the base and the tip 'upper'",
         ),
-        (None, "hand", r"plant\.arm\.tip: no link 'hand'; the file has base, upper, lower"),
+        (None, "hand", r"plant\.arm\.tip: no link 'hand'. The file has base, upper, lower"),
         (None, "base", r"no joint moves between the base and 'base'"),
         ([], None, "no joint moves between"),
     ],
@@ -358,7 +358,7 @@ def test_joints_and_tips_that_do_not_fit(
         (
             '<child link="lower"/>',
             '<child link="lover"/>',
-            "joint elbow: no link 'lover'; did you mean 'lower'",
+            "joint elbow: no link 'lover'. Did you mean 'lower'",
         ),
         ('<child link="lower"/>', "", "joint elbow: needs <parent"),
         ('<child link="lower"/>', '<child link="upper"/>', "link upper has two parents"),
@@ -389,7 +389,7 @@ def test_joints_and_tips_that_do_not_fit(
         (
             link("upper"),
             link("upper", ""),
-            "link upper moves but has no mass; give it an <inertial>, or leave shoulder out",
+            "link upper moves but has no mass. Give it an <inertial>, or leave shoulder out",
         ),
     ],
 )

@@ -122,7 +122,7 @@ def test_arms_get_controllers_of_their_own(arm: str, time: str, expected: type) 
 def test_along_a_log_a_range_must_come_from_somewhere(tmp_path: Any) -> None:
     path = tmp_path / "log.toml"
     path.write_text("[plant]\nsecond_order = { zeta = 0.5, omega_n = 4.0, gain = 16.0 }\n")
-    with pytest.raises(InputError, match=r"observer: missing; name one and the range"):
+    with pytest.raises(InputError, match=r"observer: missing. Name one and the range"):
         read_for_logs(path)
 
 

@@ -31,18 +31,18 @@ PARTS: dict[str, Any] = {
         (A, "A = [0 1\n -4 -2]", "rows in brackets, commas between numbers"),
         (A, "A = [0, 1, -4, -2]", "plant.A: expected a matrix (a list of rows)"),
         (A, f"{A}\nD = [[1.0]]", "plant.D: unknown key"),
-        (A, f"{A}\nD = [[0.0]]", "direct feedthrough is not supported"),
-        (A, "num = [1]", "write numerator"),
-        ("step = 0.01 ", "dt = 0.01 ", "the sample time is simulation.step"),
-        ("step = 0.01 ", "Ts = 0.01 ", "the sample time is simulation.step"),
+        (A, f"{A}\nD = [[0.0]]", "Direct feedthrough is not supported"),
+        (A, "num = [1]", "Write numerator"),
+        ("step = 0.01 ", "dt = 0.01 ", "The sample time is simulation.step"),
+        ("step = 0.01 ", "Ts = 0.01 ", "The sample time is simulation.step"),
         ("step = 0.01 ", "fs = 100 ", "simulation.step = 1 / fs"),
         ("step = 0.01 ", "step = 10 ", "10 s is too coarse for reference"),
-        ('time = "sampled"', 'time = "discrete"', "write sampled"),
+        ('time = "sampled"', 'time = "discrete"', "Write sampled"),
         ("right = 1.0 ", "upper = 1.0 ", "sensor.right"),
-        ("right = 1.0 ", "d_r = 1.0 ", "write right"),
-        ("left = 0.6 ", "left = -1.0 ", "it is a width, from 0 to the edge on that side"),
-        ('method = "auto"', 'method = "UKF"', "did you mean 'ukf'?"),
-        ('method = "state_feedback"', 'method = "PID"', "did you mean 'pid'?"),
+        ("right = 1.0 ", "d_r = 1.0 ", "Write right"),
+        ("left = 0.6 ", "left = -1.0 ", "It is a width, from 0 to the edge on that side"),
+        ('method = "auto"', 'method = "UKF"', "Did you mean 'ukf'?"),
+        ('method = "state_feedback"', 'method = "PID"', "Did you mean 'pid'?"),
         ("# alpha = 10.0 ", "Kp = 10.0 ", "unknown key"),
         (NOISE, "noise = 0,01 ", "write a decimal point, 0.01"),
         (NOISE, "noise = .01 ", "write a digit on both sides of the point"),
@@ -54,7 +54,7 @@ PARTS: dict[str, Any] = {
         ("# A scenario", "% A scenario", "remarks begin with #"),
         ('title = "My plant"', "title = “My plant”", "write straight quotes"),
         ('method = "auto"', "method = auto", "put words in quotes"),
-        ("[plant]", "[Plant]", "did you mean 'plant'?"),
+        ("[plant]", "[Plant]", "Did you mean 'plant'?"),
     ],
 )
 def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, told: str) -> None:
@@ -65,7 +65,7 @@ def test_a_mistake_in_a_scenario_names_its_cure(old: str, new: str, told: str) -
 
 
 def test_an_unknown_table_gets_no_wild_guess() -> None:
-    with pytest.raises(InputError, match="noise: unknown key; known keys: actuator, behind_play"):
+    with pytest.raises(InputError, match=r"noise: unknown key\. Known keys: actuator, behind_play"):
         parse(f"{TEMPLATE}\n[noise]\nrms = 1.0\n")
 
 
@@ -76,8 +76,8 @@ def test_an_unknown_table_gets_no_wild_guess() -> None:
         ("a.py", "import undeadzone\n", "run a program with python"),
         ("a.urdf", "<robot/>\n", "undeadzone arm shows a robot"),
         ("a.json", "{}\n", "a scenario is a TOML file"),
-        ("a.toml", "title = 'Kühler'".encode("latin-1"), "save it as UTF-8"),
-        ("b.toml", TEMPLATE.encode("utf-16"), "save it as UTF-8"),
+        ("a.toml", "title = 'Kühler'".encode("latin-1"), "Save it as UTF-8"),
+        ("b.toml", TEMPLATE.encode("utf-16"), "Save it as UTF-8"),
     ],
 )
 def test_another_file_than_a_scenario_is_told_where_to_go(

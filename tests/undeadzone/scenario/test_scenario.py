@@ -188,13 +188,13 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"sensor": {"right": 1.0, "width": 2.0}},
         InputError,
-        "sensor.width: unknown key; known keys: .*threshold",
+        "sensor.width: unknown key. Known keys: .*threshold",
     ),
-    ({"sensor": {"rigth": 1.0}}, InputError, "sensor.rigth: unknown key; did you mean 'right'?"),
+    ({"sensor": {"rigth": 1.0}}, InputError, "sensor.rigth: unknown key. Did you mean 'right'?"),
     (
         {"observer": {"method": "certified", "gama": 1.0}},
         InputError,
-        "observer.gama: unknown key; did you mean 'gamma'?",
+        "observer.gama: unknown key. Did you mean 'gamma'?",
     ),
     (
         {"observer": {"L": [1.0, 1.5]}},
@@ -204,22 +204,22 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"observer": {"method": "certifed"}},
         InputError,
-        "observer.method: unknown choice 'certifed'; did you mean 'certified'?",
+        "observer.method: unknown choice 'certifed'. Did you mean 'certified'?",
     ),
     (
         {"observer": {"method": "magic"}},
         InputError,
-        "observer.method: unknown choice 'magic'; expected one of ",
+        "observer.method: unknown choice 'magic'. Expected one of ",
     ),
     (
         {"sensor": {"kind": "jmp"}},
         InputError,
-        "sensor.kind: unknown choice 'jmp'; did you mean 'jump'?",
+        "sensor.kind: unknown choice 'jmp'. Did you mean 'jump'?",
     ),
     (
         {"simulation": {"time": "discrete"}},
         InputError,
-        "simulation.time: unknown choice 'discrete'; expected one of continuous, sampled",
+        "simulation.time: unknown choice 'discrete'. Expected one of continuous, sampled",
     ),
     (
         {"reference": {"kind": "sine", "amplitude": 1.0}},
@@ -356,7 +356,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"plant": PENDULUM, "model": {"parameters": {"mass": 9.0}}},
         InputError,
-        "model.parameters.mass: unknown parameter; the plant has g, b",
+        "model.parameters.mass: unknown parameter. The plant has g, b",
     ),
     (
         {"plant": PENDULUM, "model": {"A": [[1.0]]}},
@@ -407,7 +407,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"plant": UNOBSERVABLE},
         StructureError,
-        r"plant: the pair \(A, C\) is unobservable: mode -2; measure another output",
+        r"plant: the pair \(A, C\) is unobservable: mode -2. Measure another output",
     ),
     (
         {"plant": UNOBSERVABLE | {"B": [[0.0], [1.0]], "C": [[1.0, 1.0]]}},
@@ -418,7 +418,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"plant": UNSTABLE, "observer": FREE},
         StructureError,
-        "observer.L: missing; there is a default only for a stable model, give L",
+        "observer.L: missing. There is a default only for a stable model, give L",
     ),
     (
         {"plant": UNSTABLE, "observer": WEAK},
@@ -495,7 +495,7 @@ WRONG: list[tuple[dict[str, Any], type[InputError], str]] = [
     (
         {"observer": {"method": "kalman", "right": [0.0, 2.0]}},
         InputError,
-        "observer: this filter works on samples; set simulation.time",
+        "observer: this filter works on samples. Set simulation.time",
     ),
     # references that cannot be followed
     (
@@ -876,7 +876,7 @@ def test_a_rival_may_be_like_the_observer() -> None:
     ("compare", "observed", "told"),
     [
         ('like = "controller"', OBSERVED, 'compare.like: expected "observer"'),
-        ('like = "observer"\nmethod = "kalman"', OBSERVED, "leave out like, or compare.method"),
+        ('like = "observer"\nmethod = "kalman"', OBSERVED, "Leave out like, or compare.method"),
         ('like = "observer"\nblind = true', "", "no [observer]"),
         ('like = "observer"\nblnd = true', OBSERVED, "compare.blnd"),
     ],

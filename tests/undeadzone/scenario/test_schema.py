@@ -46,8 +46,8 @@ def test_tables_merge_unless_they_become_others() -> None:
 @pytest.mark.parametrize(
     ("address", "value", "message"),
     [
-        ("sensor.rigth", 1.0, r"sensor\.rigth: unknown key; did you mean 'right'"),
-        ("sensr.right", 1.0, "sensr: unknown key; did you mean sensor"),
+        ("sensor.rigth", 1.0, r"sensor\.rigth: unknown key. Did you mean 'right'"),
+        ("sensr.right", 1.0, "sensr: unknown key. Did you mean sensor"),
         ("sensor.right", "wide", r"sensor\.right: expected numbers"),
         ("sensor.right", float("nan"), r"sensor\.right: must be a finite number"),
         ("observer.method", "kalmann", r"observer\.method: unknown choice"),
@@ -107,7 +107,7 @@ def test_matlabs_matrix_without_quotes_is_explained() -> None:
 def test_words_of_other_tools_are_explained(where: str, key: str, advice: str) -> None:
     data = table()
     data[where] = dict(data[where]) | {key: 1.0}
-    with pytest.raises(InputError, match=rf"{where}\.{key}: unknown key; .*{advice}"):
+    with pytest.raises(InputError, match=rf"{where}\.{key}: unknown key. .*{advice}"):
         parse(toml.tomli_w.dumps(data))
 
 

@@ -295,7 +295,7 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
             ShapeError,
             "reference: a path in a plane needs two or three coordinates, there is 1",
         ),
-        (EIGHT, 4, ShapeError, "there are 4"),
+        (EIGHT, 4, ShapeError, "There are 4"),
         (
             CIRCLE,
             3,
@@ -326,7 +326,7 @@ def test_wrong_paths(path: Path, channels: int, error: type[Exception], words: s
 
 
 def test_task_space_needs_an_arm() -> None:
-    with pytest.raises(InputError, match=r"reference.space: task.*plant.arm.*use space = 'joint'"):
+    with pytest.raises(InputError, match=r"reference.space: task.*plant.arm.*Use space = 'joint'"):
         build_exosystem("reference", CIRCLE, 2)
     words = {
         "kind": "figure_eight",
@@ -600,8 +600,8 @@ def test_torque_limits() -> None:
 def test_too_few_joints() -> None:
     with pytest.raises(
         TrackingError,
-        match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates; "
-        r"give the joints' path",
+        match=r"reference.space: an arm with 1 joint cannot .* 2 coordinates. "
+        r"Give the joints' path",
     ):
         joints(build_arm(build.build_one_link()), tip_path(CIRCLE), [0.3])
 

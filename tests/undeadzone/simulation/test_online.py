@@ -206,7 +206,7 @@ def test_wrong_parts_are_named(plant: Any, sensor: Any, message: str) -> None:
     [
         ("simulation", {"step": 0.01}, r"simulation: expected uz.Simulation\(...\), found dict"),
         ("simulation", uz.Simulation(time="discrete"), "simulation.time: unknown choice"),  # type: ignore[arg-type]
-        ("simulation", uz.Simulation(time="smpled"), "'smpled'; did you mean 'sampled'"),  # type: ignore[arg-type]
+        ("simulation", uz.Simulation(time="smpled"), "'smpled'. Did you mean 'sampled'"),  # type: ignore[arg-type]
         ("simulation", uz.Simulation(seed=1.5), "simulation.seed: expected a whole number"),  # type: ignore[arg-type]
         ("plant", msgspec.structs.replace(PLANT, A=np.ma.array(np.eye(2), mask=np.eye(2))), "A: "),
     ],

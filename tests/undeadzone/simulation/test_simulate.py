@@ -275,7 +275,7 @@ def test_two_observers_are_compared_on_one_scenario() -> None:
 
 
 def test_without_a_rival_there_is_nothing_to_compare() -> None:
-    with pytest.raises(InputError, match=r"compare: this scenario has no \[compare\]; name there"):
+    with pytest.raises(InputError, match=r"compare: this scenario has no \[compare\]. Name there"):
         compare(scene())
 
 

@@ -115,10 +115,10 @@ def test_an_address_names_entries(address: str, names: list[str]) -> None:
     ("bounds", "message"),
     [
         ({}, "nothing to tune"),
-        ({"observer.gama": (1, 20)}, "did you mean 'observer.gamma'"),
+        ({"observer.gama": (1, 20)}, "Did you mean 'observer.gamma'"),
         (
             {"plant.A[0,0]": (1, 20)},
-            "no number of that name in the options; there are controller.K",
+            "no number of that name in the options. There are controller.K",
         ),
         ({"observer.L[2]": (1, 20)}, r"there is observer.L\[0\] to observer.L\[1\]"),
         ({"controller.K[0,1]": (1, 20)}, "the scenario gives no controller.K; write it there"),
@@ -159,7 +159,7 @@ def test_what_cannot_be_tuned(bounds: dict[str, tuple[float, float]], message: s
         (
             Tune(entries=GAMMA),
             {"ensemble": Vary(entries={"observer.gamma": Distribution(uniform=(1.0, 2.0))})},
-            "keep one of them",
+            "Keep one of them",
         ),
         (Tune(entries=GAMMA, seed=-1), {}, "tune.seed"),
     ],
@@ -190,7 +190,7 @@ def test_no_gains_of_an_unstable_plant_are_certified() -> None:
     ],
 )
 def test_words_of_the_table(table: dict[str, Any]) -> None:
-    words = r"^tune\..*(stands in quotes|expected bounds such as|did you mean 'between')"
+    words = r"^tune\..*(stands in quotes|expected bounds such as|Did you mean 'between')"
     with pytest.raises(InputError, match=words):
         convert({"plant": {}, "tune": table})
 

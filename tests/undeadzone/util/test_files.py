@@ -217,7 +217,7 @@ def test_processes_of_the_arena_that_are_killed_are_one_line(tmp_path: Path) -> 
     )
     assert done.returncode == 2
     assert said(done.stderr)[1] == (
-        "undeadzone: arena: one of 2 processes died; out of memory? Take fewer with --processes"
+        "undeadzone: arena: one of 2 processes died (out of memory?), try --processes"
     )
 
 

@@ -151,8 +151,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if not proof.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality "
-                f"{proof.lmi:.3g}, least of P {proof.P:.3g}; they must be negative and positive): "
-                "the file was changed, or made for another model or sample time; design again"
+                f"{proof.lmi:.3g}, least of P {proof.P:.3g}. They must be negative and positive): "
+                "the file was changed, or made for another model or sample time. Design again"
             )
 
     def blocks(self) -> list[shown.Block]:
@@ -204,7 +204,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         except (ValueError, RecursionError, msgspec.ValidationError):
             # Nothing of it is quoted: a scenario may name a file that is not its author's.
             raise FileError(
-                f"{path}: not a design saved by undeadzone; write it with undeadzone design"
+                f"{path}: not a design saved by undeadzone. Write it with undeadzone design"
             ) from None
         return _recompute_design(_of_today(design, str(path)), str(path))
 
@@ -233,8 +233,8 @@ def _recompute_design(design: Design, path: str) -> Design:
     margin, frequency = margin_of_dynamics(errors, require_vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
-            f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}; "
-            "the file was changed, design again"
+            f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}. "
+            "The file was changed, design again"
         )
     _require_sizes(design, n, p)
     present = design.present
@@ -245,8 +245,8 @@ def _recompute_design(design: Design, path: str) -> Design:
         )
         if not certify(design.model, *gains, design.Ts).certified:
             raise ProofError(
-                f"{path}: present: the file lists these gains as certified, they are not; "
-                "the file was changed, design again"
+                f"{path}: present: the file lists these gains as certified, they are not. "
+                "The file was changed, design again"
             )
     remarks = [remark for remark in design.remarks if remark != STATED]
     return msgspec.structs.replace(

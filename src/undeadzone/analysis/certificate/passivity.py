@@ -165,7 +165,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     A, _, C = delta_form(linear, Ts)
     if largest_growth_rate(A, Ts) >= 0:
         raise StructureError(
-            "observer.L: missing; there is a default only for a stable model, give L"
+            "observer.L: missing. There is a default only for a stable model, give L"
         )
     q = 2 * float(np.linalg.norm(A, 2))
     P = storage_of(linear.A, q * np.eye(A.shape[0]), Ts)

@@ -80,7 +80,7 @@ def start_coasting(options: Coasts, model: System) -> tuple[Numbers | None, Stat
     if not length:
         return None, None
     if model.Ts is None:
-        raise InputError('compensator.coast: needs samples; set simulation.time = "sampled"')
+        raise InputError('compensator.coast: needs samples. Set simulation.time = "sampled"')
     if length >= every:
         raise InputError(
             f"compensator.coast: must be shorter than compensator.every, {every:g} s, found "
@@ -132,7 +132,7 @@ def require_drive(belief: Belief | None) -> Drive:
     """Return the model's actuator. Raises InputError if the model has none."""
     if belief is None:
         raise InputError(
-            "compensator: there is no actuator to compensate; add [actuator] or [model.actuator]"
+            "compensator: there is no actuator to compensate. Add [actuator] or [model.actuator]"
         )
     return belief.drive
 

@@ -67,12 +67,12 @@ def lead_across_gap(
     w = require_number(KEY, rate, above=0.0)
     if sensor.kind != "play":
         raise InputError(
-            f'{KEY}: nothing is behind a sensor of kind "{sensor.kind}"; leave it out, or set '
+            f'{KEY}: nothing is behind a sensor of kind "{sensor.kind}". Leave it out, or set '
             'sensor.kind = "play"'
         )
     if model.nonlinear or model.m != 1 or len(tracked) != 1:
         raise InputError(
-            f"{KEY}: needs a linear plant of one input with one tracked output; leave it out"
+            f"{KEY}: needs a linear plant of one input with one tracked output. Leave it out"
         )
     linear = model.linear._replace(C=model.linear.C[[tracked[0]]])
     numbers = crossing(linear, w, model.Ts, KEY)

@@ -68,7 +68,7 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
     if model.gears is not None:
         raise InputError(
             "plant.delay: a controller foretells the state in which its input will act by the "
-            "model's own gaps, which are not known; leave it out, or plant.arm.gears"
+            "model's own gaps, which are not known. Leave it out, or plant.arm.gears"
         )
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
     low, high = -most, most

@@ -27,7 +27,7 @@ def select_tracked_output(method: str, estimate: Estimate, target: Target) -> An
     z = estimate.z
     if z.shape[0] != target.r.shape[0]:
         raise InputError(
-            f"tracked: controller.method = '{method}' follows every output; "
-            f"expected {z.shape[0]} tracked outputs, found {target.r.shape[0]}"
+            f"tracked: controller.method = '{method}' follows every output. "
+            f"Expected {z.shape[0]} tracked outputs, found {target.r.shape[0]}"
         )
     return z

@@ -220,6 +220,9 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
     V' <= ... - leak |d~|^2 + leak |d - d^(0)|^2. With an edge active for the share a of the time
     and x^ = x, d~ comes to rest near leak / (a + leak) of d - d^(0).
 
+    References:
+        P. A. Ioannou, P. V. Kokotovic (1983), doi:10.1007/BFb0006357
+
     Attributes:
         leak: leak of the widths, relative to the drive.
     """
@@ -251,6 +254,9 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
 
     There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where
     M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
+
+    References:
+        K. S. Narendra, A. M. Annaswamy (1987), doi:10.1109/TAC.1987.1104543
 
     Attributes:
         leak: leak of the widths per unit of the drive [1/z].

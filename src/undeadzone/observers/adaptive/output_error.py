@@ -82,7 +82,7 @@ def read_adapted_widths(
     if sensor.kind == "jump" and gain.any():
         raise InputError(
             "observer.gamma: readings of a jump sensor only bound its widths, this method cannot "
-            "adapt them; leave gamma out"
+            "adapt them. Leave gamma out"
         )
     return Widths(gain, *read_initial_widths(widths0, width_max, model.p))
 

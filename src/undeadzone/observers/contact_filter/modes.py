@@ -7,6 +7,9 @@ the model's, and a chance. A link leaves a flank where the torque through it cha
 reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
 comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
 1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
+
+References:
+    H. A. P. Blom, Y. Bar-Shalom (1988), doi:10.1109/9.1299
 """
 
 from __future__ import annotations

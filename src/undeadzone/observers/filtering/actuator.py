@@ -63,13 +63,13 @@ def _build_without_delay(
     method = str(options.__struct_config__.tag)
     if belief.ranges is not None and (method not in ESTIMATORS or model.Ts is None):
         raise InputError(
-            f"model.actuator.right: {method!r} cannot estimate the widths of an actuator; give "
+            f"model.actuator.right: {method!r} cannot estimate the widths of an actuator. Give "
             f"numbers, or use one of {', '.join(ESTIMATORS)} in sampled time"
         )
     observer = options.build(model._replace(actuator=belief), sensor)
     if observer.python is not None:
         raise InputError(
-            f"actuator: {method!r} computes in Python and knows no actuator; use another observer"
+            f"actuator: {method!r} computes in Python and knows no actuator. Use another observer"
         )
     return wrap_actuator(observer, model, belief)
 
@@ -79,11 +79,11 @@ def _require_friction_support(method: str, model: System, sensor: Zone) -> None:
     if sensor.friction.any() and (model.m, model.p) != (1, 1):
         raise InputError(
             "sensor.load_friction: needs a plant of one input and one output, found "
-            f"{model.m} and {model.p}; leave it out"
+            f"{model.m} and {model.p}. Leave it out"
         )
     if sensor.friction_std.any() and method not in ESTIMATORS:
         raise InputError(
-            f"model.load_friction: {method!r} cannot estimate it; give a number, or use one of "
+            f"model.load_friction: {method!r} cannot estimate it. Give a number, or use one of "
             f"{', '.join(ESTIMATORS)}"
         )
 
@@ -133,7 +133,7 @@ def wrap_delay(observer: Observer, model: System) -> Observer:
     """
     if observer.python is not None:
         raise InputError(
-            "plant.delay: an observer that computes in Python knows no delay; use another observer"
+            "plant.delay: an observer that computes in Python knows no delay. Use another observer"
         )
     smoothing = observer.smoothing
 

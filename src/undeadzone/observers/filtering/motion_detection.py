@@ -99,7 +99,7 @@ def add_motion_detection(observer: Observer, model: System, sensor: Zone) -> Obs
         return observer
     if model.Ts is None:
         raise InputError(
-            "sensor.kind: the side of a play is made out from one reading to the next; set "
+            "sensor.kind: the side of a play is made out from one reading to the next. Set "
             'simulation.time = "sampled"'
         )
     fade = line_fading(sensor.window)
@@ -243,11 +243,11 @@ def require_branch_observer(options: Any, sensor: Zone) -> None:
     method = str(options.__struct_config__.tag)
     if sensor.play is not None and method not in BACKLASH_AHEAD_OBSERVERS:
         raise InputError(
-            f"observer.method: {method!r} knows no play ahead of a dead zone; use one of "
+            f"observer.method: {method!r} knows no play ahead of a dead zone. Use one of "
             f"{', '.join(BACKLASH_AHEAD_OBSERVERS)}, or leave out sensor.play"
         )
     if sensor.kind == "play" and method not in BRANCH_OBSERVERS:
         raise InputError(
             f"observer.method: {method!r} takes the reading for a function of z, which a play is "
-            f"not; use one of {', '.join(BRANCH_OBSERVERS)}"
+            f"not. Use one of {', '.join(BRANCH_OBSERVERS)}"
         )

@@ -77,6 +77,9 @@ def _scale_disturbance(factor: float, q: Any) -> Any:
 def build_multiple_models(member: Member, variants: Sequence[Callable[[Any], Any]]) -> Member:
     """Return the mixture of K filters of equal prior probability (Magill 1965).
 
+    References:
+        D. T. Magill (1965), doi:10.1109/TAC.1965.1098191
+
     Args:
         member: the filter.
         variants: each makes the numbers of one member from those of `member`, the widest claim

@@ -188,7 +188,7 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     if (low > high).any() or (high < least).any() or (low > most).any():
         raise InputError(
             "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and meet what "
-            f"the ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}; found "
+            f"the ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}, found "
             f"{value.tolist()}"
         )
     low, high = 2 * low, 2 * high
@@ -200,7 +200,7 @@ def _read_noise(noise: Array, p: int) -> Floats:
     rms = require_nonnegative("observer.noise", noise, p, "one per output")
     if not rms.all():
         raise InputError(
-            "observer.noise: must be positive, found 0; leave it out for a sensor without noise"
+            "observer.noise: must be positive, found 0. Leave it out for a sensor without noise"
         )
     return rms
 
@@ -209,7 +209,7 @@ def require_sample_time(model: System) -> float:
     """Return the model's sample time [s]. Raises InputError in continuous time."""
     if model.Ts is None:
         raise InputError(
-            'observer: this filter works on samples; set simulation.time = "sampled" '
+            'observer: this filter works on samples. Set simulation.time = "sampled" '
             "(simulation.step is the sample time)"
         )
     return model.Ts

@@ -313,8 +313,8 @@ def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     unknown = sorted(set(std) - set(model.names))
     if unknown:
         raise InputError(
-            f"observer.uncertain.{unknown[0]}: unknown parameter; "
-            f"the model has {', '.join(model.names) or 'none with a name'}"
+            f"observer.uncertain.{unknown[0]}: unknown parameter. "
+            f"The model has {', '.join(model.names) or 'none with a name'}"
         )
     pick = ca.DM(len(model.names), len(std))
     for k, name in enumerate(std):

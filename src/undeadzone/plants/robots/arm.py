@@ -195,9 +195,9 @@ def change_arm_numbers(
     for name in changes:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
-            advice = f"did you mean {near[0]!r}? " if near else ""
+            advice = f"Did you mean {near[0]!r}? " if near else ""
             raise InputError(
-                f"{key}.parameters.{name}: unknown; {advice}this arm has {', '.join(names)}"
+                f"{key}.parameters.{name}: unknown. {advice}This arm has {', '.join(names)}"
             )
     parameters = dict(zip(names, values, strict=True))
     for name, value in changes.items():

@@ -4,6 +4,9 @@ Its states are x = [q; v], its inputs the joints' torques, its outputs their pos
 velocities. There are arms in the plane x-y with one and two links (Spong, Hutchinson, Vidyasagar:
 Robot Modeling and Control, 2006, section 7.4), elastic joints, where a motor moves a link through a
 spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
+
+References:
+    M. W. Spong (1987), doi:10.1115/1.3143860
 """
 
 from __future__ import annotations
@@ -99,7 +102,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         word = "reference" if np.any(options.reference) else "measured"
         raise InputError(
             f"{key}.arm.{word}: encoders of an arm with gears read positions, and have no zone "
-            "about a posture; leave it out"
+            "about a posture. Leave it out"
         )
     rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
     gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
@@ -262,8 +265,8 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
     )
     if not np.isfinite(chain.limits).any():
         raise InputError(
-            f"{key}.arm.stops: they stand where the joints' limits are, and these have none; "
-            f"give {key}.arm.limits"
+            f"{key}.arm.stops: they stand where the joints' limits are, and these have none. "
+            f"Give {key}.arm.limits"
         )
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
 

@@ -9,6 +9,9 @@ theta is a motor's angle at the joint's side of its gears, q the link's, a half 
 
 The gap is in the transmission, not in the sensor: an encoder at either side reads linearly, and
 the flank that touches follows from motion, gravity and torque (Nordin and Gutman 2002).
+
+References:
+    M. Nordin, P.-O. Gutman (2002), doi:10.1016/S0005-1098(02)00047-X
 """
 
 from __future__ import annotations

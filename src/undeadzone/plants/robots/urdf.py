@@ -242,6 +242,9 @@ def load_urdf_chain(
     rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install 'undeadzone[robots]'
     brings.
 
+    References:
+        R. Featherstone (2008), doi:10.1007/978-1-4899-7560-7
+
     Args:
         path: the file.
         joints: names of the N joints that move, from base to tip; default: all revolute, continuous
@@ -287,8 +290,8 @@ def _require_masses(path: str | os.PathLike[str], moving: list[Joint], frames: F
     for joint, body in zip(moving, frames.bodies, strict=True):
         if body.mass == 0:
             raise FileError(
-                f"plant.arm.path: {path}: link {joint.child} moves but has no mass; "
-                f"give it an <inertial>, or leave {joint.name} out of plant.arm.joints (fixed at 0)"
+                f"plant.arm.path: {path}: link {joint.child} moves but has no mass. "
+                f"Give it an <inertial>, or leave {joint.name} out of plant.arm.joints (fixed at 0)"
             )
 
 
@@ -310,9 +313,9 @@ def select_joints(
         if name not in movable:
             what = "a fixed joint" if name in known else "no joint"
             advice = suggest_name(name, movable)
-            raise InputError(f"plant.arm.joints[{i}]: {what} {name!r}; {advice}")
+            raise InputError(f"plant.arm.joints[{i}]: {what} {name!r}. {advice}")
     if tip is not None and tip not in robot.links:
-        raise InputError(f"plant.arm.tip: no link {tip!r}; {suggest_name(tip, robot.links)}")
+        raise InputError(f"plant.arm.tip: no link {tip!r}. {suggest_name(tip, robot.links)}")
     moved = movable if joints is None else joints
     if tip is None:
         tip = _find_arm_end(robot, moved)
@@ -320,8 +323,8 @@ def select_joints(
     serial = [name for name in way if name in movable and name in moved]
     if not serial:
         raise InputError(
-            f"plant.arm: no joint moves between the base and {tip!r}; "
-            f"movable joints: {', '.join(movable) or 'none'}"
+            f"plant.arm: no joint moves between the base and {tip!r}. "
+            f"Movable joints: {', '.join(movable) or 'none'}"
         )
     if joints is not None:
         _require_joint_order(joints, way, serial, tip)
@@ -344,7 +347,7 @@ def _require_joint_order(
         if name not in way:
             raise InputError(
                 f"plant.arm.joints[{i}]: {name!r} is not between the base and the tip {tip!r}: "
-                "the arm must be a serial chain; leave it out (it is fixed at 0)"
+                "the arm must be a serial chain. Leave it out (it is fixed at 0)"
             )
     if serial != list(joints):
         raise InputError(
@@ -358,7 +361,7 @@ def _require_uncoupled(robot: Robot, serial: list[str]) -> None:
         if joint.mimics is not None and (joint.name in serial or joint.mimics in serial):
             raise InputError(
                 f"plant.arm.joints: {joint.name!r} mimics {joint.mimics!r}, and coupled joints are "
-                "not supported; leave both out (they are fixed at 0)"
+                "not supported. Leave both out (they are fixed at 0)"
             )
 
 
@@ -374,7 +377,7 @@ def _find_arm_end(robot: Robot, moved: Sequence[str]) -> str:
         raise InputError(
             f"plant.arm.tip: the movable joints branch at {_find_branching_link(robot, moved)!r}: "
             "the arm must "
-            "be a serial chain; name the link in which it ends, such as that one (joints elsewhere "
+            "be a serial chain. Name the link in which it ends, such as that one (joints elsewhere "
             "are fixed at 0)"
         )
     if len(ends) > 1:

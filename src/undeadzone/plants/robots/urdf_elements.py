@@ -87,8 +87,8 @@ def parse_joint(element: Element) -> Joint:
     where = f"joint {name}"
     if kind not in (*MOVABLE, "fixed"):
         raise ValueError(
-            f"{where}: type must be fixed, {', '.join(MOVABLE)}, found {kind!r}; "
-            "the base must be fixed, and each joint turn or slide along one axis"
+            f"{where}: type must be fixed, {', '.join(MOVABLE)}, found {kind!r}. "
+            "The base must be fixed, and each joint turn or slide along one axis"
         )
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
@@ -137,13 +137,13 @@ def _parse_limits(
     velocity = _parse_attribute(limit, "velocity", math.inf, where)
     if not lower < upper and kind != "fixed":
         raise ValueError(
-            f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}; "
-            "remove both where there is no limit"
+            f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}. "
+            "Remove both where there is no limit"
         )
     if not min(effort, velocity) > 0 and kind != "fixed":
         raise ValueError(
             f"{where}: limit effort and velocity must be positive, "
-            f"found {effort:g} and {velocity:g}; remove them where there is no limit"
+            f"found {effort:g} and {velocity:g}. Remove them where there is no limit"
         )
     return (lower, upper), effort, velocity
 
@@ -283,7 +283,7 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     """Return advice with the nearest of the known names, or with all of them."""
     known = list(known)
     near = difflib.get_close_matches(name, known, 1)
-    return f"did you mean {near[0]!r}?" if near else f"the file has {', '.join(known) or 'none'}"
+    return f"Did you mean {near[0]!r}?" if near else f"The file has {', '.join(known) or 'none'}"
 
 
 def _parse_robot(root: Element) -> Robot:
@@ -302,7 +302,7 @@ def _parse_robot(root: Element) -> Robot:
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in links:
-                raise ValueError(f"joint {joint.name}: no link {end!r}; {suggest_name(end, links)}")
+                raise ValueError(f"joint {joint.name}: no link {end!r}. {suggest_name(end, links)}")
     _require_tree(list(links), joints)
     return Robot(links, joints)
 

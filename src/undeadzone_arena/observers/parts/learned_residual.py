@@ -138,8 +138,8 @@ def build_learning_observer(
     """
     if sensor.kind == "jump":
         raise InputError(
-            "observer.method: a jump sensor takes nothing off z, this method has nothing to learn; "
-            "use 'certified' or 'censored'"
+            "observer.method: a jump sensor takes nothing off z, this method has nothing to learn. "
+            "Use 'certified' or 'censored'"
         )
     n, weights = model.n, compensator.size * model.p
     setup = LearnedSetup(model, compensator, law, filtered, limit is not None, sensor.limits)

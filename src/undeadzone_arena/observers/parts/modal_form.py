@@ -33,6 +33,9 @@ def build_modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to
     rounding for every F.
 
+    References:
+        F. Mazenc, O. Bernard (2011), doi:10.1016/j.automatica.2010.10.019
+
     Args:
         F: motion (n x n).
         unit: unit of each state (n), so that units of states do not matter.
