@@ -315,11 +315,11 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
 
 
 UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of the model"}
-"""What filters may be told to allow for, by the key of an observer."""
+"""Effects that filters may allow for, by the key of an observer."""
 
 
 def describe_unknowns(options: Collection[str]) -> str:
-    """Return what a filter cannot be told to allow for, in words; empty: nothing.
+    """Describe the effects that a filter cannot allow for; empty if it allows for all.
 
     Args:
         options: names of the keys that the method takes. A method without `disturbance` claims

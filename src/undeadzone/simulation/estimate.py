@@ -317,8 +317,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
 def _smooth_doubts(
     one: Moments, later: list[LaterInformation]
 ) -> tuple[Floats, list[LaterInformation]]:
-    """Return the covariance that doubts about the sensor's shape add (B x N x N), and what is said
-    of their columns before the block.
+    """Return the covariance that the sensor's shape adds, and the information about each column.
 
     A smoothed mean is linear in the means of the filter, and so are its derivatives.
 

@@ -63,7 +63,7 @@ class Augmentation(NamedTuple):
 
 
 class ShapeLayout(NamedTuple):
-    """Where a filter keeps what it doubts of the sensor's shape (`sensor_shape`).
+    """Places of the doubts about the sensor's shape in a filter (`sensor_shape`).
 
     Attributes:
         first: place of the first of its unknowns in [x; d; extra].

@@ -158,7 +158,6 @@ def build_branch_filter(
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
     shape = resolve_shape(sensor, prior, model, learns_shape, blind)
-    prior = widen_gate(prior, sensor, shape)
     augmentation, layout = add_shape_states(augmentation, model, shape)
     gaps = gap_numbers(sensor, prior)
     zones = zone_numbers(model.actuator)
@@ -196,7 +195,7 @@ def build_branch_filter(
         zones=zones,
         rest=np.asarray(silence_pause(model, sensor, lasting)),
         gaps=gaps,
-        shape=shape_numbers(shape),
+        shape=shape_numbers(sensor, shape),
     )
     smoothing = Smoothing(
         moments=partial(filter_moments, setup),
@@ -258,6 +257,7 @@ def filter_moments(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[Moments, ...]:
     """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
+    q = widen_gate(setup, q)
     taken = update_measurement(setup, q, s, reading)
     corrected, heard = taken.corrected, taken.heard
     rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
@@ -323,6 +323,7 @@ def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> A
 
 def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
+    q = widen_gate(setup, q)
     y, side, _, corrected, heard, columns = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
     if setup.shape.fixed:

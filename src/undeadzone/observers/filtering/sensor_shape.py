@@ -20,7 +20,12 @@ import numpy as np
 
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.observers.filtering.constant_states import add_constants
-from undeadzone.observers.filtering.gaussian_filter import Augmentation, Setup, ShapeLayout
+from undeadzone.observers.filtering.gaussian_filter import (
+    Augmentation,
+    Params,
+    Setup,
+    ShapeLayout,
+)
 from undeadzone.observers.filtering.prior import Prior
 from undeadzone.plants.system import System, time_scale
 from undeadzone.util.arrays import Floats
@@ -75,10 +80,12 @@ class ShapeNumbers(NamedTuple):
     """Parameters of a filter for the shape of the sensor.
 
     Attributes:
+        gate: |y| up to which a round edge reads (p) [y].
         length: over which an edge is round (p) [z].
         doubt: standard deviations of the columns, output by output of each doubt.
     """
 
+    gate: Floats
     length: Floats
     doubt: Floats
 
@@ -111,9 +118,11 @@ def resolve_shape(
     )
 
 
-def widen_gate(prior: Prior, sensor: Zone, shape: ShapeAssumptions) -> Prior:
-    """Return the prior with a gate within which round edges read, too."""
-    return prior._replace(gate=np.maximum(prior.gate, shape.rounding * sensor.slope))
+def widen_gate(setup: Setup, q: Params) -> Params:
+    """Return the filter's numbers with a gate within which round edges read, too."""
+    if "rounding" not in setup.shape.learned + setup.shape.fixed:
+        return q
+    return q._replace(gate=ca.fmax(q.gate, q.shape.gate))
 
 
 def add_shape_states(
@@ -128,7 +137,7 @@ def add_shape_states(
     return inner, layout
 
 
-def shape_numbers(shape: ShapeAssumptions) -> ShapeNumbers | None:
+def shape_numbers(sensor: Zone, shape: ShapeAssumptions) -> ShapeNumbers | None:
     """Return the parameters of a filter for the shape of its sensor, or None if it is exact."""
     deviations = shape.deviations
     if not deviations:
@@ -136,7 +145,8 @@ def shape_numbers(shape: ShapeAssumptions) -> ShapeNumbers | None:
     none: list[Floats] = [np.empty(0)]
     doubt = np.concatenate(none + [deviations[name] for name in shape.fixed])
     round_edge = shape.rounding > 0
-    return ShapeNumbers(LENGTH * np.where(round_edge, shape.rounding, 1.0), doubt)
+    length = LENGTH * np.where(round_edge, shape.rounding, 1.0)
+    return ShapeNumbers(shape.rounding * sensor.slope, length, doubt)
 
 
 def shape_effects(
@@ -185,7 +195,7 @@ def add_shape_terms(
 
 
 def start_columns(setup: Setup) -> Floats:
-    """Return the columns before the first reading, one after the other."""
+    """Return the columns before the first reading, stacked."""
     size = setup.model.n + 2 * setup.model.p + len(setup.augmentation.cov)
     return np.zeros(size * len(setup.shape.fixed) * setup.model.p)
 
@@ -199,7 +209,7 @@ def arrange_columns(setup: Setup, columns: Any) -> Any:
 def move_columns(
     setup: Setup, q: Any, i: int, columns: Any, gain: Any, h: Any, effects: list[Any]
 ) -> Any:
-    """Return the columns after a reading of output i, which moves them as it moved the mean.
+    """Return the columns after a reading of output i, moved as the mean was.
 
     Args:
         setup: the filter.
