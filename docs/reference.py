@@ -102,8 +102,8 @@ def chooser(struct: type[msgspec.Struct]) -> str:
 
 
 def prose(struct: type[msgspec.Struct]) -> str:
-    """Return a struct's docstring before its `Attributes:` on one line, with its DOIs as links."""
-    text, _, _ = inspect.getdoc(struct).partition("\nAttributes:")
+    """Return a struct's docstring before its sections on one line, with its DOIs as links."""
+    text = re.split(r"\n(?:Attributes|Example|See Also):", inspect.getdoc(struct) or "")[0]
     line = " ".join(text.split())
     return re.sub(r"doi:(\S*\w)", r"[doi:\1](https://doi.org/\1)", line)
 

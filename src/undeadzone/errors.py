@@ -6,11 +6,30 @@ docstring means the exceptions of this file.
 
 
 class UndeadzoneError(Exception):
-    """Base of every error that undeadzone raises on purpose."""
+    """Base of every error that undeadzone raises on purpose.
+
+    Example:
+        >>> issubclass(uz.InputError, uz.UndeadzoneError)
+        True
+
+    See Also:
+        InputError
+    """
 
 
 class InputError(UndeadzoneError, ValueError):
-    """An input that cannot be used: wrong key, type, number or combination."""
+    """An input that cannot be used: wrong key, type, number or combination.
+
+    Example:
+        >>> try:
+        ...     uz.Step(amplitude=1.0, time=-1.0) and uz.simulate(3)
+        ... except uz.InputError as error:
+        ...     print(error)
+        scenario: expected uz.Scenario(...), found int. A file is read by uz.read("mine.toml")
+
+    See Also:
+        UndeadzoneError
+    """
 
 
 class ShapeError(InputError):

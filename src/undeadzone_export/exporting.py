@@ -105,6 +105,21 @@ def export(
     Raises:
         InputError: a scenario that cannot be exported, or an unknown option.
         FileError: the folder is something else, or cannot be written.
+
+    Example:
+        >>> first_order = uz.Scenario(
+        ...     plant=uz.Plant(A=[[-1.0]], B=[1.0], C=[1.0]),
+        ...     sensor=sensor,
+        ...     reference=reference,
+        ...     observer=uz.Certified(L=[1.0], gamma=2.0),
+        ...     simulation=simulation,
+        ... )
+        >>> exported = uz.export(first_order, "c", out=folder / "firmware")
+        >>> (folder / "firmware" / "README.md").exists()
+        True
+
+    See Also:
+        Online, simulate
     """
     _require_known_word("to", to, tuple(targets.PRECISION))
     precision = targets.PRECISION[to] if precision is None else precision

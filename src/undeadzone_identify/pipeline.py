@@ -129,6 +129,24 @@ def identify(
     Raises:
         FileError: a log that cannot be read, or `keep`.
         InputError: a log from which nothing can be learnt, or an option that cannot be used.
+
+    Example:
+        >>> import numpy as np
+        >>> rng = np.random.default_rng(1)
+        >>> u = np.repeat(rng.normal(0.0, 2.0, 150), 10)
+        >>> z = np.zeros(1500)
+        >>> for k in range(1499):
+        ...     z[k + 1] = 0.9 * z[k] + 0.1 * u[k]
+        >>> y = np.where(z > 0.5, z - 0.5, np.where(z < -0.3, z + 0.3, 0.0))
+        >>> y = y + rng.normal(0.0, 0.005, 1500)
+        >>> found = uz.identify(t=0.05, u=u, y=y, order=1)
+        >>> found.verdict
+        'dead_zone'
+        >>> found.right.low < 0.5 < found.right.high
+        True
+
+    See Also:
+        estimate, export, simulate
     """
     options = Options(
         order=str(order),

@@ -104,7 +104,9 @@ def test_a_damaged_file_gives_right_answers_or_none(
 def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -> None:
     path = tmp_path / "kept"
     squares(path)
-    with pytest.raises(FileError, match="squares of a stopped run are there; continue it with --r"):
+    with pytest.raises(
+        FileError, match=r"squares of a stopped run are there\. Continue it with --r"
+    ):
         squares(path, resume=False)
     with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
         Answers(path, {"a": 2}, "squares", True)

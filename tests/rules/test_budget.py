@@ -87,7 +87,7 @@ def test_a_new_room_takes_the_budget_of_a_removed_one() -> None:
 
 
 def test_the_architecture_page_names_existing_code() -> None:
-    """Every `room/file.name` of docs/architecture.md is in the code, and every package has a line there."""
+    """Names of docs/architecture.md are in the code, and every package has a line there."""
     page = (HOME / "docs" / "architecture.md").read_text(encoding="utf-8")
     assert len(page.splitlines()) <= 200
     named = set(re.findall(r"`((?:\w+/)*\w+)\.([A-Z_]\w+(?:\.\w+)?|[a-z_]\w*)`", page))

@@ -40,6 +40,13 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
     model right and x^ = x the error obeys e'' + K_d e' + K_p e = 0. Either a bandwidth w and a
     damping z, K_p = w^2 and K_d = 2 z w; or k_p and k_d.
 
+    Example:
+        >>> uz.ComputedTorque(bandwidth=10.0).bandwidth
+        10.0
+
+    See Also:
+        StateFeedback, LQR
+
     Attributes:
         bandwidth: w, one or one per joint [rad/s].
         damping: z, one or one per joint.

@@ -29,6 +29,13 @@ class LinearController(Options, frozen=True, tag="linear"):
     `LinearController(control.ss(...))`, `LinearController(control.tf(...))`, and those of scipy.
     A continuous controller in a sampled loop is discretised by Tustin's rule.
 
+    Example:
+        >>> uz.LinearController(numerator=[2.0, 1.0], denominator=[1.0, 0.0]).numerator
+        [2.0, 1.0]
+
+    See Also:
+        PID, StateFeedback
+
     Attributes:
         A: (k x k) [1/s]; in Python also a system of scipy or python-control, for all of them.
         B: (k x p).

@@ -24,6 +24,13 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
     Optimal Control: Linear Quadratic Methods, 1990): the filter is built for the noise, these
     gains for the cost, each alone. The gains are constant, for the model or its linearisation.
 
+    Example:
+        >>> uz.LQG(Q=[1.0, 0.0], R=[0.1]).R
+        [0.1]
+
+    See Also:
+        LQR, StateFeedback
+
     Attributes:
         Q: weight of the states, a number, one per state, or a matrix.
         R: weight of the inputs, a number, one per input, or a matrix.

@@ -26,6 +26,13 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
     linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore
     (1990). For any plant that has a feedforward; of a linear one K is constant.
 
+    Example:
+        >>> uz.LQR(Q=[1.0, 0.0], R=[0.1]).Q
+        [1.0, 0.0]
+
+    See Also:
+        LQG, StateFeedback
+
     Attributes:
         Q: weight of the states, a number, one per state, or a matrix.
         R: weight of the inputs, a number, one per input, or a matrix.

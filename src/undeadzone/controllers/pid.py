@@ -32,6 +32,13 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
     too. Input i acts on output i. Where `limits` cut u off, the integral follows what is left by
     back-calculation (Astrom and Hagglund, Advanced PID Control, 2006).
 
+    Example:
+        >>> uz.PID(k_p=2.0, k_i=0.5, k_d=0.1).k_i
+        0.5
+
+    See Also:
+        LinearController, StateFeedback
+
     Attributes:
         k_p, k_i, k_d: gains, one or one per output [u/z, u/(z s), u s/z]; default of k_i and k_d 0.
         filter_time: time constant of the filter of the derivative [s].

@@ -51,6 +51,13 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
     A - L C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and
     Moore 1971). Sampled models get the sampled counterpart of the same choice.
 
+    Example:
+        >>> uz.StateFeedback(poles=[-2.0, -3.0]).poles
+        [-2.0, -3.0]
+
+    See Also:
+        LQR, PID
+
     Attributes:
         K: gains (m x n).
         poles: poles of A - B K (n) [1/s].

@@ -71,6 +71,17 @@ def run_ensemble(
     Raises:
         InputError or a subclass: FileError where a file cannot be read or written, ClusterError
             where the cluster fails
+
+    Example:
+        >>> varied = {"sensor.right": uz.Distribution(uniform=(0.5, 1.5))}
+        >>> ensemble = uz.run_ensemble(
+        ...     msgspec.structs.replace(scenario, ensemble=uz.Vary(runs=8, entries=varied))
+        ... )
+        >>> len(ensemble.settled)
+        8
+
+    See Also:
+        replay_run, tune
     """
     if path is not None:
         path = saved.require_ensemble_path(path)
@@ -118,6 +129,13 @@ def replay_run(result: Ensemble, run: int) -> Run:
 
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
+
+    Example:
+        >>> uz.replay_run(ensemble, 3).z.shape == run.z.shape
+        True
+
+    See Also:
+        run_ensemble
     """
     return replay_in_batch(prepare_batch(parse(result.info.scenario)), run)
 

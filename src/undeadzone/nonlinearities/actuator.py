@@ -25,6 +25,13 @@ Pairs = list[float | list[float]]
 class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What stands between the command u and the plant's m inputs; one number, or one per input.
 
+    Example:
+        >>> uz.Actuator(right=0.3, left=0.2).right
+        0.3
+
+    See Also:
+        Sensor, Scenario, ZoneInverse
+
     Attributes:
         right, left: widths b_r, b_l of the dead zone (m) [u].
         slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per

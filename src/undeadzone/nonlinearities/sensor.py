@@ -224,6 +224,14 @@ def noise_threshold(noise: Floats, step: float, rate: float) -> Floats:
 class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An output deadzone of p outputs; each array is one number or one per output.
 
+    Example:
+        >>> sensor = uz.Sensor(right=1.0, left=0.6, noise=0.01)
+        >>> sensor.right, sensor.left
+        (1.0, 0.6)
+
+    See Also:
+        Actuator, Scenario
+
     Attributes:
         right, left: widths d_r, d_l of the dead zone, or gaps c_r, c_l of a play (p) [z].
         kind: "deadzone": the reading is m (z - Sat z); "jump": it is m z outside the zone, as of

@@ -136,6 +136,25 @@ def deadzone_update(
     Raises:
         InputError, ShapeError: unless shapes agree, numbers are finite, cov is a covariance and
             noise is there.
+
+    Example:
+        >>> import numpy as np
+        >>> updated = uz.deadzone_update(
+        ...     mean=np.array([1.4, 0.0]),
+        ...     cov=np.diag([0.1, 1.0]),
+        ...     C=np.array([1.0, 0.0]),
+        ...     y=0.5,
+        ...     right=1.0,
+        ...     left=0.6,
+        ...     noise=0.01,
+        ...     ear=uz.DeadzoneMemory(last=0.45, previous=0.4),
+        ...     rest=10,
+        ... )
+        >>> updated.side
+        1
+
+    See Also:
+        Online, Censored
     """
     shape, belief = np.shape(mean), _require_belief(mean, cov)
     if not slope > 0:

@@ -22,6 +22,14 @@ class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto
 
     Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
     to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.
+
+    Example:
+        >>> observer = uz.Auto(right=[0.0, 2.0], disturbance=0.2, bias=0.0)
+        >>> observer.right
+        [0.0, 2.0]
+
+    See Also:
+        Censored, Kalman, Certified
     """
 
     def choose_observer(self, model: System, sensor: Zone) -> Censored | Certified | HighGain:

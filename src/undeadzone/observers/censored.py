@@ -39,6 +39,13 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
     the further poles, the bias is a quarter of it, widths walk by a 400th of their ranges' extent
     in 1 / |pole|; 0 is a claim.
 
+    Example:
+        >>> uz.Censored(right=[0.0, 2.0], disturbance=0.2).disturbance
+        0.2
+
+    See Also:
+        Auto, Kalman, deadzone_update
+
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
             [s]; default none.

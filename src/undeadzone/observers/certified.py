@@ -21,6 +21,14 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
 
     Gains are continuous-time ones in either time.
 
+    Example:
+        >>> certified = uz.Certified(L=[1.0, 1.5], gamma=10.0)
+        >>> certified.gamma
+        10.0
+
+    See Also:
+        design, check, Luenberger
+
     Attributes:
         L: gains (n x p) [1/s x state/output]; default along P^-1 C', so strong that a lasting error
             of the model moves z^ by five sixths of it; always certified, for stable plants only.

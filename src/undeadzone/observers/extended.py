@@ -51,6 +51,13 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
 
     It is linearised sample by sample; sampled time.
 
+    Example:
+        >>> uz.Extended(right=[0.0, 2.0], disturbance=0.2, start=[0.1, 0.0]).start
+        [0.1, 0.0]
+
+    See Also:
+        Auto, Censored
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.

@@ -30,6 +30,13 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
 
     A nonlinear model is expanded to second order.
 
+    Example:
+        >>> uz.Kalman(right=[0.0, 2.0], disturbance=0.2).right
+        [0.0, 2.0]
+
+    See Also:
+        Auto, Censored, Luenberger
+
     Attributes:
         right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
             defaults to that of right.

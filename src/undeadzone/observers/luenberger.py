@@ -23,6 +23,13 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
     References:
         D. G. Luenberger (1966), doi:10.1109/TAC.1966.1098323
 
+    Example:
+        >>> uz.Luenberger(poles=[-2.0, -3.0]).poles
+        [-2.0, -3.0]
+
+    See Also:
+        Kalman, Certified
+
     Attributes:
         L: gains (n x p) [1/s], as in `Certified`.
         poles: poles of A - L C (n) [1/s].

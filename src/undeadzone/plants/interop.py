@@ -24,6 +24,15 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
 
     Raises:
         InputError: no such system, one in discrete time, or a direct feedthrough D != 0.
+
+    Example:
+        >>> import scipy.signal
+        >>> uz.from_scipy(scipy.signal.TransferFunction([1.0], [1.0, 2.0, 1.0])).A
+        array([[-2., -1.],
+               [ 1.,  0.]])
+
+    See Also:
+        from_control, Plant
     """
     if getattr(system, "dt", None) not in (None, 0):
         raise InputError(

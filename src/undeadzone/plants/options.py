@@ -126,6 +126,14 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     The forms are: A, B, C; second_order; companion; integrators; transfer_function; f, h; or arm.
     A plant has n states, m inputs, p outputs.
 
+    Example:
+        >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
+        >>> plant.C
+        [1, 0]
+
+    See Also:
+        from_control, from_scipy, TransferFunction, Model
+
     Attributes:
         A: x' = A x + B u (n x n).
         B: gain of the input (n x m).

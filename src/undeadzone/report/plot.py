@@ -96,6 +96,14 @@ def plot(
     Raises:
         InputError: the result is none of these, or holds nothing that can be drawn
         FileError: the suffix is another one, or the file cannot be written
+
+    Example:
+        >>> figure = uz.plot(run, folder / "run.svg")
+        >>> (folder / "run.svg").exists()
+        True
+
+    See Also:
+        simulate, estimate
     """
     drawing = _find_drawing(result)
     if ax is None:

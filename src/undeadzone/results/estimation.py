@@ -69,6 +69,13 @@ class Estimation:
         x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
             `censored`, `extended` and `auto`.
         x_smooth_std, d_smooth_std: their standard deviations.
+
+    Example:
+        >>> estimation.z_hat.shape == run.z.shape
+        True
+
+    See Also:
+        estimate, Run
     """
 
     signals: Signals

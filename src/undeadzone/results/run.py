@@ -93,6 +93,15 @@ class Run:
             [m].
         poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
             (F x K x 3) [m]; in `.npz` files only.
+
+    Example:
+        >>> run.z.shape == run.y.shape
+        True
+        >>> run.rms_tracking < 0.01
+        True
+
+    See Also:
+        simulate, plot
     """
 
     signals: Signals

@@ -59,6 +59,20 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
         FileError: the file cannot be read.
         InputError: with the key, what was found and what to do; also for a file outside of
             `confine`.
+
+    Example:
+        >>> path = folder / "mine.toml"
+        >>> _ = path.write_text('''
+        ... plant = { A = [[0, 1], [-1, -2]], B = [0, 1], C = [1, 0] }
+        ... sensor = { right = 1.0, left = 0.6 }
+        ... observer = { method = "auto", right = [0.0, 2.0] }
+        ... reference = { kind = "sine", amplitude = 5.0, frequency = 0.2 }
+        ... ''')
+        >>> float(uz.read(path).sensor.right)
+        1.0
+
+    See Also:
+        Scenario, simulate
     """
     path = to_path(path)
     with _naming(path):

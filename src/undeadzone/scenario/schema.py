@@ -93,6 +93,13 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The plant as observer and controller know it; absent keys are the plant's.
 
+    Example:
+        >>> uz.Model(A=[[0, 1], [-1, -1.9]]).A
+        [[0, 1], [-1, -1.9]]
+
+    See Also:
+        Plant, Scenario
+
     Attributes:
         A: as in [plant] (n x n); of a linear plant only.
         B: as in [plant] (n x m); of a linear plant only.
@@ -119,6 +126,14 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How long a run is, and how it is computed.
 
+    Example:
+        >>> simulation = uz.Simulation(time="sampled", step=0.01, duration=10.0)
+        >>> simulation.step
+        0.01
+
+    See Also:
+        Scenario, simulate
+
     Attributes:
         duration: length of the run [s].
         time: continuous (RK4) or sampled (exact hold, discrete observer).
@@ -143,6 +158,13 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Names of units for labels and columns; numbers are never converted.
 
+    Example:
+        >>> uz.Units(output="rad", input="V").output
+        'rad'
+
+    See Also:
+        Scenario
+
     Attributes:
         output: unit of z and of the reference.
         input: unit of u.
@@ -156,6 +178,20 @@ class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A plant behind a dead zone, what it should follow, and what watches and drives it.
+
+    Example:
+        >>> scenario = uz.Scenario(
+        ...     plant=plant,
+        ...     sensor=sensor,
+        ...     reference=reference,
+        ...     observer=observer,
+        ...     simulation=simulation,
+        ... )
+        >>> scenario.observer.disturbance
+        0.2
+
+    See Also:
+        read, simulate, check, export
 
     Attributes:
         plant: the plant.

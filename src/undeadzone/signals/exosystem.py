@@ -84,6 +84,14 @@ class Tone(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Sine(Tone, frozen=True, kw_only=True, tag_field="kind", tag="sine"):
     """Sine about an offset.
 
+    Example:
+        >>> reference = uz.Sine(amplitude=5.0, frequency=0.2)
+        >>> reference.frequency
+        0.2
+
+    See Also:
+        Step, Trapezoid, Sines, Samples
+
     Attributes:
         offset: constant added to the sine, one number or one per channel.
     """
@@ -106,6 +114,13 @@ class Sines(Kind, frozen=True, kw_only=True, tag="sines"):
 class Step(Kind, frozen=True, kw_only=True, tag="step"):
     """Step from a constant value to another.
 
+    Example:
+        >>> uz.Step(amplitude=1.0, time=0.5).time
+        0.5
+
+    See Also:
+        Sine, Trapezoid
+
     Attributes:
         amplitude: the value after the step, one number or one per channel.
         time: time of the step [s].
@@ -121,6 +136,13 @@ class Trapezoid(Kind, frozen=True, kw_only=True, tag="trapezoid"):
     """Periodic trapezoid.
 
     It rises to +amplitude, holds, falls to -amplitude, holds, and so on, starting at 0.
+
+    Example:
+        >>> uz.Trapezoid(amplitude=2.0, rise=1.0, hold=1.5).hold
+        1.5
+
+    See Also:
+        Sine, Step
 
     Attributes:
         amplitude: greatest value, one number or one per channel.
@@ -147,6 +169,13 @@ class Samples(Kind, frozen=True, kw_only=True, tag="csv"):
 
 class Random(Kind, frozen=True, kw_only=True, tag="random"):
     """Seeded Gaussian noise, first-order; a disturbance only.
+
+    Example:
+        >>> uz.Random(rms=0.2, correlation_time=0.5).rms
+        0.2
+
+    See Also:
+        Scenario
 
     Attributes:
         rms: rms of the noise, one number or one per channel.

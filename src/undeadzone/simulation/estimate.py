@@ -82,6 +82,14 @@ def estimate(
     Raises:
         FileError: the log cannot be read, its columns cannot be told, or its step is another one.
         InputError: or a subclass, for what is wrong with the scenario or the arrays.
+
+    Example:
+        >>> estimation = uz.estimate(scenario, t=run.t, u=run.u, y=run.y)
+        >>> estimation.summary()["consistent"]
+        True
+
+    See Also:
+        simulate, Online, identify
     """
     if not isinstance(scenario, Scenario):
         scenario = read_for_logs(scenario)

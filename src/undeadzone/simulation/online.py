@@ -123,6 +123,15 @@ class Online:
 
     Raises:
         InputError: or a subclass, as a scenario would.
+
+    Example:
+        >>> online = uz.Online(observer, plant, sensor, step=0.01)
+        >>> estimate = online.update(y=0.3, u=1.0)
+        >>> online.samples
+        1
+
+    See Also:
+        estimate, export, deadzone_update
     """
 
     KEPT: Final = ("samples", "missing", "state")

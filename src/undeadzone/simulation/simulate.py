@@ -64,6 +64,14 @@ def simulate(
 
     Raises:
         InputError: or a subclass, for what is wrong with the scenario.
+
+    Example:
+        >>> run = uz.simulate(scenario)
+        >>> round(run.summary()["d_right"], 1)
+        1.0
+
+    See Also:
+        estimate, compare, run_ensemble, plot
     """
     return simulate_scenario(scenario, check_step, progress, engine, controller).run
 
@@ -299,6 +307,15 @@ def compare(
 
     Raises:
         InputError: the scenario has no [compare]; or, also as a subclass, what `simulate` raises.
+
+    Example:
+        >>> other = uz.Kalman(right=[0.0, 2.0], disturbance=0.2)
+        >>> run, rival = uz.compare(msgspec.structs.replace(scenario, compare=other))
+        >>> rival.info.method
+        'kalman'
+
+    See Also:
+        simulate, plot
     """
     if scenario.compare is None:
         raise InputError(

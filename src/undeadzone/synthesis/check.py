@@ -201,6 +201,16 @@ def check(scenario: Scenario) -> Check:
 
     Raises:
         InputError: or a subclass, as `simulate` does.
+
+    Example:
+        >>> proved = uz.check(
+        ...     uz.Scenario(plant=plant, sensor=sensor, reference=reference, observer=certified)
+        ... )
+        >>> proved.certified
+        True
+
+    See Also:
+        design, simulate
     """
     problem = resolve_scenario(scenario)
     found = check_assessment(assess_problem(problem, listen=True))

@@ -53,6 +53,22 @@ def design(
     Raises:
         StructureError: no gains can be certified.
         InputError: or a subclass, where there is nothing to plan on.
+
+    Example:
+        >>> found = uz.design(
+        ...     uz.Scenario(
+        ...         plant=uz.Plant(A=[[-1.0]], B=[1.0], C=[1.0]),
+        ...         sensor=sensor,
+        ...         reference=reference,
+        ...         observer=uz.Certified(),
+        ...     ),
+        ...     maximise="rate",
+        ... )
+        >>> found.margin > 0
+        True
+
+    See Also:
+        check, Certified
     """
     _require_aim(maximise)
     _, flow, _ = systems(scenario)

@@ -85,6 +85,24 @@ def tune(
 
     Raises:
         InputError or a subclass: by key of [tune]; FileError for `keep`
+
+    Example:
+        >>> gamma = uz.Range(between=(1.0, 50.0), log=True)
+        >>> tuned = uz.tune(
+        ...     uz.Scenario(
+        ...         plant=plant,
+        ...         sensor=sensor,
+        ...         reference=reference,
+        ...         observer=certified,
+        ...         simulation=simulation,
+        ...         tune=uz.Tune(runs=2, budget=4, entries={"observer.gamma": gamma}),
+        ...     )
+        ... )
+        >>> 1.0 <= tuned.values[0] <= 50.0
+        True
+
+    See Also:
+        run_ensemble, design
     """
     scenarios = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
     what = _require_tune(scenarios, what)

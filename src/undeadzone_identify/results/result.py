@@ -75,6 +75,9 @@ class Identified:
 
     Attributes:
         answer: every value; the properties below are its most used ones.
+
+    See Also:
+        identify
     """
 
     answer: Answer
