@@ -7,6 +7,7 @@ a shape, as it does by default. `python -m benchmarks.shape --count 32 --orders 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -220,8 +221,8 @@ def _pool(outcomes: Sequence[Outcome], sizes: Floats) -> Pooled:
 
 
 def table(
-    count: int = 64,
-    seed: int = 1,
+    count: int = 48,
+    seed: int = 7,
     orders: Sequence[int] = ORDERS,
     claims: Sequence[str] = USUAL,
     sensors: Sequence[str] = tuple(SENSORS),
@@ -255,7 +256,7 @@ def table(
                     f"{np.median(wide.std / sharp.std):.2f}",
                 )
             )
-            print(lines[-1], flush=True)
+            print(lines[-1], file=sys.stderr, flush=True)
     note = (
         f"{count * len(orders)} problems of orders {tuple(orders)} a row, seed {seed}, whose z "
         "reaches both edges. Lowest: share of 95 % intervals that hold the truth in the end, the "
@@ -268,8 +269,8 @@ def table(
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m benchmarks.shape", description=__doc__)
     parser.add_argument("--orders", nargs="+", type=int, default=ORDERS, choices=ORDERS)
-    parser.add_argument("--count", type=int, default=64, help="problems of each order a row")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=48, help="problems of each order a row")
+    parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--claims", nargs="+", default=USUAL, choices=tuple(CLAIMS))
     parser.add_argument("--sensors", nargs="+", default=tuple(SENSORS), choices=tuple(SENSORS))
     words = parser.parse_args()

@@ -261,6 +261,7 @@ SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
 MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
 REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor
+LEAST_REPEATS = 10.0  # readings in a row that do so, at least: a median of five repeats fewer
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -330,7 +331,7 @@ def doubt_numbers(
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.continuous.C @ zoh(model.continuous, quarter).B,
         means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
-        run=np.asarray(REPEATS * quarter / model.Ts),
+        run=np.asarray(max(REPEATS * quarter / model.Ts, LEAST_REPEATS)),
     )
 
 
