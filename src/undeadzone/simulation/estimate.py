@@ -262,9 +262,12 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
-    wide = tuple(np.zeros(one.heard.cov.shape if one.doubted[0].size else (0, 0)) for one in like)
+    wide = []
+    for one in like:
+        size = one.heard.mean.size if one.doubted[0].size else 0
+        wide.append(np.zeros((size, size)))
     row, (seen, more, share, kept) = tree.create_symbols(
-        (tuple(beliefs), wide, np.zeros(len(like)), record), "r"
+        (tuple(beliefs), tuple(wide), np.zeros(len(like)), record), "r"
     )
     shown: Estimate = smoothing.shown(known.params, seen, more, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
