@@ -31,6 +31,7 @@ NAMES = (
     "glitches",
     "honesty",
     "claims",
+    "shape",
     "told_apart",
     "ranges",
     "smoothing",

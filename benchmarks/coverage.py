@@ -27,7 +27,7 @@ from undeadzone.compile import lanes
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.nonlinearities.sensor import Sensor, resolve, side
+from undeadzone.nonlinearities.sensor import SHAPE, Sensor, resolve, side
 from undeadzone.observers import Censored, Kalman
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -148,10 +148,16 @@ def built_of(options: Callable[[Problems, int], Any], posed: Problems) -> list[O
     """The observers of the problems, as the product builds them."""
     built = []
     for k, model in enumerate(posed.models):
-        right, left = posed.ranges[k, :, 1]
-        sensor = Sensor(right=right, left=left, noise=posed.noise[k])
-        built.append(built_for(options(posed, k), model, sensor, posed.step[k]))
+        (right, left), told = posed.ranges[k, :, 1], options(posed, k)
+        sensor = Sensor(right=right, left=left, noise=posed.noise[k], **known_shape(told))
+        built.append(built_for(told, model, sensor, posed.step[k]))
     return built
+
+
+def known_shape(options: Any) -> dict[str, float]:
+    """What an observer is told of the sensor's shape: that it is exact, where it is told all."""
+    told = getattr(options, "x_std", None) is not None
+    return dict.fromkeys(SHAPE, 0.0) if told else {}
 
 
 def built_for(options: Any, model: Matrices, sensor: Sensor, step: float) -> Observer:

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import coverage
 from benchmarks.exact_posterior import EVERY, posterior
-from benchmarks.exact_problems import RANGE, SAMPLES, STEP, Problem, problems
+from benchmarks.exact_problems import NOISE, RANGE, SAMPLES, STEP, Problem, problems
 from benchmarks.markdown import head, row
 from benchmarks.plain_filters import Track, filterpy_unscented, hearing, matching, tobit, tracked
 from undeadzone.compile import lanes
@@ -29,6 +29,7 @@ ORDERS = (1, 2)
 LEVELS = (4.0, 1.0, 0.25)  # of the disturbance that `Censored` weighs by default
 COLUMNS = ("noise", "claims", "filter", "z", "widths", "coverage of z", "d_r", "d_l")
 CLOUDS = 2  # of particles a problem
+LOUD = (0.06, 0.14)  # least and largest rms, 5 to 12 % of the mean half width [z]
 
 
 class World(NamedTuple):
@@ -39,12 +40,14 @@ class World(NamedTuple):
         kinds: of the disturbance.
         levels: factors on its rms, of which no filter knows which is true.
         filters: name: tracks of problems of one order.
+        noise: least and largest rms [z].
     """
 
     ahead: bool
     kinds: tuple[str, ...]
     levels: tuple[float, ...]
     filters: dict[str, Callable[[list[Problem]], list[Track]]]
+    noise: tuple[float, float] = NOISE
 
 
 class Score(NamedTuple):
@@ -94,8 +97,10 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
         built = []
         for one in posed:
             place = "noise_before" if one.ahead else "noise"
-            sensor = Sensor(right=RANGE[1], left=RANGE[1], **{place: one.noise})
-            built.append(coverage.built_for(options(one), one.model, sensor, STEP))
+            said = options(one)
+            known = {place: one.noise} | coverage.known_shape(said)
+            sensor = Sensor(right=RANGE[1], left=RANGE[1], **known)
+            built.append(coverage.built_for(said, one.model, sensor, STEP))
         numbers = np.stack([tree.pack_tree(one.params) for one in built])
         states = np.stack([tree.pack_tree(one.init(one.params)) for one in built])
         kernel = lanes.build_kernel(
@@ -142,6 +147,9 @@ def worlds() -> dict[tuple[str, str], World]:
         ("behind", "all"): World(False, ("coloured", "white"), (1.0,), TOLD | ALONE),
         ("ahead", "level unknown"): World(True, ("coloured",), LEVELS, LEVELLED),
         ("behind", "level unknown"): World(False, ("coloured",), LEVELS, LEVELLED),
+        ("behind, loud", "all"): World(
+            False, ("coloured", "white"), (1.0,), {"`censored`": TOLD["`censored`"]}, LOUD
+        ),
     }
 
 
@@ -149,7 +157,7 @@ def scores(world: World, count: int, seed: int) -> dict[str, list[Score]]:
     """The scores of every filter on `count` problems of each kind and order."""
     found: dict[str, list[Score]] = {name: [] for name in world.filters}
     for order, kind in itertools.product(ORDERS, world.kinds):
-        posed = problems(kind, world.ahead, order, count, seed, world.levels)
+        posed = problems(kind, world.ahead, order, count, seed, world.levels, world.noise)
         tracks = {name: track(posed) for name, track in world.filters.items()}
         for k, one in enumerate(posed):
             each = {name: track[k] for name, track in tracks.items()}
@@ -202,7 +210,7 @@ def table(count: int = 3, seed: int = 0) -> str:
         "disturbance a row (noise ahead of the zone: coloured, white, constant; behind: coloured, "
         f"white), {SAMPLES * STEP:g} s at {1 / STEP:g} Hz. `auto` is told ranges of the widths, "
         "the exact posterior all. Level unknown: the rms of a coloured disturbance is 4, 1 or 1/4 "
-        "times the claim, for the exact posterior too."
+        "times the claim, for the exact posterior too. Loud: noise of 5 to 12 % of a half width."
     )
     return "\n".join([*lines, "", note, ""])
 

@@ -13,6 +13,7 @@ from undeadzone.util.arrays import Floats
 
 STEP, SAMPLES = 0.01, 500
 RANGE = (0.3, 2.0)  # declared range of the widths, from which they are drawn evenly
+NOISE = (0.003, 0.1)  # least and largest rms [z]
 REACHES = ("grazing", "both edges", "inside")
 KINDS = ("coloured", "white", "constant")  # disturbances
 
@@ -67,7 +68,13 @@ class Problem(NamedTuple):
 
 
 def problems(
-    kind: str, ahead: bool, order: int, count: int, seed: int, levels: tuple[float, ...] = (1.0,)
+    kind: str,
+    ahead: bool,
+    order: int,
+    count: int,
+    seed: int,
+    levels: tuple[float, ...] = (1.0,),
+    noise: tuple[float, float] = NOISE,
 ) -> list[Problem]:
     """Problems with a disturbance of one kind, reaching as `REACHES` says in turn.
 
@@ -78,10 +85,11 @@ def problems(
         count: how many.
         seed: of everything random.
         levels: factors on the rms of the disturbance, of which one is drawn.
+        noise: least and largest rms [z].
     """
     rng = np.random.default_rng([seed, order, KINDS.index(kind), ahead])
     reaches = [REACHES[k % len(REACHES)] for k in range(count)]
-    return [_problem(rng, kind, reach, ahead, order, levels) for reach in reaches]
+    return [_problem(rng, kind, reach, ahead, order, levels, noise) for reach in reaches]
 
 
 def _problem(
@@ -91,6 +99,7 @@ def _problem(
     ahead: bool,
     order: int,
     levels: tuple[float, ...],
+    noise: tuple[float, float],
 ) -> Problem:
     """One problem."""
     frequency, damping = rng.uniform(1.0, 6.0), rng.uniform(0.2, 1.5)
@@ -116,7 +125,7 @@ def _problem(
         P=np.diag([*[0.25] * order, rms**2]),
         levels=levels,
         ahead=ahead,
-        noise=float(np.exp(rng.uniform(np.log(0.003), np.log(0.1)))),
+        noise=float(np.exp(rng.uniform(*np.log(noise)))),
         correlation=correlation,
         frequency=frequency,
         u=u,

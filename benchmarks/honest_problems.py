@@ -84,7 +84,14 @@ class Plants(NamedTuple):
     feedback: Floats
 
 
-def problems(kind: Kind, order: int, count: int, seed: int, claimed: World = CLAIMED) -> Problems:
+def problems(
+    kind: Kind,
+    order: int,
+    count: int,
+    seed: int,
+    claimed: World = CLAIMED,
+    ratios: tuple[float, float] = RATIOS,
+) -> Problems:
     """Problems of a kind.
 
     Args:
@@ -93,10 +100,11 @@ def problems(kind: Kind, order: int, count: int, seed: int, claimed: World = CLA
         count: how many
         seed: of everything random
         claimed: what constants move z, in mean widths, and the model's error
+        ratios: of the declared range of d_r over that of d_l
     """
     rng = np.random.default_rng([seed, order])
     plants = _plants(rng, kind.poles, order, count)
-    scale = np.sqrt(_log_uniform(rng, RATIOS, count))
+    scale = np.sqrt(_log_uniform(rng, ratios, count))
     ranges = np.stack([scale, 1 / scale], axis=1)[:, :, None] * np.array(SPAN)
     d = rng.uniform(ranges[:, :, 0], ranges[:, :, 1])
     noise = _log_uniform(rng, (0.003, 0.1), count) * np.sqrt(d.min(axis=1) * d.max(axis=1))

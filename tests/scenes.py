@@ -34,6 +34,9 @@ widths0 = [0.2, 0.2]
 width_max = 3.0
 """
 
+EXACT_SENSOR: dict[str, Any] = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
+"""What a sensor is told whose edges are sharp, whose slope is known, and which is never late."""
+
 
 def table(**changes: Any) -> dict[str, Any]:
     """The tables of `PAPER` with changes.

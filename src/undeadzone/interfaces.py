@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
 import casadi as ca
@@ -230,38 +230,61 @@ class AssumptionCheck(NamedTuple):
 
     Attributes:
         words: what the readings then do.
-        cure: what to tell it, or to look at.
+        look: what to look at, if there is anything besides keys to change.
+        change: what to do with the keys.
+        keys: of a scenario; a method takes some of those of its observer.
     """
 
     words: str
-    cure: str
+    look: str = ""
+    change: str = "raise"
+    keys: tuple[str, ...] = ()
+
+    def cure(self, options: Collection[str] = ()) -> str:
+        """Return what to tell a method, or to look at.
+
+        Args:
+            options: names of the keys that the method takes; empty: all of them.
+        """
+        taken = []
+        for key in self.keys:
+            table, name = key.split(".")
+            if table != "observer" or not options or name in options:
+                taken.append(key)
+        first = ", ".join(taken[:-1])
+        told = f"{self.change} {first}{' or ' * bool(first)}{taken[-1]}" if taken else ""
+        return ", or ".join(part for part in (self.look, told) if part)
 
 
 ASSUMPTION_CHECKS: Final = {
     "noise": AssumptionCheck(
-        "the noise is larger than claimed", "raise sensor.noise or observer.noise"
+        "the noise is larger than claimed", keys=("sensor.noise", "observer.noise")
     ),
     "slope": AssumptionCheck(
         "the readings follow the input with another gain than claimed",
-        "declare sensor.slope, or raise observer.tolerance",
+        "declare sensor.slope",
+        keys=("observer.tolerance",),
     ),
     "dynamics": AssumptionCheck(
         "the readings answer changes of the input too late or too early",
-        "give the model the lag or delay that is missing, or raise observer.tolerance",
+        "give the model the lag or delay that is missing",
+        keys=("observer.tolerance",),
     ),
     "sensor": AssumptionCheck(
         "readings insist on what was not foretold: a stuck sensor, an offset, an edge that jumped, "
         "a log that is glued",
-        "look at sensor and log, take an offset from its readings, or raise observer.drift",
+        "look at sensor and log, take an offset from its readings",
+        keys=("observer.drift",),
     ),
     "gust": AssumptionCheck(
         "something lasts in the readings that nobody claimed",
-        "raise observer.disturbance, observer.bias or observer.drift",
+        keys=("observer.disturbance", "observer.bias", "observer.drift"),
     ),
     "glitches": AssumptionCheck("most readings of late were taken for wrong", "look at the sensor"),
     "range": AssumptionCheck(
         "a width, or a payload, lies outside its range",
-        "widen observer.right, observer.left or observer.payload",
+        change="widen",
+        keys=("observer.right", "observer.left", "observer.payload"),
     ),
 }
 """What readings may refute, in the order of the bits of `Estimate.claims`."""
@@ -279,12 +302,39 @@ def list_rejected_assumptions(bits: float, suspect: float) -> list[str]:
     return sorted(found, key=lambda name: names.index(name) != suspect - 1)
 
 
-def describe_rejected_assumptions(names: Sequence[str]) -> list[str]:
-    """Describe the likeliest rejected assumption with its remedy, then list the rest."""
+def describe_rejected_assumptions(names: Sequence[str], options: Collection[str] = ()) -> list[str]:
+    """Describe the likeliest rejected assumption with its remedy, then list the rest.
+
+    Args:
+        names: of the rejected assumptions, the likeliest first.
+        options: names of the keys that the method takes; empty: all of them.
+    """
     further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
-    return [
-        f"{ASSUMPTION_CHECKS[name].words}: {ASSUMPTION_CHECKS[name].cure}" for name in names[:1]
-    ] + further
+    first = [ASSUMPTION_CHECKS[name] for name in names[:1]]
+    return [f"{check.words}: {check.cure(options)}" for check in first] + further
+
+
+UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of the model"}
+"""Effects that filters may allow for, by the key of an observer."""
+
+
+def describe_unknowns(options: Collection[str]) -> str:
+    """Describe the effects that a filter cannot allow for; empty if it allows for all.
+
+    Args:
+        options: names of the keys that the method takes. A method without `disturbance` claims
+            nothing, and one with `uncertain` knows errors of its model.
+    """
+    if "disturbance" not in options:
+        return ""
+    taken = {*options, *(["tolerance"] if "uncertain" in options else [])}
+    missing = [f"{words} (observer.{key})" for key, words in UNKNOWNS.items() if key not in taken]
+    if not missing:
+        return ""
+    return (
+        f"this method cannot be told of {' or '.join(missing)}: where there is one, intervals are "
+        "too narrow; 'censored' and 'auto' take it"
+    )
 
 
 QUANTITIES: Final[dict[str, Quantity]] = _OF_FIELDS._asdict()

@@ -44,6 +44,7 @@ class ObserverOptions(Protocol):
     """Options of an observer."""
 
     __struct_config__: ClassVar[Any]
+    __struct_fields__: ClassVar[tuple[str, ...]]
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model."""

@@ -58,7 +58,7 @@ def test_a_range_below_0_of_one_output_is_refused() -> None:
 def of_scores(y: float, last: float, slope: float) -> Any:
     """Scores of one output after a reading that is not what was foretold."""
     doubt = SimpleNamespace(
-        keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0
+        keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0, run=9
     )
     q = SimpleNamespace(doubt=doubt, slope=slope)
     before = start_scores(1)._replace(last=np.array([last]))

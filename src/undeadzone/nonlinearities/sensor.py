@@ -35,6 +35,7 @@ RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of i
 # Weights of d_r and d_l, or of c_r and c_l, in what is known of a pair of widths. The centre is the
 # middle of the interval from -d_l to d_r.
 DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (0.5, -0.5)}
+SHAPE = ("rounding", "slope_std", "lag")  # what observers may assume of a sensor's shape
 FALSE_ALARMS = 0.01  # rate at which noise may exceed a default threshold, in poles of the plant
 
 
@@ -261,6 +262,14 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             one input and one output; a pair is a range, which observers estimate [u].
         load_inertia: input that what is behind a play takes per acceleration; it tells whether the
             load rests in its gap (p) [u s^2/z].
+        rounding: how far about an edge observers take the characteristic for round, 0 where its
+            edges are sharp (p) [z]; default 7 % of the smaller middle of the declared ranges. A
+            simulated sensor has sharp edges.
+        slope_std: relative standard deviation of the slope to observers, alike on both sides; 0:
+            it is known (p) [1]; default 0.06. A simulated sensor has `slope` itself.
+        lag: standard deviation of an unknown delay behind the zone to observers; 0: it reads at
+            once (p) [s]; default 3 samples, at most a 16th of the plant's period. A simulated
+            sensor reads at once.
     """
 
     right: Array
@@ -280,6 +289,9 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     play: Array | None = None
     load_friction: Array = 0.0
     load_inertia: Array = 0.0
+    rounding: Array | None = None
+    slope_std: Array | None = None
+    lag: Array | None = None
 
     def __post_init__(self) -> None:
         """Store the kind "backlash" under its one internal name, "play"."""
@@ -308,6 +320,9 @@ class Zone(msgspec.Struct, frozen=True):
         inertia: of the same (p) [u s^2/z].
         friction_std: standard deviation of the friction, to an observer that is not told (p) [u].
         play: ahead of the dead zone; None: there is none.
+        rounding: of the edges, to an observer (p) [z]; None: its default.
+        slope_std: relative one of the slope, to an observer (p); None: its default.
+        lag: deviation of a delay behind the zone, to an observer (p) [s]; None: its default.
     """
 
     kind: str
@@ -328,6 +343,9 @@ class Zone(msgspec.Struct, frozen=True):
     inertia: Floats
     friction_std: Floats
     play: Ahead | None = None
+    rounding: Floats | None = None
+    slope_std: Floats | None = None
+    lag: Floats | None = None
 
     @property
     def moves(self) -> bool:
@@ -402,7 +420,25 @@ def resolve(sensor: Sensor, p: int, step: float, pace: float = 1.0) -> Zone:
     numbers = (slope, noise, before, threshold, drift, dropout, quantum, low, high)
     load = _load(sensor, p)
     ahead = _ahead(sensor, p, _motion(noise, quantum, window, step, play.FALSE_ALARMS * pace))
-    return Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead)
+    shape = [_shape(name, sensor, p) for name in SHAPE]
+    return Zone(sensor.kind, right, left, *numbers, start, window, *load, ahead, *shape)
+
+
+def _shape(name: str, sensor: Sensor, p: int) -> Floats | None:
+    """Return what observers are to assume of the sensor's shape (p); None: their default.
+
+    Raises InputError, ShapeError.
+    """
+    given = getattr(sensor, name)
+    if given is None:
+        return None
+    value = require_nonnegative(f"sensor.{name}", given, p, f"one per output, the plant has {p}")
+    if value.any() and (sensor.kind != "deadzone" or sensor.play is not None):
+        raise InputError(
+            f"sensor.{name}: only a dead zone without a play has one, found {value.max():g}; "
+            "leave it out, or set it to 0"
+        )
+    return value
 
 
 def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: float) -> Floats:

@@ -29,6 +29,16 @@ typedef struct {
   int rest;              /* readings for which an edge is not heard again */
 } EarSensor;
 
+/* The sensor's shape, all 0 of an exact one: a gate as wide as its edges are round, and how far x
+   would move per error of the slope, of a reading at its edge [z] and of its time [samples]. Your
+   prediction moves each column as it moves x. To show P, add var S S' of each column: of the slope's
+   relative deviation, of 1.15 rounding, and of the delay's in samples. */
+typedef struct {
+  ear_real rounding; /* how far about an edge the characteristic is round [z] */
+  ear_real ahead;    /* by how much z was foretold to move in the last sample [z] */
+  ear_real *columns; /* 3 columns of n, one after the other; 0: none are kept */
+} EarShape;
+
 static ear_real ear_hazard(ear_real a) {
   if (a > -5)
     return (ear_real)(exp(-0.5 * a * a) / (1.2533141373155003 * (1 + erf(a * 0.7071067811865476))));
@@ -73,6 +83,29 @@ static int ear_moments(const ear_real pull[2], const ear_real bend[2], const ear
   return 0 < trace && trace < 2 && 1 - trace + det > 0 && det > (ear_real)-1e-6;
 }
 
+static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_real std[2],
+                     ear_real W[3]) {
+  ear_real u = slope[0] / std[0], v = slope[1] / std[1];
+  W[0] = u * u + u * a[0] / std[0];
+  W[1] = u * v;
+  W[2] = v * v + v * a[1] / std[1];
+}
+
+/* The columns after a reading y [z] on the side of edge j: S + k (phi - h S) / var. */
+static inline void ear_move_columns(const EarSensor *s, const EarShape *shape, int n, int j,
+                                    ear_real y, const ear_real *k, ear_real var) {
+  ear_real side = j ? -1 : 1, phi[3] = {y, 0, -shape->ahead}, far = y < 0 ? -y : y;
+  if (shape->rounding > 0) {
+    far /= (ear_real)1.4 * shape->rounding;
+    phi[1] = side * (ear_real)exp(-(far < 30 ? far : 30));
+  }
+  for (int i = 0; i < 3; i++) {
+    ear_real *S = shape->columns + i * n;
+    ear_real off = phi[i] - ear_along(s, n, j, 1, -side, S);
+    for (int r = 0; r < n; r++) S[r] += k[r] * off / var;
+  }
+}
+
 /* Whether all is finite and no two states are related by more than their deviations allow. */
 static int ear_is_belief(int n, const ear_real *C, const ear_real *x, const ear_real *P) {
   for (int r = 0; r < n; r++) {
@@ -85,11 +118,11 @@ static int ear_is_belief(int n, const ear_real *C, const ear_real *x, const ear_
   return 1;
 }
 
-/* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure,
-   EAR_REFUSED where x, P or C cannot be: begin anew then. work: 2 n numbers. */
-static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *P, ear_real y,
-                    ear_real *work) {
+/* `ear_hear` of a sensor with a shape, whose columns move as x does. */
+static inline int ear_hear_shape(Ear *ear, const EarSensor *s, const EarShape *shape, int n,
+                                 ear_real *x, ear_real *P, ear_real y, ear_real *work) {
   ear_real *k[2] = {work, work + n}, gate = 4 * s->noise, behind = s->noise / s->slope;
+  if (shape->rounding * s->slope > gate) gate = shape->rounding * s->slope;
   ear_real R = behind * behind + s->noise_before * s->noise_before, last = ear->last;
   ear_real previous = ear->previous;
   if (!ear_is_belief(n, s->C, x, P)) return EAR_REFUSED;
@@ -106,6 +139,7 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
     e -= ear_row(s, n, x, P, j, 1, (ear_real)-side, k[0]);
     ear_real S = ear_along(s, n, j, 1, (ear_real)-side, k[0]) + R;
     if (!(S > 0)) return EAR_REFUSED;
+    if (shape->columns) ear_move_columns(s, shape, n, j, y / s->slope, k[0], S);
     for (int r = 0; r < n; r++) {
       x[r] += k[0][r] * e / S;
       for (int c = 0; c < n; c++) P[r * n + c] -= k[0][r] * k[0][c] / S;
@@ -151,5 +185,13 @@ static int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *
   for (int i = 0; i < 2; i++)
     if (slope[i] > 0) ear->wait[i] = s->rest;
   return side;
+}
+
+/* One reading; NAN: missing. Moves x and P; returns the side that was read, 0 where none was sure,
+   EAR_REFUSED where x, P or C cannot be: begin anew then. work: 2 n numbers. */
+static inline int ear_hear(Ear *ear, const EarSensor *s, int n, ear_real *x, ear_real *P,
+                           ear_real y, ear_real *work) {
+  EarShape exact = {0, 0, 0};
+  return ear_hear_shape(ear, s, &exact, n, x, P, y, work);
 }
 #endif

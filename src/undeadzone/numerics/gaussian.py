@@ -253,6 +253,7 @@ class RobustUpdate(NamedTuple):
         std: standard deviation of what was foretold.
         trust: probability that it is not wrong; 1 where it was not used.
         likely: the density, or the chance, with which it was foretold; 1 where it was not used.
+        gain: by which an innovation moved the mean (N), with its trust.
     """
 
     belief: Gaussian
@@ -260,6 +261,7 @@ class RobustUpdate(NamedTuple):
     std: Any
     trust: Any
     likely: Any
+    gain: Any
 
 
 def update_with_outliers(
@@ -323,23 +325,23 @@ def update_with_gain(
         use, odds, reach, moved, surprise: as `update_unless_glitch` takes them.
     """
     std = ca.sqrt(S)
+    shift = K if moved is None else moved * K
     if odds is None:
-        return RobustUpdate(
-            _shift_estimate(belief, K, e, S, 0.0, R, use, moved), e, std, ca.SX(1.0), 1.0
-        )
+        after = _shift_estimate(belief, K, e, S, 0.0, R, use, shift)
+        return RobustUpdate(after, e, std, ca.SX(1.0), 1.0, use * shift)
     r = ca.fmax(ca.fmin(e / std, CLIP), -CLIP)
     near = r * std
     wrong = ca.exp(odds) / (reach + TAIL * std)
     right = ca.exp(surprise - (r**2) / 2) / (math.sqrt(2 * math.pi) * std)
     trust = right / (right + wrong)
     weight = trust * use
-    after = _shift_estimate(belief, K, near, S, (1 - weight) * near**2, R, weight, moved)
+    after = _shift_estimate(belief, K, near, S, (1 - weight) * near**2, R, weight, shift)
     likely = ca.if_else(use, right + wrong, 1.0)
-    return RobustUpdate(after, near, std, ca.if_else(use, trust, 1.0), likely)
+    return RobustUpdate(after, near, std, ca.if_else(use, trust, 1.0), likely, weight * shift)
 
 
 def _shift_estimate(
-    belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, moved: Any = None
+    belief: Gaussian, K: Any, e: Any, S: Any, between: Any, R: Any, weight: Any, shift: Any
 ) -> Gaussian:
     """Return the state estimate shifted by a share of K e.
 
@@ -351,10 +353,9 @@ def _shift_estimate(
         between: what it gains along the way that the mean moves, per share.
         R: variance of v.
         weight: the share.
-        moved: as `update_unless_glitch` takes it.
+        shift: the gain by which each variable is moved (N).
     """
     mean, P = belief
-    shift = K if moved is None else moved * K
     cov = P - covariance_loss(K, shift, weight * S, weight * between)
     least = weight * R * shift**2
     cov += ca.diag(ca.fmax(least - ca.project(ca.diag(cov), least.sparsity()), 0.0))
@@ -392,6 +393,7 @@ def stack_updates(readings: Sequence[RobustUpdate]) -> RobustUpdate:
         std=ca.vertcat(*(one.std for one in readings)),
         trust=ca.vertcat(*(one.trust for one in readings)),
         likely=ca.vertcat(*(one.likely for one in readings)),
+        gain=ca.horzcat(*(one.gain for one in readings)),
     )
 
 

@@ -8,7 +8,7 @@ mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
 from __future__ import annotations
 
 from math import erf, exp, pi, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ NARROW = 1e-6  # least chance of silence, over that of being inside of the neare
 CLIP = 30.0  # standard deviations off an edge from which all is alike
 PARALLEL = 1e-12  # 1 - correlation^2 of two edges below which they are one
 ROUNDING = 1e-6  # by which a covariance may be none, over its deviations
+LENGTH, AT_EDGE, FAR = 1.4, 1.15, 30.0  # of a round edge, as in `sensor_shape`
 
 
 class DeadzoneMemory(NamedTuple):
@@ -49,6 +50,11 @@ class DeadzoneUpdate(NamedTuple):
         side: 1 or -1 where the reading was used on that side; 0: silent, unsure or missing.
         innovation: what was read less what was expected [z]; 0 where side is 0.
         innovation_std: standard deviation of that [z]; 0 where side is 0.
+        columns: how far the mean would move per error of the slope [1], of a reading at its edge
+            [z], and of the time of a reading [samples] (N x 3); your prediction moves them as it
+            moves the mean: F @ columns.
+        shown: covariance with what these doubts may have done to the mean (N x N); to show, not to
+            go on with.
     """
 
     mean: Floats
@@ -57,6 +63,8 @@ class DeadzoneUpdate(NamedTuple):
     side: int
     innovation: float = 0.0
     innovation_std: float = 0.0
+    columns: Any = None
+    shown: Any = None
 
 
 class Gauss(NamedTuple):
@@ -93,6 +101,11 @@ def deadzone_update(
     rest: int,
     noise_before: float = 0.0,
     slope: float = 1.0,
+    rounding: float = 0.0,
+    slope_std: float = 0.0,
+    lag: float = 0.0,
+    ahead: float = 0.0,
+    columns: Array | None = None,
 ) -> DeadzoneUpdate:
     """Return the mean and covariance after a reading y = slope Dz(C x + noise ahead) + noise
     behind.
@@ -112,6 +125,11 @@ def deadzone_update(
             correlation time of its disturbance if that is longer, up to a quarter period.
         noise_before: rms of the noise ahead of the zone [z].
         slope: of the zone's branches [y/z].
+        rounding: how far about an edge the characteristic may be round [z]; 0: not at all.
+        slope_std: relative standard deviation of the slope; 0: it is known.
+        lag: standard deviation of an unknown delay behind the zone [samples].
+        ahead: by how much z was foretold to move in the last sample [z]; asked for by a lag.
+        columns: what the last call returned, moved by your prediction (N x 3); None: 0.
 
     Returns:
         What is known, and the ear for the next reading.
@@ -149,6 +167,8 @@ def deadzone_update(
             f"{noise_before:g}. Of a clean sensor give its resolution"
         )
     z = _row("C", C, len(belief.mean))
+    S = _require_columns(columns, len(belief.mean))
+    doubts = _require_doubts(rounding=rounding, slope_std=slope_std, lag=lag)
     edges = [_edge("right", 1, right, z), _edge("left", -1, left, z)]
     waits = np.array([ear.right, ear.left])
     later = np.maximum(waits - 1, 0)
@@ -158,16 +178,22 @@ def deadzone_update(
             belief.cov,
             DeadzoneMemory(0.0, ear.last, *later.tolist()),
             0,
+            columns=S,
+            shown=belief.cov + (S * doubts) @ (S * doubts).T,
         )
-    gate = SILENT * noise
+    gate = max(SILENT * noise, rounding * slope)
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
     e = std = 0.0
     if side and np.isinf(edges[0 if side > 0 else 1].known):
         side = 0  # nothing reads beyond an edge that is not there
     if side:
         edge = edges[0] if side > 0 else edges[1]
-        e = float(y / slope + side * edge.known - (z - side * edge.row) @ belief.mean)
-        belief, std = _correct_linear(belief, z - side * edge.row, e, rms**2)
+        h = z - side * edge.row
+        e = float(y / slope + side * edge.known - h @ belief.mean)
+        K = belief.cov @ h / (h @ belief.cov @ h + rms**2)
+        at_edge = side * exp(-min(abs(y / slope) / (LENGTH * rounding), FAR)) if rounding else 0.0
+        S = S + np.outer(K, np.array([y / slope, at_edge, -ahead]) - h @ S)
+        belief, std = _correct_linear(belief, h, e, rms**2)
     if abs(y) <= gate:
         belief, heard = _within(belief, z, edges, gate / slope, rms**2, waits == 0)
         later = np.where(heard, rest, later)
@@ -178,7 +204,26 @@ def deadzone_update(
         side,
         e,
         std,
+        S,
+        belief.cov + (S * doubts) @ (S * doubts).T,
     )
+
+
+def _require_columns(columns: Array | None, count: int) -> Floats:
+    """Return the columns (N x 3) as a new array. Raises InputError, ShapeError."""
+    S = np.zeros((count, 3)) if columns is None else np.array(columns, float)
+    if S.shape != (count, 3):
+        raise ShapeError(f"columns: expected {count} x 3, as were returned, found {S.shape}")
+    _require_finite("columns", S)
+    return S
+
+
+def _require_doubts(**doubts: float) -> Floats:
+    """Return the standard deviations of slope, reading at an edge, and delay. Raises InputError."""
+    for name, value in doubts.items():
+        if not 0 <= value < np.inf:
+            raise InputError(f"{name}: must be at least 0 and finite, found {value:g}")
+    return np.array([doubts["slope_std"], AT_EDGE * doubts["rounding"], doubts["lag"]])
 
 
 def _require_belief(mean: Array, cov: Array) -> Gauss:

@@ -140,6 +140,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
             claimed=self.disturbance is not None,
             careful=self.x_std is None or self.disturbance is None,
             levels=default if self.levels is None else self.levels,
+            learns_shape=self.joints == "coupled",
         )
 
     def _filter_prior(self, model: System, sensor: Zone) -> Prior:

@@ -83,4 +83,5 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
             outlier_probability(self.glitches),
             prior_traits(prior, self.x_std),
             recovers=False,
+            learns_shape=False,
         )

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from undeadzone.interfaces import describe_rejected_assumptions
+from undeadzone.interfaces import describe_rejected_assumptions, describe_unknowns
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.report import html
 from undeadzone.report.run_figures import overview, plot_phase, plot_tip
@@ -118,7 +118,9 @@ def _numbers_of_run(run: Run) -> dict[str, Any]:
     numbers |= {row.title: row.value_in_words for row in final_parameter_rows(run)}
     refuted = final_rejections(run.signals.arrays).get("claims")
     if refuted:
-        numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted))
+        numbers["NOT as told"] = "; ".join(describe_rejected_assumptions(refuted, run.info.options))
+    if unknown := describe_unknowns(run.info.options):
+        numbers["not told"] = unknown
     rise = "largest rise of V above an earlier value, relative to its largest"
     return numbers | {
         "share of silent samples": run.silent_fraction,

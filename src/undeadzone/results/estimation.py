@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
+from undeadzone.interfaces import describe_unknowns
 from undeadzone.logs.samples import count_in_words
 from undeadzone.results import files, sheet
 from undeadzone.results.info import LogInfo
@@ -181,6 +182,8 @@ def blocks_from_log(info: LogInfo) -> list[Block]:
     elif not info.adapts:
         shown["widths"] = "not estimated"
     shown["consistent"] = _describe_consistency(info)
+    if unknown := describe_unknowns(info.options):
+        shown["not told"] = unknown
     if info.remarks:
         shown["remark"] = "; ".join(info.remarks)
     return [shown] if single else [shown, _log_output_rows(info)]

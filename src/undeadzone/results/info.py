@@ -59,6 +59,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
         gaps: true [c_r, c_l] of the play ahead of each dead zone, where they are estimated (2p)
             [z].
+        options: names of the keys that the method takes.
     """
 
     title: str
@@ -89,6 +90,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     schema: int | None = None
     seed: int = 0
     gains: dict[str, list[Any]] = {}
+    options: list[str] = []
 
 
 class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -130,6 +132,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         sensor: its kind.
         further: final gaps of plays ahead of dead zones [z] and widths of actuators [u], with their
             deviations, by name; those that are estimated.
+        options: names of the keys that the method takes.
     """
 
     title: str
@@ -169,11 +172,13 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     further: dict[str, Any] = {}
     ranges: list[list[float]] = []
     faults: dict[str, int] = {}
+    options: list[str] = []
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON; lists for several outputs."""
         numbers = msgspec.to_builtins(self)
         numbers |= numbers.pop("further")
+        del numbers["options"]
         for name in ("right", "left", "silent", "limited"):
             numbers[f"samples_{name}"] = numbers.pop(name)
         if not self.limited:

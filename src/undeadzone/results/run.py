@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.analysis.identifiability.linear import format_yes_no
-from undeadzone.interfaces import describe_rejected_assumptions
+from undeadzone.interfaces import describe_rejected_assumptions, describe_unknowns
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.results import files, sheet
 from undeadzone.results.feedback import describe_feedback as listening_in_words
@@ -403,7 +403,11 @@ def blocks_from_run(run: Run) -> list[Block]:
         shown["DIVERGED"] = f"at {run.divergence_time:g} s"
         return [shown] if single else [shown, _final_output_rows(run)]
     if refuted := final_rejections(run.signals.arrays).get("claims"):
-        shown["claims"] = "NOT as told: " + "; ".join(describe_rejected_assumptions(refuted))
+        shown["claims"] = "NOT as told: " + "; ".join(
+            describe_rejected_assumptions(refuted, info.options)
+        )
+    if unknown := describe_unknowns(info.options):
+        shown["not told"] = unknown
     if info.listens:
         shown["listens"] = listening_in_words(info.listens)
     shown |= _describe_proof(run) | _describe_identifiable(info, run.outputs)

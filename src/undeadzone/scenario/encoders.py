@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
+from undeadzone.nonlinearities.sensor import SHAPE, Sensor, Zone, resolve
 from undeadzone.plants.system import System
 
-ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia")
+ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia", *SHAPE)
 
 
 def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> Zone:

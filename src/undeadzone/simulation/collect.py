@@ -297,6 +297,7 @@ def _info(
         schema=SCHEMA,
         seed=scenario.simulation.seed,
         gains=_gains(problem),
+        options=list(scenario.observer.__struct_fields__),
     )
 
 

@@ -8,6 +8,7 @@ sensor that is silent while z^ lies far outside the estimated zone contradicts t
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Final, NamedTuple
 
 import casadi as ca
@@ -212,7 +213,12 @@ def _graph() -> ca.Function:
 
 
 def verdict_of(
-    tests: list[Consistency], own: Own | None, widths: Floats, stds: Floats | None, diverged: bool
+    tests: list[Consistency],
+    own: Own | None,
+    widths: Floats,
+    stds: Floats | None,
+    diverged: bool,
+    options: Collection[str],
 ) -> Verdict:
     """What the tests of all outputs come to.
 
@@ -222,6 +228,7 @@ def verdict_of(
         widths: the final widths (2p) [z].
         stds: their standard deviations (2p) [z]; None where the observer gives none.
         diverged: whether an estimate left all bounds.
+        options: names of the keys that the method takes.
     """
     reasons = ["an estimate diverged"] if diverged else []
     margin = np.zeros_like(widths) if stds is None else 2 * stds
@@ -237,7 +244,7 @@ def verdict_of(
         for test in tests:
             reasons += _sums_too_large(test)
     else:
-        reasons += describe_rejected_assumptions(own.claims)
+        reasons += describe_rejected_assumptions(own.claims, options)
     for test in tests:
         reasons += _reasons(test)
     consistent: bool | None = not reasons

@@ -178,12 +178,12 @@ class _Ahead(NamedTuple):
     """What the samples after a block say.
 
     Attributes:
-        later: of the block's end, a member each.
+        later: of the block's end, a member each: of its belief, then of each doubt.
         odds: log of the odds of the members (K).
         worst: record; None at the end of the log.
     """
 
-    later: list[LaterInformation]
+    later: list[list[LaterInformation]]
     odds: Floats
     worst: Any
 
@@ -194,7 +194,7 @@ class _Graphs(NamedTuple):
     Attributes:
         step: step(s, w, p) is (next state, [estimate; s]).
         moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
-        shown: of a row [beliefs; share; record], what is `SHOWN`.
+        shown: of a row [beliefs; what the sensor's shape adds; share; record], what is `SHOWN`.
         filter: the filter itself.
         causal: where `SHOWN` stands in what it gives.
         like: `Moments` of the members, of arrays of their shapes.
@@ -237,7 +237,10 @@ def smooth(
             graphs.step, starts[-1], w[first : first + BLOCK], numbers
         )
         starts.append(state)
-    nothing = [LaterInformation.no_information(one.before.mean.size) for one in graphs.like]
+    nothing = []
+    for one in graphs.like:
+        size, doubts = one.doubted[0].shape
+        nothing.append([LaterInformation.no_information(size) for _ in range(1 + doubts)])
     ahead = _Ahead(nothing, np.zeros(len(nothing)), None)
     pieces = []
     for k in range(len(starts) - 2, -1, -1):
@@ -259,10 +262,14 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     init = observer.init(observer.params)
     record = smoothing.record(init)
     beliefs = [Gaussian(np.zeros(one.before.mean.shape), one.before.cov) for one in like]
-    row, (seen, share, kept) = tree.create_symbols(
-        (tuple(beliefs), np.zeros(len(like)), record), "r"
+    wide = []
+    for one in like:
+        size = one.heard.mean.size if one.doubted[0].size else 0
+        wide.append(np.zeros((size, size)))
+    row, (seen, more, share, kept) = tree.create_symbols(
+        (tuple(beliefs), tuple(wide), np.zeros(len(like)), record), "r"
     )
-    shown: Estimate = smoothing.shown(known.params, seen, share, kept)
+    shown: Estimate = smoothing.shown(known.params, seen, more, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
     where, of_estimate = (
         tree.leaf_slices((init, np.zeros(model.m)))[0],
@@ -300,19 +307,49 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     states = np.vstack([before_each[1:], final])  # after each sample
     moments = interpret.map_rows(graphs.moments, np.hstack([before_each, w]), numbers)
     every = _arrays(graphs.like, moments)
-    beliefs, before = [], []
+    beliefs, wide, before = [], [], []
     for one, later in zip(every, ahead.later, strict=True):
-        mean, cov, first = smooth_backward(one, later)
+        mean, cov, first = smooth_backward(one, later[0])
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
-        before.append(first)
+        added, firsts = _smooth_doubts(one, later[1:])
+        wide.append(added.reshape(len(w), -1))
+        before.append([first, *firsts])
     logs = np.column_stack([one.log for one in every])
     shares, odds = _shares(graphs, states, logs, ahead.odds)
     records, worst = _records(graphs, states, ahead.worst)
-    shown = interpret.map_rows(graphs.shown, np.hstack([*beliefs, shares, records]), numbers)
+    rows = np.hstack([*beliefs, *wide, shares, records])
+    shown = interpret.map_rows(graphs.shown, rows, numbers)
     # Where no belief can be smoothed, the filter itself shows.
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
     return shown, _Ahead(before, odds, worst)
+
+
+def _smooth_doubts(
+    one: Moments, later: list[LaterInformation]
+) -> tuple[Floats, list[LaterInformation]]:
+    """Return the covariance that the sensor's shape adds, and the information about each column.
+
+    A smoothed mean is linear in the means of the filter, and so are its derivatives.
+
+    Args:
+        one: moments of a member, with arrays of a row a sample.
+        later: what the samples after the block say of each column.
+    """
+    shape = (*one.heard.mean.shape, len(later))
+    before, after = (part.reshape(shape) for part in one.doubted)
+    added = np.zeros(one.heard.cov.shape) if later else np.zeros((len(one.log), 0))
+    firsts = []
+    for k, known in enumerate(later):
+        moved = one._replace(
+            before=one.before._replace(mean=before[:, :, k]),
+            read=one.read._replace(mean=after[:, :, k]),
+            heard=one.heard._replace(mean=after[:, :, k]),
+        )
+        column, _, first = smooth_backward(moved, known)
+        added += column[:, :, None] * column[:, None, :]
+        firsts.append(first)
+    return added, firsts
 
 
 def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:

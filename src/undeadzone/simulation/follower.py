@@ -29,6 +29,7 @@ from undeadzone.simulation.sample_by_sample import numeric_along
 from undeadzone.util.arrays import Floats, require_number
 
 LIMIT = 1e12  # beyond this an estimate has diverged
+FEWEST_REPEATS = 0.01  # share of the readings that may repeat the one before by chance
 
 
 class Follower:
@@ -57,6 +58,8 @@ class Follower:
         "_own",
         "_counts",
         "_missing",
+        "_repeats",
+        "_latest_y",
         "_ends",
         "_diverged",
     )
@@ -83,6 +86,8 @@ class Follower:
         # Of sides: right, left, silent, at a limit of the range.
         self._counts = np.zeros((4, self.model.p), int)
         self._missing = 0
+        self._repeats = np.zeros(self.model.p, int)
+        self._latest_y = np.full((1, self.model.p), np.nan)
         undeclared = 0 if self.zone.moves or self.zone.limits is not None else self.model.p
         self._ends = [RunningEnds() for _ in range(undeclared)]
         self._diverged = False
@@ -139,6 +144,9 @@ class Follower:
         """Count these samples and test their innovations; B after each (N x p or N x 0)."""
         self.samples += len(sides)
         present = np.isfinite(samples.y)
+        rows = np.vstack([self._latest_y, samples.y])
+        self._repeats += ((rows[1:] == rows[:-1]) & (np.abs(sides) == 1)).sum(axis=0)
+        self._latest_y = rows[-1:]
         for i, ends in enumerate(self._ends):
             ends.add(samples.y[:, i], present[:, i])
         self._missing += int((~present).any(axis=1).sum())
@@ -202,7 +210,9 @@ class Follower:
         given = last.right_std.size > 0
         stds = np.concatenate([last.right_std, last.left_std]) if given else None
         widths = np.concatenate([last.right, last.left])
-        verdict = verdict_of(self._tests or [], self._own, widths, stds, self._diverged)
+        options = list(scenario.observer.__struct_fields__)
+        tests = self._tests or []
+        verdict = verdict_of(tests, self._own, widths, stds, self._diverged, options)
         if unreadable > MOST_UNREADABLE * (self.samples - grid.gaps + unreadable):
             reason = "most of its lines cannot be read"
             verdict = verdict._replace(consistent=False, reasons=[*verdict.reasons, reason])
@@ -243,12 +253,16 @@ class Follower:
                 signals_from_estimate(last_row), "c_hat", "c_std", "gap_std", "b_hat", "b_std"
             ),
             remarks=[*self._remarks(), *_repeated_times(grid)],
+            options=options,
             **verdict._asdict(),
         )
 
     def _remarks(self) -> list[str]:
-        """That readings stick at the end of a range of which the scenario does not know."""
-        remarks = []
+        """What the readings tell of the sensor beside its widths.
+
+        They stick at the end of a range of which the scenario does not know, or repeat one another.
+        """
+        remarks = self._repeated_readings()
         for i, running in enumerate(self._ends):
             ends = running.ends()
             if ends.has_ends:
@@ -256,6 +270,19 @@ class Follower:
                     f"{ends.number} readings of output {i} stick at an end of their range, where "
                     f"they only bound z: set sensor.range = {ends.text}"
                 )
+        return remarks
+
+    def _repeated_readings(self) -> list[str]:
+        """Say that noisy readings repeat the one before, where they do."""
+        zone, remarks = self.zone, []
+        noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
+        active = self._counts[:2].sum(axis=0)
+        for i in np.flatnonzero(noisy & (self._repeats > FEWEST_REPEATS * active)):
+            share = 100 * self._repeats[i] / active[i]
+            remarks.append(
+                f"{share:.0f} % of the readings of output {i} repeat the one before: the logger "
+                "polls faster than the sensor answers; they count as missing"
+            )
         return remarks
 
 

@@ -20,7 +20,7 @@ from undeadzone.analysis.identifiability.indistinguishable import (
 )
 from undeadzone.analysis.identifiability.linear import format_yes_no
 from undeadzone.linalg.matrices import delta_form
-from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.nonlinearities.sensor import DIRECTIONS, SHAPE
 from undeadzone.plants.region import Box, build_box
 from undeadzone.results.feedback import describe_feedback as share_in_words
 from undeadzone.results.run import Run
@@ -34,6 +34,7 @@ from undeadzone.synthesis.assessment import (
     assess_problem,
     find_determined_states,
 )
+from undeadzone.synthesis.shape_costs import compute_shape_costs
 from undeadzone.util import shown
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.shown import Block, Rows
@@ -98,6 +99,9 @@ class Check:
             half the model is taken on trust. None: it cannot be told.
         overrun: of each output behind a play, J a / f of its load: above 1 it coasts; None: it
             cannot be told (p). Empty where no inertia is given.
+        shape: of each output, the deviation of its width at the end of a run, and how much of it
+            each assumption about the sensor's shape is (p) [z]; empty: the observer allows for
+            none.
         reasons: for every 'no'.
         cures: what would help.
         nearest: certified gains near to those that are not; None where there are none.
@@ -117,6 +121,7 @@ class Check:
     known: tuple[Knowledge, ...]
     listens: tuple[float | None, ...]
     overrun: tuple[float | None, ...] = ()
+    shape: tuple[dict[str, float], ...] = ()
     reasons: tuple[str, ...]
     cures: tuple[str, ...]
     nearest: CertifiedNeighbour | None
@@ -156,6 +161,7 @@ class Check:
             "second": to_scalar_or_list([one.second for one in self.known]),
             "listens": to_scalar_or_list(self.listens) if self.listens else None,
             **({"overrun": to_scalar_or_list(self.overrun)} if self.overrun else {}),
+            **({"shape": to_scalar_or_list(list(self.shape))} if self.shape else {}),
             "reasons": self.reasons,
             "cures": self.cures,
             "nearest": None if self.nearest is None else self.nearest.to_plain(),
@@ -206,7 +212,9 @@ def check(scenario: Scenario) -> Check:
     See Also:
         design, simulate
     """
-    return check_assessment(assess_problem(resolve_scenario(scenario), listen=True))
+    problem = resolve_scenario(scenario)
+    found = check_assessment(assess_problem(problem, listen=True))
+    return dataclasses.replace(found, shape=compute_shape_costs(problem))
 
 
 def check_assessment(assessment: Assessment) -> Check:
@@ -358,6 +366,8 @@ def describe_check(found: Check) -> list[Block]:
         shown["overrun"] = _describe_coasting(found.overrun)
     if len(names) == 1:
         shown |= _describe_output(scenario, found.known[0])
+    if found.shape:
+        shown["shape"] = _describe_shape(found)
     if told := in_words_of_truths([one.second for one in found.known]):
         shown["same readings"] = told
     if reasons := [reason for reason in found.reasons if not reason.startswith(REFUSED)]:
@@ -369,6 +379,17 @@ def describe_check(found: Check) -> list[Block]:
     duration = scenario.simulation.duration
     note = label_with_unit(f"±: 95 % at best after {duration:g} s", scenario.units.output)
     return [shown, _identifiability_rows(found), note]
+
+
+def _describe_shape(found: Check) -> list[str]:
+    """Return how much of each width's interval is the sensor's shape, in words."""
+    lines = []
+    for name, costs in zip(found.outputs, found.shape, strict=True):
+        of = f"output {name}: " if len(found.shape) > 1 else ""
+        parts = [f"{key} {HALF_95 * costs[key]:.2g}" for key in SHAPE]
+        whole = append_unit(f"{HALF_95 * costs['width']:.2g}", found.scenario.units.output)
+        lines.append(f"{of}width ± {whole} at the end of a run, of which {', '.join(parts)}")
+    return [*lines, "roots of variances; set sensor keys to 0 where the sensor is exact"]
 
 
 def _identifiability_rows(found: Check) -> Rows:

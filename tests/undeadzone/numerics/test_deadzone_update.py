@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 import once
 import undeadzone as uz
-from scenes import linear
+from scenes import EXACT_SENSOR, linear
 from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve, side
 from undeadzone.numerics.hear import DeadzoneMemory, DeadzoneUpdate, deadzone_update
@@ -93,7 +93,9 @@ def test_a_narrow_belief_hears_one_edge() -> None:
 def graph(noise: float, before: float, disturbance: float) -> Any:
     """(step of `Censored` on numbers, its first state, steps to wait)."""
     model = sample_plant(linear([[0.0, 1.0], [-4.0, -1.0]], [[0.0], [4.0]], [[1.0, 0.0]]), TS)
-    zone = resolve(Sensor(right=1.0, left=1.0, noise=noise, noise_before=before), 1, TS, 2.0)
+    zone = resolve(
+        Sensor(right=1.0, left=1.0, noise=noise, noise_before=before, **EXACT_SENSOR), 1, TS, 2.0
+    )
     options = uz.Censored(
         right=[0.3, 2.0],
         x_std=[2.0, 2.0],
@@ -460,6 +462,101 @@ def test_the_header_computes_the_same(
         assert row[5:] == pytest.approx(P.ravel(), rel=1e-5, abs=1e-8)
         P = P + np.diag([0.001, 0.001, 0, 0])
         x = x + np.array([0.01 * x[1], 0, 0, 0])
+
+
+SHAPED = """
+#define EAR_REAL double
+#include "ear.h"
+#include <stdio.h>
+int main(void) {
+  double C[] = {1, 0, 0, 0}, x[] = {0, 2, 1.15, 1.15}, P[16] = {0}, work[8], S[12] = {0}, y;
+  EarSensor s = {C, {2, 3}, {0, 0}, 0.02, 0, 2, 5};
+  EarShape shape = {0.05, 0, S};
+  Ear ear = {0};
+  P[0] = 25; P[5] = 1; P[10] = P[15] = 0.24;
+  while (scanf("%lf", &y) == 1) {
+    ear_hear_shape(&ear, &s, &shape, 4, x, P, y, work);
+    for (int i = 0; i < 12; i++) printf(" %.17g", S[i]);
+    printf("\\n");
+    for (int i = 0; i < 4; i++) P[5 * i] += 0.001 * (i < 2);
+    x[0] += 0.01 * x[1];
+    for (int i = 0; i < 3; i++) S[4 * i] += 0.01 * S[4 * i + 1];
+    shape.ahead = 0.01 * x[1];
+  }
+  return 0;
+}
+"""
+
+
+def test_the_header_moves_the_columns_alike(tmp_path: Path) -> None:
+    """Those of a sensor with a shape, which the gate of round edges leaves fewer readings."""
+    rng = np.random.default_rng(1)
+    z = 2 * np.sin(0.05 * np.arange(300))
+    readings = deadzone(z, 1.0, 0.8, 2.0) + 0.02 * rng.normal(size=300)
+    header = files("undeadzone.numerics") / "ear.h"
+    (tmp_path / "ear.h").write_text(header.read_text())
+    (tmp_path / "main.c").write_text(SHAPED)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1"]
+    program = once.program(["ear", *flags, "main.c"], tmp_path)
+    text = "\n".join(map(str, readings))
+    done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
+    rows = np.array([line.split() for line in done.stdout.splitlines()], float)
+    x, P, ear = np.array([0, 2, 1.15, 1.15]), np.diag([25, 1, 0.24, 0.24]), DeadzoneMemory()
+    eye, S, F, ahead = np.eye(4), np.zeros((4, 3)), np.eye(4), 0.0
+    F[0, 1] = 0.01
+    for y, row in zip(readings, rows, strict=True):
+        shape = {"rounding": 0.05, "columns": S, "ahead": ahead}
+        heard = deadzone_update(
+            x,
+            P,
+            eye[0],
+            y,
+            right=eye[2],
+            left=eye[3],
+            noise=0.02,
+            slope=2.0,
+            ear=ear,
+            rest=5,
+            **shape,
+        )
+        assert row == pytest.approx(heard.columns.T.ravel(), rel=1e-6, abs=1e-8)
+        P, ear = heard.cov + np.diag([0.001, 0.001, 0, 0]), heard.ear
+        x, S, ahead = F @ heard.mean, F @ heard.columns, 0.01 * heard.mean[1]
+    assert np.abs(S).max(axis=0).min() > 0.005
+
+
+@pytest.mark.parametrize("name", ["slope_std", "rounding", "lag"])
+def test_columns_say_how_far_a_mean_moves_with_the_sensor(name: str) -> None:
+    """Against the mean of the same filter on the readings of a sensor that is a little other."""
+    t, eye, F, h = 0.05 * np.arange(400), np.eye(3), np.eye(3), 1e-5
+    z, v = 2.0 * np.sin(t), 0.1 * np.cos(t)
+    y, zone = deadzone(z, 1.0, 0.8), np.sign(deadzone(z, 1.0, 0.8))
+    other = {
+        "slope_std": y,
+        "rounding": zone * np.exp(-np.abs(y) / (1.4 * 0.05)),
+        "lag": -v * (zone != 0),
+    }[name]
+
+    def follow(readings: Floats) -> tuple[Floats, Floats, Floats]:
+        mean, cov, ear, S = (
+            np.array([0.0, 1.1, 0.9]),
+            np.diag([4, 0.1, 0.1]),
+            DeadzoneMemory(),
+            None,
+        )
+        for k, one in enumerate(readings):
+            claims = {"right": eye[1], "left": eye[2], "noise": 0.01, "ear": ear, "rest": 1000}
+            shape = {"rounding": 0.05, name: 0.05, "columns": S, "ahead": v[k]}
+            heard = deadzone_update(mean, cov, eye[0], one, **claims, **shape)
+            mean, ear, S = heard.mean + np.array([v[k], 0.0, 0.0]), heard.ear, heard.columns
+            cov = F @ heard.cov @ F.T + np.diag([1e-4, 0, 0])
+        return mean, heard.columns, heard.shown - heard.cov
+
+    mean, columns, wide = follow(y)
+    place = ["slope_std", "rounding", "lag"].index(name)
+    moved = (follow(y + h * other)[0] - mean) / h
+    assert np.abs(moved[1:] - columns[1:, place]).max() < 0.2 * np.abs(columns[1:, place]).max()
+    assert np.linalg.eigvalsh(wide)[0] > -1e-12 < np.trace(wide)
 
 
 def in_c(readings: Floats, at_left: int, noise: float, before: float, folder: Path) -> Floats:

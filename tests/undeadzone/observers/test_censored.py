@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from scipy.stats import norm, truncnorm
 
 import undeadzone as uz
-from scenes import PAPER_PLANT, OnNumbers, linear, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.controllers.state_feedback import rest_response
 from undeadzone.errors import InputError, ShapeError
@@ -68,7 +68,7 @@ EXACT: dict[str, Any] = {
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def watch(

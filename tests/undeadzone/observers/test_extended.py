@@ -14,7 +14,7 @@ from benchmarks.arm_coverage import PULSES, START, sines, watch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scenes import OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, OnNumbers, random_plant, scene
 from undeadzone.compile import interpret
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
@@ -37,7 +37,8 @@ SHAKEN: dict[str, Any] = {"disturbance": 0.5, "correlation_time": 0.1}
 
 
 def zone(p: int = 1, Ts: float = TS, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 0.08, "left": 0.05, "noise": 1e-3} | options), p, Ts)
+    usual = {"right": 0.08, "left": 0.05, "noise": 1e-3} | EXACT_SENSOR
+    return resolve(Sensor(**usual | options), p, Ts)
 
 
 def arm(kind: Any = TwoLink, Ts: float = TS, **numbers: float) -> System:

@@ -18,6 +18,7 @@ from undeadzone.interfaces import (
     Estimate,
     Reading,
     describe_rejected_assumptions,
+    describe_unknowns,
     list_rejected_assumptions,
 )
 from undeadzone.observers.filtering.innovation_tests import (
@@ -45,10 +46,25 @@ def test_names_stand_in_order_of_the_bits_but_for_the_likeliest() -> None:
 
 def test_the_likeliest_is_told_in_full_and_the_others_by_name() -> None:
     assert describe_rejected_assumptions([]) == []
-    gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure}"
+    gust = f"{ASSUMPTION_CHECKS['gust'].words}: {ASSUMPTION_CHECKS['gust'].cure()}"
     assert describe_rejected_assumptions(["gust"]) == [gust]
-    told = describe_rejected_assumptions(["gust", "noise", "slope"])
-    assert told == [gust, "the same readings speak against noise, slope"]
+    told = describe_rejected_assumptions(["gust", "noise", "range"])
+    assert told == [gust, "the same readings speak against noise, range"]
+
+
+def test_no_option_is_advised_that_the_method_does_not_have() -> None:
+    cure = ASSUMPTION_CHECKS["gust"].cure
+    assert cure() == "raise observer.disturbance, observer.bias or observer.drift"
+    assert cure(uz.Kalman.__struct_fields__) == "raise observer.disturbance or observer.drift"
+    assert ASSUMPTION_CHECKS["glitches"].cure(["right"]) == "look at the sensor"
+    assert ASSUMPTION_CHECKS["noise"].cure(["right"]) == "raise sensor.noise"
+
+
+def test_a_filter_says_what_it_cannot_be_told() -> None:
+    said = describe_unknowns(uz.Kalman.__struct_fields__)
+    assert "a constant at the input (observer.bias) or an error of the model" in said
+    for knowing in (uz.Censored, uz.Auto, uz.Extended, uz.Luenberger):
+        assert not describe_unknowns(knowing.__struct_fields__)
 
 
 def test_bits_and_the_likeliest() -> None:
@@ -75,6 +91,7 @@ def followed(regress: Callable[[Any], Any], count: int = 400) -> dict[str, list[
     doubt = SimpleNamespace(
         keep=0.99,
         means=np.array([0.1, 0.5, 0.96]),
+        run=20.0,
         push=np.eye(lanes),
         stays=0.0,
         noisy=1.0,
@@ -139,8 +156,14 @@ def test_readings_are_refused_in_rows_again_and_again(
 ) -> None:
     """Readings are y, in turn, and 9 beyond what was foretold."""
     doubt = SimpleNamespace(
-        **{"keep": 0.99, "means": np.zeros(3), "push": np.eye(1), "stays": 0.0, "noisy": 1.0},
-        **{"reach": 1.0, "limit": 3.3**2, "most": 2.3},
+        **{
+            "keep": 0.99,
+            "means": np.zeros(3),
+            "run": 20.0,
+            "push": np.eye(1),
+            "stays": 0.0,
+        },
+        **{"noisy": 1.0, "reach": 1.0, "limit": 3.3**2, "most": 2.3},
     )
     q: Any = SimpleNamespace(doubt=doubt, slope=1.0)
     each = Scores(*[ca.SX.sym(name) for name in Scores._fields])
@@ -202,7 +225,8 @@ def test_a_log_names_the_claim_that_is_false(
     assert result.info.claims[:1] == [name][: bool(name)]
     assert result.consistent is not bool(name)
     if name:
-        assert f"{ASSUMPTION_CHECKS[name].words}: {ASSUMPTION_CHECKS[name].cure}" in repr(result)
+        told = describe_rejected_assumptions([name], uz.Extended.__struct_fields__)
+        assert told[0] in repr(result)
         assert result.summary()["claims"][0] == name
 
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import norm, truncnorm
 
-from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
@@ -46,7 +46,7 @@ UPPER = ca.Sparsity.upper(4)
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def covariance(state: State) -> Floats:
@@ -443,7 +443,7 @@ def test_a_scenario_runs_and_is_kept_with_its_standard_deviations(tmp_path: Any)
     run = simulate(
         scene(
             observer=OPTIONS,
-            sensor={"right": 1.3, "left": 0.6, "noise": 0.02},
+            sensor={"right": 1.3, "left": 0.6, "noise": 0.02} | EXACT_SENSOR,
             simulation={"time": "sampled", "step": 0.01, "duration": 10.0},
         )
     )
@@ -475,7 +475,7 @@ def test_a_nonlinear_plant_is_expanded_where_the_estimate_is() -> None:
     run = simulate(
         scene(
             plant=pendulum,
-            sensor={"right": 0.3, "left": 0.2, "noise": 0.01},
+            sensor={"right": 0.3, "left": 0.2, "noise": 0.01} | EXACT_SENSOR,
             reference={"kind": "sine", "amplitude": 1.5, "frequency": 0.5},
             observer={
                 "method": "kalman",

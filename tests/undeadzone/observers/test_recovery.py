@@ -236,7 +236,7 @@ def test_what_a_covariance_loses_where_some_variables_are_held(held: list[int], 
 def test_what_outputs_foretell_leaves_the_range_of_no_number(size: float) -> None:
     """In single precision the product of six densities of 1e7 would."""
     belief = Gaussian(ca.SX(1.0), ca.SX(1.0))
-    one = gaussian.RobustUpdate(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size))
+    one = gaussian.RobustUpdate(belief, ca.SX(0.0), ca.SX(1.0), ca.SX(1.0), ca.SX(size), ca.SX(0.0))
     both = gaussian.stack_updates([one, one])
     heard = Corrected(belief, ca.SX(0), both.trust, both.likely)
     setup: Any = SimpleNamespace(doubts=True)

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from test_estimate import LOGS_ALONE, scenario
 
 import undeadzone as uz
+from scenes import EXACT_SENSOR
 from undeadzone.cli import group
 from undeadzone.interfaces import require_graph
 from undeadzone.numerics.adjoint import LaterInformation, smooth_backward
@@ -88,11 +89,12 @@ def test_adjoints_give_what_rauch_tung_and_striebel_give() -> None:
 def test_where_all_is_linear_and_sure_both_filters_smooth_alike() -> None:
     run = uz.simulate(scenario())
     found = []
+    exact = msgspec.structs.replace(scenario().sensor, **EXACT_SENSOR)
     bare = {"bias": 0.0, "tolerance": 0.0, "levels": 1, "silence": False}
     for options in (uz.Kalman(**CLAIMS), uz.Censored(**CLAIMS, **bare), uz.Extended(**CLAIMS)):
         if isinstance(options, uz.Extended):
             options = msgspec.structs.replace(options, silence=False)
-        parts = (options, scenario().plant, scenario().sensor, 0.01, 10)
+        parts = (options, scenario().plant, exact, 0.01, 10)
         model, zone, observer = build_observer(*parts)
         found.append(smooth(model, require_graph(observer), zone, run.y, run.u))
     for other in found[1:]:
@@ -170,3 +172,25 @@ def test_it_is_better_than_the_filter_and_as_honest(claims: Any, kind: str, seed
     z, widths = held[:, :, 0].mean(axis=0), held[:, :, 1:].mean(axis=(0, 2))
     assert z[2] > 0.93
     assert abs(widths[2] - widths[1]) < 0.05
+
+
+def test_looking_back_says_how_far_a_mean_would_move_with_the_sensor() -> None:
+    """Against the smoother of the readings of a sensor whose slope is a little other."""
+    run, small, std = uz.simulate(scenario()), 1e-6, 0.1
+    options = uz.Kalman(right=[0.0, 2.0], disturbance=0.0, glitches=0.0)
+
+    def looked_back(y: Floats, **told: float) -> uz.Estimation:
+        sensor = msgspec.structs.replace(scenario().sensor, **(EXACT_SENSOR | told))
+        return uz.estimate(scenario(observer=options, sensor=sensor), t=run.t, y=y, u=run.u)
+
+    plain, wide = looked_back(run.y), looked_back(run.y, slope_std=std)
+    read = np.abs(run.y) > 0.08  # what is silent stays so
+    moved = looked_back(np.where(read, (1 + small) * run.y, run.y))
+    for k in (0, 50, -1):
+        gained = np.sqrt(wide.d_smooth_std[k] ** 2 - plain.d_smooth_std[k] ** 2)
+        moves = std * np.abs(moved.d_smooth[k] - plain.d_smooth[k]) / small
+        np.testing.assert_allclose(gained, moves, rtol=0.01)
+        of_x = np.sqrt(wide.x_smooth_std[0] ** 2 - plain.x_smooth_std[0] ** 2)
+        np.testing.assert_allclose(
+            of_x, std * np.abs(moved.x_smooth[0] - plain.x_smooth[0]) / small, rtol=0.05
+        )

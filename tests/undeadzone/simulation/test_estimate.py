@@ -13,6 +13,7 @@ import pytest
 
 import undeadzone as uz
 from commands import undeadzone as command
+from scenes import EXACT_SENSOR
 from undeadzone.interfaces import require_graph
 from undeadzone.scenario.reader import read_for_logs
 from undeadzone.simulation.consistency import Consistency
@@ -187,7 +188,8 @@ def batch(run: uz.Run, model: object, N: int, variance: float) -> np.ndarray:
 @pytest.mark.parametrize("disturbance", [0.01, 0.5])
 def test_smoothing_is_the_least_squares_of_the_whole_log(run: uz.Run, disturbance: float) -> None:
     options = msgspec.structs.replace(KALMAN, disturbance=disturbance, x_std=10.0, glitches=0.0)
-    model, zone, observer = build_observer(options, PLANT, SENSOR, 0.01, 10)
+    exact = msgspec.structs.replace(SENSOR, **EXACT_SENSOR)
+    model, zone, observer = build_observer(options, PLANT, exact, 0.01, 10)
     N = 250
     smoothed = smooth(model, require_graph(observer), zone, run.y[:N], run.u[:N])
     expected = batch(run, model, N, disturbance**2)

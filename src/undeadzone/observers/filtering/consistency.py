@@ -192,10 +192,10 @@ def add_consistency_tests(
 
 
 def _to_smoothed_estimate(
-    setup: Setup, q: Params, beliefs: Any, share: Any, record: Record
+    setup: Setup, q: Params, beliefs: Any, wide: Any, share: Any, record: Record
 ) -> Estimate:
     """Return the estimate of smoothed Gaussians, widened as the record demands."""
-    estimated = setup.member.smoothing.shown(q, beliefs, share, ())
+    estimated = setup.member.smoothing.shown(q, beliefs, wide, share, ())
     return widen_intervals(setup.model, q, record, estimated) if setup.widens else estimated
 
 

@@ -62,6 +62,20 @@ class Augmentation(NamedTuple):
     zones: int = 0
 
 
+class ShapeLayout(NamedTuple):
+    """Places of the doubts about the sensor's shape in a filter (`sensor_shape`).
+
+    Attributes:
+        first: place of the first of its unknowns in [x; d; extra].
+        learned: names of the doubts that are unknowns, p of each.
+        fixed: names of those that have a column, p of each.
+    """
+
+    first: int = 0
+    learned: tuple[str, ...] = ()
+    fixed: tuple[str, ...] = ()
+
+
 class Params(NamedTuple):
     """Parameters of a filter.
 
@@ -83,6 +97,7 @@ class Params(NamedTuple):
         zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
         rest: steps for which a silent edge is not heard again.
         gaps: of a play ahead of the dead zone, as `Gaps`; None: there is none.
+        shape: of the sensor, as `ShapeNumbers`; None: it is exact.
     """
 
     model: Any
@@ -101,6 +116,7 @@ class Params(NamedTuple):
     zones: Any = None
     rest: Any = np.float64(1.0)
     gaps: Any = None
+    shape: Any = None
 
 
 def build_filter_params(
@@ -265,6 +281,7 @@ class Setup(NamedTuple):
         doubts: whether a reading may be wrong.
         careful: whether silence moves widths only as far as readings have told of them.
         centred: whether a centre is claimed, which binds the edges together.
+        shape: where it keeps what it doubts of the sensor's shape.
     """
 
     model: System
@@ -277,6 +294,7 @@ class Setup(NamedTuple):
     doubts: bool
     careful: bool
     centred: bool
+    shape: ShapeLayout = ShapeLayout()
 
     @property
     def needs_partial_updates(self) -> bool:
@@ -292,6 +310,11 @@ class Setup(NamedTuple):
     def has_pace_test(self) -> bool:
         """Return whether readings that leave the zone undergo a pace test."""
         return self.doubts and self.is_plain_zone
+
+    @property
+    def has_pace(self) -> bool:
+        """Return whether the filter keeps how z moves, for a pace test or for late readings."""
+        return self.has_pace_test or "lag" in self.shape.fixed
 
     @property
     def is_plain_zone(self) -> bool:
@@ -489,7 +512,8 @@ def add_unknown_estimates(
         estimated = estimated._replace(w=w)
     count = len(augmentation.parameters)
     if count:
-        theta = q.model[list(augmentation.parameters)] + shown.mean[-count:]
-        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[-count:], 0.0))
+        part = slice(setup.shape.first - count, setup.shape.first)
+        theta = q.model[list(augmentation.parameters)] + shown.mean[part]
+        theta_std = ca.sqrt(ca.fmax(ca.diag(shown.cov)[part], 0.0))
         estimated = estimated._replace(theta=theta, theta_std=theta_std)
     return estimated

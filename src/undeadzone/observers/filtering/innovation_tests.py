@@ -49,6 +49,7 @@ class Scores(NamedTuple):
         row: how many readings in a row were refused and agreed.
         rows: how often it were `ROW`.
         last: reading before [y].
+        same: readings in a row that equal the one before them.
         quick, brisk, slow: means of what inputs show in z, over the spans of `Doubt.means` [z].
     """
 
@@ -63,6 +64,7 @@ class Scores(NamedTuple):
     row: Any
     rows: Any
     last: Any
+    same: Any
     quick: Any
     brisk: Any
     slow: Any
@@ -99,7 +101,8 @@ def update_scores(
     row = ca.if_else(refused, ca.if_else(follows, s.row, 0.0) + 1, ca.if_else(used, 0.0, s.row))
     lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
-    stays = ca.logic_and(stays, ca.logic_or(far, is_stuck(doubt, y, s.last)))
+    same = ca.if_else(is_repeated(doubt, y, s.last), s.same + 1, 0.0)
+    stays = ca.logic_and(stays, ca.logic_or(far, same > doubt.run))
     stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
     left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
@@ -116,14 +119,15 @@ def update_scores(
         row,
         (1 - (1 - keep) / SPAN) * s.rows + ca.logic_and(refused, row == ROW),
         y,
+        same,
         *means,
     )
 
 
-def is_stuck(doubt: Any, y: Any, last: Any) -> Any:
-    """Return 1 if a reading equal to its predecessor shows a stuck sensor (p).
+def is_repeated(doubt: Any, y: Any, last: Any) -> Any:
+    """Return 1 if a reading repeats its predecessor, to the last digit, and counts as missing (p).
 
-    Equal means to the last digit.
+    A run of them shows a stuck sensor; single ones come of a logger that polls too fast.
     """
     return ca.logic_and(y == last, doubt.noisy)
 

@@ -54,7 +54,7 @@ from undeadzone.observers.filtering.gaussian_filter import (
     covariance_entries,
     to_estimate,
 )
-from undeadzone.observers.filtering.innovation_tests import is_stuck
+from undeadzone.observers.filtering.innovation_tests import is_repeated
 from undeadzone.observers.filtering.measurement_update import (
     Corrected,
     branch_output,
@@ -62,6 +62,7 @@ from undeadzone.observers.filtering.measurement_update import (
     confirm_silences,
     correct_by_readings,
     find_censored,
+    foresee_reading,
     is_surely_exact,
     range_limits,
     reject_impossible,
@@ -73,10 +74,20 @@ from undeadzone.observers.filtering.motion_detection import add_motion_detection
 from undeadzone.observers.filtering.multiple_models import add_disturbance_levels
 from undeadzone.observers.filtering.prior import Prior, doubt_numbers
 from undeadzone.observers.filtering.recovery import (
+    LIMIT,
     RejectionRate,
     inflate_covariance,
     reset_if_invalid,
     start_rejection_rate,
+)
+from undeadzone.observers.filtering.sensor_shape import (
+    add_shape_states,
+    arrange_columns,
+    column_variance,
+    resolve_shape,
+    shape_numbers,
+    start_columns,
+    widen_gate,
 )
 from undeadzone.observers.filtering.smoothing import Moments, Smoothing
 from undeadzone.plants.system import System, scale_states
@@ -94,6 +105,7 @@ class State(NamedTuple):
         u: the last input (m).
         patience: with readings that are refused.
         pace: of z.
+        columns: of the sensor's shape, one after the other; empty where there are none.
     """
 
     mean: Any
@@ -104,6 +116,7 @@ class State(NamedTuple):
     u: Any
     patience: RejectionRate
     pace: Pace
+    columns: Any
 
 
 def build_branch_filter(
@@ -122,6 +135,7 @@ def build_branch_filter(
     careful: bool = False,
     levels: int = 1,
     recovers: bool = True,
+    learns_shape: bool = True,
 ) -> Observer:
     """Return the filter as an observer.
 
@@ -138,9 +152,13 @@ def build_branch_filter(
         claimed: whether the disturbance is claimed, and no default.
         levels: how many rms of the disturbance are weighed (`levelled`).
         recovers: whether its state holds what a lasting misfit may be, so that it can end.
+        learns_shape: whether the rounding of the edges is among its unknowns; else it only widens
+            what is shown, as errors of the slope and late readings do.
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
+    shape = resolve_shape(sensor, prior, model, learns_shape, blind)
+    augmentation, layout = add_shape_states(augmentation, model, shape)
     gaps = gap_numbers(sensor, prior)
     zones = zone_numbers(model.actuator)
     augmentation = add_gap_states(add_friction_state(augmentation, sensor), gaps)
@@ -149,7 +167,7 @@ def build_branch_filter(
     doubts = glitches > 0 and not blind
     centred = prior.asymmetry is not None
     setup = Setup(
-        model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred
+        model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred, layout
     )
     p, m = model.p, model.m
 
@@ -165,6 +183,7 @@ def build_branch_filter(
             np.zeros(m),
             start_rejection_rate(p),
             start_pace(setup),
+            start_columns(setup),
         )
 
     params = build_filter_params(model, sensor, prior, augmentation)
@@ -176,12 +195,15 @@ def build_branch_filter(
         zones=zones,
         rest=np.asarray(silence_pause(model, sensor, lasting)),
         gaps=gaps,
+        shape=shape_numbers(sensor, shape),
     )
     smoothing = Smoothing(
         moments=partial(filter_moments, setup),
         odds=lambda s: np.zeros(1),
         record=lambda s: (),
-        shown=lambda q, beliefs, share, record: estimate_of_belief(setup, q, beliefs[0]),
+        shown=lambda q, beliefs, wide, share, record: estimate_of_belief(
+            setup, q, beliefs[0], wide[0]
+        ),
     )
     member = Member(params, init, partial(step_filter, setup), smoothing)
     member = add_disturbance_levels(member, levels, claimed)
@@ -192,7 +214,8 @@ def build_branch_filter(
 class Update(NamedTuple):
     """Result of a measurement update.
 
-    Its fields: reading (p), certain branch (p), Gaussians before and after.
+    Its fields: reading (p), certain branch (p), Gaussians before and after, columns of the
+    sensor's shape.
     """
 
     y: Any
@@ -200,6 +223,7 @@ class Update(NamedTuple):
     before: Gaussian
     corrected: RobustUpdate
     heard: Corrected
+    columns: Any
 
 
 def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> Update:
@@ -210,18 +234,30 @@ def update_measurement(setup: Setup, q: Params, s: State, reading: Reading) -> U
     before = Gaussian(s.mean, from_upper_entries(s.cov, setup.entries))
     R = measurement_variances(q, reading)
     surprises = silence_log_ratios(setup, q, s.pace, y, side, R)
-    corrected = correct_by_readings(setup, q, before, y, side, R, surprises, reading.motion)
+    corrected, columns = correct_by_readings(
+        setup,
+        q,
+        before,
+        y,
+        side,
+        R,
+        surprises,
+        reading.motion,
+        s.pace.ahead,
+        arrange_columns(setup, s.columns),
+    )
     heard = Corrected(corrected.belief, s.wait, corrected.trust, corrected.likely)
     heard = apply_bounds(setup, q, s, heard, reading, y, side)
     if setup.has_limits:
         heard = heard._replace(trust=reject_impossible(heard.trust, reading))
-    return Update(y, side, before, corrected, heard)
+    return Update(y, side, before, corrected, heard, columns)
 
 
 def filter_moments(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[Moments, ...]:
     """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
+    q = widen_gate(setup, q)
     taken = update_measurement(setup, q, s, reading)
     corrected, heard = taken.corrected, taken.heard
     rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
@@ -230,8 +266,13 @@ def filter_moments(
     )[2]
     slope = motion_slope(setup, q, heard.belief, u)
     log = log_likelihood(setup, corrected, heard)
+    none = ca.SX(setup.model.n + 2 * setup.model.p + len(setup.augmentation.cov), 0)
+    doubted = (none, none)
+    if setup.shape.fixed:
+        scale = ca.diag(q.shape.doubt)
+        doubted = (arrange_columns(setup, s.columns) @ scale, taken.columns @ scale)
     known = Moments(
-        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted
+        taken.before, corrected.belief, heard.belief, rows, edges, slope, log, restarted, doubted
     )
     return (known,)
 
@@ -245,12 +286,11 @@ def measurement_rows(setup: Setup, q: Params, at: Any, side: Any) -> tuple[Any, 
     read = list(enumerate([0.0] * p if setup.is_jump_sensor else ca.vertsplit(side)))
     edges = [(i, edge) for edge, i in product((RIGHT, LEFT), range(p))]
 
-    def rows(branches: list[tuple[int, Any]]) -> Any:
-        """Return the linearised rows of some branches."""
-        each = (partial(branch_output, setup, q, i, branch) for i, branch in branches)
-        return ca.vertcat(*(linearise(beyond, at)[1] for beyond in each))
-
-    return rows(read), rows(edges)
+    each = (partial(branch_output, setup, q, i, edge) for i, edge in edges)
+    return (
+        ca.vertcat(*(foresee_reading(setup, q, i, branch, at, at)[1] for i, branch in read)),
+        ca.vertcat(*(linearise(beyond, at)[1] for beyond in each)),
+    )
 
 
 def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
@@ -262,9 +302,14 @@ def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
     return linearise(change, belief.mean)[1]
 
 
-def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian) -> Estimate:
-    """Return the estimate of a Gaussian, without innovations."""
+def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> Estimate:
+    """Return the estimate of a Gaussian, without innovations.
+
+    Here wide: covariance that the sensor's shape adds (N x N), or empty.
+    """
     shown, _ = clip_belief(setup, q, belief)
+    if wide.shape[0]:
+        shown = Gaussian(shown.mean, shown.cov + wide)
     none = ca.SX(setup.model.p, 1)
     return to_estimate(setup.model, setup.sensor, q, shown, Reading(none, none), none, none)
 
@@ -278,8 +323,11 @@ def log_likelihood(setup: Setup, corrected: RobustUpdate, heard: Corrected) -> A
 
 def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> Step:
     """Return the result for a sample: correct by the reading, apply bounds, estimate, predict."""
-    y, side, _, corrected, heard = update_measurement(setup, q, s, reading)
+    q = widen_gate(setup, q)
+    y, side, _, corrected, heard, columns = update_measurement(setup, q, s, reading)
     shown, fits = clip_belief(setup, q, heard.belief)
+    if setup.shape.fixed:
+        shown = Gaussian(shown.mean, shown.cov + column_variance(q, columns))
     e, std = corrected.e, corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
@@ -289,7 +337,11 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
     )
     pace = predict_pace(setup, q, s.pace, heard, u, side, reading)
-    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace)
+    if setup.shape.fixed:
+        moved = columns + motion_slope(setup, q, heard.belief, u) @ columns
+        sound = ca.logic_and(ca.logic_not(restarted), ca.fabs(moved) < LIMIT)
+        columns = ca.vec(ca.if_else(sound, moved, 0.0))
+    after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace, columns)
     if setup.doubts:
         after = apply_rejections(setup, q, after, side, heard.trust)
     return Step(
@@ -378,7 +430,7 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
         side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side
-    return ca.if_else(is_stuck(q.doubt, y, s.last), 0.0, side)
+    return ca.if_else(is_repeated(q.doubt, y, s.last), 0.0, side)
 
 
 def apply_rejections(setup: Setup, q: Params, s: State, side: Any, trust: Any) -> State:
@@ -426,13 +478,13 @@ def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) 
 
 
 class Pace(NamedTuple):
-    """Running record of the motion of z; empty without a pace test.
+    """Running record of the motion of z; empty where nothing asks for it.
 
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].
         variance: of that (p) [z^2].
         since: steps since z was last inside of an edge, right edges, then left ones (2p); 0 where
-            it was beyond it at the last reading that was believed.
+            it was beyond it at the last reading that was believed; empty without a pace test.
     """
 
     ahead: Any
@@ -442,8 +494,8 @@ class Pace(NamedTuple):
 
 def start_pace(setup: Setup) -> Pace:
     """Return the pace before the first reading."""
-    p = setup.model.p if setup.has_pace_test else 0
-    return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p))
+    p = setup.model.p if setup.has_pace else 0
+    return Pace(np.zeros(p), np.zeros(p), np.zeros(2 * p if setup.has_pace_test else 0))
 
 
 def silence_log_ratios(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
@@ -488,7 +540,7 @@ def predict_pace(
         side: the sides on which readings were used (p).
         reading: what was read.
     """
-    if not setup.has_pace_test:
+    if not setup.has_pace:
         return pace
     belief, n = heard.belief, setup.model.n
     drive, doubt = predict_plant_input(q.zones, belief, u)
@@ -497,7 +549,7 @@ def predict_pace(
     _, h = linearise(lambda X: setup.model.output(q.model, X[:n]), belief.mean)
     believed = heard.trust > 0.5
     since = []
-    for k, edge in enumerate((RIGHT, LEFT)):
+    for k, edge in enumerate((RIGHT, LEFT) if setup.has_pace_test else ()):
         before, silence = ca.vertsplit(pace.since, setup.model.p)[k], heard.silence[k]
         across = ca.logic_and(side == -edge, believed)
         beyond = ca.logic_or(ca.logic_and(side == edge, believed), reading.side == 2 * edge)
@@ -506,5 +558,5 @@ def predict_pace(
     return Pace(
         ahead=h @ change(belief.mean),
         variance=ca.fmax(ca.diag(h @ (E @ belief.cov @ E.T + Q) @ h.T), 0.0),
-        since=ca.vertcat(*since),
+        since=ca.vertcat(*since) if since else pace.since,
     )

@@ -30,6 +30,11 @@ from undeadzone.numerics.gaussian import (
 from undeadzone.observers.filtering.constant_states import backlash_offset, information_shares
 from undeadzone.observers.filtering.gaussian_filter import Params, Setup
 from undeadzone.observers.filtering.prior import HELD, SILENT, Prior
+from undeadzone.observers.filtering.sensor_shape import (
+    add_shape_terms,
+    move_columns,
+    shape_effects,
+)
 from undeadzone.plants.system import System, plant_pace, time_scale
 from undeadzone.util.arrays import Floats
 
@@ -77,7 +82,9 @@ def correct_by_readings(
     R: Any,
     surprise: Sequence[Any],
     contact: Any = None,
-) -> RobustUpdate:
+    ahead: Any = None,
+    columns: Any = None,
+) -> tuple[RobustUpdate, Any]:
     """Return the Gaussian after the readings on certain branches, output by output.
 
     Args:
@@ -89,24 +96,49 @@ def correct_by_readings(
         R: variances of the readings (p) [z^2].
         surprise: log of what the silence before speaks for each reading (p).
         contact: of a play ahead of the zone, in which y moves (p); None: there is none.
+        ahead: by how much z moves in a sample (p) [z]; asked for by late readings only.
+        columns: of the sensor's shape (N x their number); None: there are none.
 
     Returns:
-        Innovations, their standard deviations and trust (p each), and the sum of the logs.
+        (innovations, their standard deviations and trust (p each), and the sum of the logs; the
+        columns).
     """
-    each = []
+    each, before = [], belief.mean
     for i in range(setup.model.p):
         active = side[i] != 0
         branch = 0.0 if setup.is_jump_sensor else side[i]
         moving = 0.0 if contact is None else contact[i]
-        sight = partial(branch_output, setup, q, i, branch, contact=moving)
-        expected, h = linearise(sight, belief.mean)
+        expected, h = foresee_reading(setup, q, i, branch, belief.mean, before, moving)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
         odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
         moved = update_shares(setup, q, belief, i, side[i]) if setup.needs_partial_updates else None
         one = update_with_outliers(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
         each.append(one)
-    return stack_updates(each)
+        if setup.shape.fixed:
+            late = ca.if_else(present(ahead[i]), ahead[i], 0.0) if ahead.shape[0] else 0.0
+            effects = shape_effects(q, setup.shape.fixed, i, branch, y[i] / q.slope[i], late)
+            columns = move_columns(setup, q, i, columns, one.gain, h, effects)
+    return stack_updates(each), columns
+
+
+def foresee_reading(
+    setup: Setup, q: Params, i: int, side: Any, at: Any, before: Any, contact: Any = 0.0
+) -> tuple[Any, Any]:
+    """Return (what output i is expected to read on a branch [z], its row (1 x N)).
+
+    Args:
+        setup: the filter.
+        q: its numbers.
+        i: number of the output.
+        side: the branch.
+        at: mean of [x; d; extra] (N).
+        before: the same before any reading of the sample (N), for the sensor's shape.
+        contact: of a play ahead of the zone.
+    """
+    sight = partial(branch_output, setup, q, i, side, contact=contact)
+    foretold = sight(before) if setup.shape.learned else 0.0
+    return add_shape_terms(setup, q, i, side, foretold, linearise(sight, at), at)
 
 
 def silence_pause(model: System, sensor: Zone, lasting: float) -> float:

@@ -158,11 +158,13 @@ def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]
             every += member.moments(variant(q), state, u, reading)
         return tuple(every)
 
-    def shown(q: Any, beliefs: Sequence[Gaussian], share: Any, record: Any) -> Estimate:
+    def shown(
+        q: Any, beliefs: Sequence[Gaussian], wide: Sequence[Any], share: Any, record: Any
+    ) -> Estimate:
         """Return the mixture estimate of smoothed Gaussians of the members."""
         each = []
-        for variant, belief in zip(variants, beliefs, strict=True):
-            each.append(member.shown(variant(q), [belief], 1.0, record))
+        for variant, belief, more in zip(variants, beliefs, wide, strict=True):
+            each.append(member.shown(variant(q), [belief], [more], 1.0, record))
         return mix_estimates(each, share)
 
     return Smoothing(moments, lambda s: s.odds, lambda s: (), shown)

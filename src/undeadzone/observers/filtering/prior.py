@@ -260,6 +260,8 @@ CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays
 MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
+REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor
+LEAST_REPEATS = 10.0  # readings in a row that do so, at least: a median of five repeats fewer
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -270,7 +272,7 @@ class Doubt(NamedTuple):
         glitch: log of the odds that a reading on an active side is wrong.
         fake: log of the probability that a silence is fake.
         reach: range over which a wrong reading is evenly spread (p) [z].
-        noisy: 1 where two readings that are alike to the last digit show a stuck sensor (p).
+        noisy: 1 where a reading that repeats the one before counts as missing (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
         std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
@@ -280,6 +282,7 @@ class Doubt(NamedTuple):
         stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
         push: what an input shows in z after a quarter period (p x m).
         means: shares of means of inputs that are left after a step (3), as `MEANS`.
+        run: longest row of repeats of a sensor that is not stuck.
     """
 
     glitch: Floats
@@ -295,6 +298,7 @@ class Doubt(NamedTuple):
     stays: Floats
     push: Floats
     means: Floats
+    run: Floats
 
 
 def doubt_numbers(
@@ -327,6 +331,7 @@ def doubt_numbers(
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
         push=model.continuous.C @ zoh(model.continuous, quarter).B,
         means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
+        run=np.asarray(max(REPEATS * quarter / model.Ts, LEAST_REPEATS)),
     )
 
 

@@ -25,6 +25,8 @@ class Moments(NamedTuple):
         slope: I + slope is the Jacobian of the motion to the next sample (N x N).
         log: log of the density with which the readings were foretold.
         restarted: 1 where the belief was lost, so that the next one is the prior.
+        doubted: by how much a deviation of each doubt about the sensor's shape moves the mean
+            before the reading, and after it (2 of N x their number).
     """
 
     before: Gaussian
@@ -35,6 +37,7 @@ class Moments(NamedTuple):
     slope: Any
     log: Any
     restarted: Any
+    doubted: tuple[Any, Any]
 
 
 class Smoothing(NamedTuple):
@@ -44,11 +47,12 @@ class Smoothing(NamedTuple):
         moments: moments(q, s, u, reading) are the `Moments` of its members.
         odds: odds(s) is the log of the odds of its members before a sample (K).
         record: record(s) is what it keeps to judge its innovations; empty of a member.
-        shown: shown(q, beliefs, share, record) is the estimate that shows beliefs of its members,
-            as likely as `share` (K).
+        shown: shown(q, beliefs, wide, share, record) is the estimate that shows beliefs of its
+            members, as likely as `share` (K), with covariances that the sensor's shape adds to
+            each; empty: none.
     """
 
     moments: Callable[[Any, Any, Any, Reading], tuple[Moments, ...]]
     odds: Callable[[Any], Any]
     record: Callable[[Any], Any]
-    shown: Callable[[Any, Sequence[Gaussian], Any, Any], Estimate]
+    shown: Callable[[Any, Sequence[Gaussian], Sequence[Any], Any, Any], Estimate]

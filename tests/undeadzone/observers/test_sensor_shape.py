@@ -1,0 +1,193 @@
+"""What filters assume of a sensor's shape: exact if told so, wide where edges, slope or time are
+off.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks import shape
+from benchmarks.honest_problems import KINDS, problems
+
+import undeadzone as uz
+from scenes import EXACT_SENSOR, PAPER_PLANT
+from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import Estimate
+from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve
+from undeadzone.plants.system import sample_plant
+from undeadzone.util.arrays import Floats
+
+TS, COUNT = 0.02, 600
+PLANT = uz.Plant(A=[[-2.0]], B=[[2.0]], C=[[1.0]])
+WIDTHS = {"right": 1.0, "left": 0.7, "noise": 0.02}
+RANGE = [0.3, 2.0]
+FILTERS: dict[str, Any] = {
+    "auto": uz.Auto(right=RANGE),
+    "censored": uz.Censored(right=RANGE, disturbance=0.5, levels=1),
+    "kalman": uz.Kalman(right=RANGE),
+    "extended": uz.Extended(right=RANGE),
+}
+# z, d_r, d_l and the deviations of x and of the width, of filters that knew of no shape.
+BEFORE = {
+    "auto": [
+        2.3977925364293555,
+        0.982382003428277,
+        0.7160434720624164,
+        0.17382090256388,
+        0.03911009138795124,
+    ],
+    "censored": [
+        2.3868622079620505,
+        0.970711560590766,
+        0.7162980619151338,
+        0.1887365624734905,
+        0.07086556783736989,
+    ],
+    "kalman": [
+        2.4213078614696495,
+        0.9962476056829356,
+        0.7282123994356244,
+        0.13344773294251683,
+        0.1513582599694159,
+    ],
+    "extended": [
+        2.340720262682082,
+        0.9317286550293157,
+        0.7699796014453869,
+        0.2701755819416375,
+        0.03247939910092591,
+    ],
+}
+
+
+def readings() -> tuple[Floats, Floats]:
+    """Readings and inputs of the plant behind an exact sensor."""
+    rng, t = np.random.default_rng(0), TS * np.arange(COUNT)
+    u = 6 * np.sin(1.3 * t) + 3 * np.sin(3.1 * t + 1)
+    keep, x, y = np.exp(-2 * TS), 0.0, np.empty(COUNT)
+    for k in range(COUNT):
+        y[k] = deadzone(x, 1.0, 0.7) + 0.02 * rng.normal()
+        x = keep * x + (1 - keep) * u[k]
+    return y, u
+
+
+def last_numbers(method: str, **told: Any) -> list[float]:
+    """z, d_r, d_l and the deviations of x and of the width after all readings."""
+    y, u = readings()
+    online = uz.Online(FILTERS[method], PLANT, uz.Sensor(**WIDTHS, **told), TS)
+    last, _ = online.update_many(y[:, None], u[:, None])
+    return [
+        float(part[-1, 0]) for part in (last.z, last.right, last.left, last.x_std, last.width_std)
+    ]
+
+
+@pytest.mark.parametrize("method", FILTERS)
+def test_a_sensor_that_is_told_to_be_exact_changes_nothing(method: str) -> None:
+    """Last bits of exp and log may differ from one machine to the next."""
+    assert last_numbers(method, **EXACT_SENSOR) == pytest.approx(BEFORE[method], rel=1e-11)
+    observer = FILTERS[method].build(
+        sample_plant(PAPER_PLANT, TS), resolve(Sensor(**WIDTHS, **EXACT_SENSOR), 1, TS)
+    )
+    assert observer.params.shape is None
+
+
+@pytest.mark.parametrize("method", FILTERS)
+def test_by_default_only_what_is_shown_is_wider_and_edges_are_heard_later(method: str) -> None:
+    exact = last_numbers(method, **EXACT_SENSOR)
+    told, lost = last_numbers(method, rounding=0.0), last_numbers(method)
+    assert told[:3] == pytest.approx(exact[:3], rel=1e-9)  # slope and delay move no mean
+    assert told[4] > 1.1 * exact[4]
+    assert lost[4] > told[4]
+    assert np.abs(np.array(lost[1:3]) - [1.0, 0.7]).max() < 3 * max(lost[4], 0.05)
+
+
+def follow(options: Any, y: Floats, u: Floats, **told: Any) -> Estimate:
+    """The estimates along readings, of a sensor of which that is told, and no more is doubted."""
+    sensor = uz.Sensor(**WIDTHS, **(EXACT_SENSOR | told))
+    estimates, _ = uz.Online(options, PLANT, sensor, TS).update_many(y[:, None], u[:, None])
+    return estimates
+
+
+@pytest.mark.parametrize(("name", "std", "units"), [("slope_std", 0.1, 0.1), ("lag", 0.04, 2.0)])
+def test_what_is_shown_is_how_far_a_mean_would_move(name: str, std: float, units: float) -> None:
+    """Against the same filter on the readings of a sensor that is a little other than that."""
+    y, u = readings()
+    options, small = uz.Kalman(right=RANGE, glitches=0.0), 1e-6
+    plain, wide = follow(options, y, u), follow(options, y, u, **{name: std})
+    keep, before = np.exp(-2 * TS), np.concatenate([[0.0], plain.z[:-1, 0]])
+    ahead = (1 - keep) * (np.concatenate([[0.0], u[:-1]]) - before)
+    read = np.abs(y) > 4 * 0.02  # what is silent stays so
+    other = y if name == "slope_std" else -ahead
+    moved = follow(options, np.where(read, y + small * other, y), u)
+    for field in ("right", "left"):
+        moves = units * (getattr(moved, field) - getattr(plain, field))[-1, 0] / small
+        stds = [getattr(one, f"{field}_std")[-1, 0] for one in (wide, plain)]
+        assert np.sqrt(stds[0] ** 2 - stds[1] ** 2) == pytest.approx(abs(moves), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["honest", "edges rounded 0.1", "slope 1.1", "mean of 3"])
+@pytest.mark.parametrize("claims", ["told", "ranges alone"])
+def test_intervals_hold_whatever_the_shape_is(name: str, claims: str) -> None:
+    """Of those that take the sensor for exact few do, but where it is."""
+    posed = problems(KINDS["both edges"], 1, 50, 5, ratios=(0.8, 1.25))
+    y = shape.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
+    wide = shape.solve(claims, posed._replace(y=y), {})
+    sharp = shape.solve(claims, posed._replace(y=y), shape.EXACT)
+    assert wide.verdict.covered().min() >= 0.88
+    assert np.median(wide.rms / sharp.rms) < 1.03
+    if name in ("edges rounded 0.1", "slope 1.1"):
+        assert sharp.verdict.covered().min() < 0.6
+
+
+@pytest.mark.parametrize("name", ["2 % repeat", "10 % repeat", "50 % repeat", "stuck for 160"])
+def test_repeats_are_missing_and_a_stuck_sensor_is_named(name: str) -> None:
+    posed = problems(KINDS["both edges"], 1, 40, 5, ratios=(0.8, 1.25))
+    rng = np.random.default_rng(3)
+    clean, spoilt = (
+        shape.solve("ranges alone", posed._replace(y=read(rng, posed.z, posed.d, posed.noise)), {})
+        for read in (shape.exact, shape.SENSORS[name])
+    )
+    flagged = 1 - spoilt.consistent.mean()
+    if name == "stuck for 160":
+        assert flagged >= 0.4
+        return
+    assert flagged <= 0.15
+    assert spoilt.verdict.covered().min() >= 0.92
+    assert np.median(spoilt.verdict.stds[:, 2] / clean.verdict.stds[:, 2]) < 1.3
+    assert np.median(spoilt.rms / clean.rms) < 1.2
+
+
+def test_a_log_says_that_its_readings_repeat() -> None:
+    y, u = readings()
+    repeats = y.copy()
+    repeats[1::10] = repeats[:-1:10]
+    scenario = uz.Scenario(
+        plant=PLANT,
+        sensor=uz.Sensor(**WIDTHS),
+        observer=FILTERS["auto"],
+        reference=uz.Sine(amplitude=1.0, frequency=0.3),
+        simulation=uz.Simulation(duration=1.0, time="sampled", step=TS),
+    )
+    said, quiet = (
+        " ".join(uz.estimate(scenario, y=seen, u=u, smoothing=False).info.remarks)
+        for seen in (repeats, y)
+    )
+    assert "10 % of the readings of output 0 repeat the one before" in said
+    assert "polls faster" not in quiet
+
+
+@pytest.mark.parametrize(
+    ("told", "kind", "words"),
+    [
+        ({"rounding": -0.1}, InputError, "sensor.rounding"),
+        ({"slope_std": [0.1, 0.1]}, ShapeError, "one per output"),
+        ({"lag": float("nan")}, InputError, "sensor.lag"),
+        ({"lag": 0.1, "kind": "play"}, InputError, "only a dead zone without a play"),
+        ({"rounding": 0.1, "kind": "jump"}, InputError, "leave it out"),
+    ],
+)
+def test_what_cannot_be_is_refused(told: dict[str, Any], kind: type, words: str) -> None:
+    with pytest.raises(kind, match=words):
+        resolve(Sensor(right=1.0, left=1.0, **told), 1, TS)
