@@ -20,9 +20,7 @@ from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import simulate
-from undeadzone.util.arrays import Floats, to_json_value
-from undeadzone.util.text import HALF_95
+from undeadzone.util.arrays import Floats
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
 from undeadzone_export.code import Code, build_code, count_operations
@@ -129,14 +127,12 @@ def export(
     rows = record_inputs(continue_scenario(scenario, STEPS), step)
     report = _initial_report(printed, text, labels, tunable)
     report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
-    report |= _accuracy_report(double, printed, text, rows)
+    report |= _accuracy_report(printed, text, rows)
     if to in FIRMWARE:
         found = fit_boards(report)
         report["boards"] = [fit._asdict() for fit in found]
         if not all(fit.fits for fit in found):
-            report["leaner"], leaner = _fit_leaner(scenario, part, printed.single)
-            everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
-            report["runs"] = {tag: _quality_along_run(other) for tag, other in everyone.items()}
+            report["leaner"] = _fit_leaner(scenario, part, printed.single)
     vectors = reference_vectors(printed, choose_samples(rows[: problem.steps + 1], step.readings))
     material = Material(printed, labels, text, vectors, scenario.units, report)
     files = targets.export_files(to, material)
@@ -236,11 +232,9 @@ def _initial_report(
     }
 
 
-def _fit_leaner(
-    scenario: Scenario, part: str, is_single: bool
-) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
-    """Return the boards that cheaper observers fit, and the scenarios with each, by tag."""
-    found, scenarios = {}, {}
+def _fit_leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
+    """Return the boards that cheaper observers fit, by tag."""
+    found = {}
     for name, made in _leaner_choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
             other = msgspec.structs.replace(scenario, observer=made())
@@ -254,18 +248,7 @@ def _fit_leaner(
                 "operations": count_operations(printed.results),
             }
             found[name] = [fit.board for fit in fit_boards(costs) if fit.fits]
-            scenarios[name] = other
-    return found, scenarios
-
-
-def _quality_along_run(scenario: Scenario) -> dict[str, float | None]:
-    """Return the rms of z - z^ and the coverage of the widths along an observer's run."""
-    run = simulate(scenario, check_step=False)
-    covered = None
-    if run.d_std is not None:
-        inside = np.abs(np.ravel(run.info.widths) - run.d_hat) <= HALF_95 * run.d_std
-        covered = float(inside[run.last].mean())
-    return {"rms": to_json_value(run.rms_estimation), "coverage": covered}
+    return found
 
 
 def _struct_bytes(printed: Code) -> dict[str, int]:
@@ -285,11 +268,11 @@ def constants_beyond_float(double: Code) -> list[str]:
     return sorted(texts)
 
 
-def _accuracy_report(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
+def _accuracy_report(printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
     """Return the accuracy and its refusals."""
     if compiler.find_compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
         refusals = [message] if printed.single else []
         return {"accuracy": None, "stack": None, "refusals": refusals}
-    found = accuracy.measure_accuracy(double, printed, text, rows)._asdict()
+    found = accuracy.measure_accuracy(printed, text, rows)._asdict()
     return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

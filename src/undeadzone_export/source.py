@@ -9,6 +9,8 @@ import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
 from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
+from undeadzone.compile.print_calls import Calls, Place
+from undeadzone.compile.repeats import Part, outline_repeats
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import ASSUMPTION_CHECKS
 from undeadzone.util.text import to_one_line
@@ -57,8 +59,8 @@ class Source(NamedTuple):
 def build_source(code: Code, labels: Labels) -> Source:
     """Print the C of an export."""
     style = Style(code.kind, labels.prefix)
-    bodies = _function_bodies(code, style)
-    used = set().union(*[part.functions for part in bodies.values()])
+    bodies, repeats = _function_bodies(code, style)
+    used = set().union(*[part.functions for part in [*bodies.values(), *repeats]])
     functions = elementary.required_functions(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
@@ -74,7 +76,7 @@ def build_source(code: Code, labels: Labels) -> Source:
     return Source(
         name,
         fill_template("templates/header.h", words | _header_words(code, name, style)),
-        fill_template("templates/code.c", words | _code_words(code, name, style, bodies)),
+        fill_template("templates/code.c", words | _code_words(code, name, style, bodies, repeats)),
         fill_template("templates/math.h", words | _elementary_words(functions, used, style))
         if used
         else "",
@@ -82,8 +84,8 @@ def build_source(code: Code, labels: Labels) -> Source:
     )
 
 
-def _function_bodies(code: Code, style: Style) -> dict[str, Body]:
-    """Print the statements of each function of a step."""
+def _function_bodies(code: Code, style: Style) -> tuple[dict[str, Body], list[Body]]:
+    """Print the statements of each function of a step, and the functions of repeated parts."""
     step = code.step
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
@@ -91,18 +93,55 @@ def _function_bodies(code: Code, style: Style) -> dict[str, Body]:
     shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
     inputs = _input_expressions(code)
     kept = dict(zip(stored, name_entries(s=stored), strict=True))
-    known = local_meanings(code.results, step, 1)
-    names = Names(inputs, [stored, out], [following, shown], known, kept)
-    bodies = {"step": build_body(code.results, style, names)}
-    if code.phases is not None:
+    phases: dict[str, tuple[Results, int | None, list[list[str]], list[list[str]]]]
+    if code.phases is None:
+        phases = {"step": (code.results, 1, [stored, out], [following, shown])}
+    else:
         carry = [f"state->carry[{k}]" for k in range(code.carry_size)]
         local = [f"carry_{k}" for k in range(code.carry_size)]
-        first, second = code.phases.estimate, code.phases.advance
-        names = Names(inputs, [out, carry], [shown, local], local_meanings(first, step, 0), kept)
-        bodies["estimate"] = build_body(first, style, names)
-        names = Names(inputs, [stored], [following], local_meanings(second, step, None), kept)
-        bodies["advance"] = build_body(second, style, names)
-    return bodies
+        phases = {
+            "estimate": (code.phases.estimate, 0, [out, carry], [shown, local]),
+            "advance": (code.phases.advance, None, [stored], [following]),
+        }
+    bodies, functions, parts = {}, list[Body](), list[Part]()
+    for name, (plain, place, targets, locals_) in phases.items():
+        results = outline_repeats(plain, parts)
+        calls = Calls(parts, results, _places_in_arrays(results, targets, style))
+        functions += calls.print_functions(parts, style)
+        known = local_meanings(results, step, place)
+        bodies[name] = build_body(
+            results, style, Names(inputs, targets, locals_, known, kept, calls)
+        )
+    if code.phases is not None:
+        given = "state, params, in" if step.params else "state, in"
+        halves = (f"estimate({given}, out)", f"advance({given})")
+        bodies["step"] = Body([f"{INDENT}{style.prefix}_{call};" for call in halves], set())
+    return bodies, functions
+
+
+def _places_in_arrays(
+    results: Results, targets: list[list[str]], style: Style
+) -> dict[Node, Place]:
+    """Return the inputs and results that stand in an array.
+
+    Args:
+        results: the nodes.
+        targets: where each of them goes.
+        style: how numbers are written.
+    """
+    places: dict[Node, Place] = {}
+    memory, carry = f"({style.real_type} *)state", "state->carry"
+    for node in required_nodes(itertools.chain(*results)):
+        if node.op == "input" and node.text[0] in "sc":
+            array = carry if node.text[0] == "c" else memory.replace("(", "(const ")
+            places[node] = Place(array, int(node.text[1:]), "")
+    read = {node.text for node in places}
+    for nodes, wanted in zip(results, targets, strict=True):
+        for k, (node, target) in enumerate(zip(nodes, wanted, strict=True)):
+            if node.op == "part" and target.startswith("state->") and f"s{k}" not in read:
+                array = carry if target.startswith(carry) else memory
+                places.setdefault(node, Place(array, k, target))
+    return places
 
 
 def _input_expressions(code: Code) -> dict[str, str]:
@@ -204,7 +243,9 @@ _MEANINGS = {
 }
 
 
-def _code_words(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+def _code_words(
+    code: Code, name: str, style: Style, bodies: dict[str, Body], repeats: list[Body]
+) -> dict[str, Any]:
     """Return the template words of the code: its headers and functions."""
     step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carry_size]
     start = _store_statements("state", code.structs["state"], values, style)
@@ -212,10 +253,10 @@ def _code_words(code: Code, name: str, style: Style, bodies: dict[str, Body]) ->
     parts = {"params_default": defaults, "init": start}
     for part, made in bodies.items():
         parts[part] = [*_void_casts(made, bool(step.params)), *made.lines]
-    functions = []
+    functions = ["\n".join(repeat.lines) for repeat in repeats]
     for part, signature in function_signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))
-    text = "\n".join([*start, *itertools.chain(*[part.lines for part in bodies.values()])])
+    text = "\n".join(functions)
     return {
         "functions": "\n\n".join(functions),
         "with_limits": "FLT_M" in text or "DBL_M" in text,

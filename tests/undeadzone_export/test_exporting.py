@@ -68,6 +68,14 @@ def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedPr
     return subprocess.run([str(once.program(words, folder))], capture_output=True, text=True)
 
 
+def assert_near_the_graph(told: dict[str, Any]) -> None:
+    """Code in double is compared with the virtual machine; float with the graph in double."""
+    if told["machine"] is None:
+        assert told["float_against_double"].keys() >= {"x", "z"}
+    else:
+        assert told["machine"] <= told["machine_bar"]
+
+
 def certified(**changes: Any) -> Scenario:
     """The paper's example, sampled."""
     return scene(simulation={"time": "sampled"}, **changes)
@@ -105,7 +113,7 @@ CASES = [case for case in CASES if case[1] == "double" or case[0] in IN_FLOAT]
 def test_every_observer(observer: str, precision: str, tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert done.report["refusals"] == []
     result = built(tmp_path / "fw", "o", ["-O0", *WARNINGS])
     assert result.returncode == 0, result.stdout
@@ -123,7 +131,7 @@ def test_auto_is_exported_as_what_it_chooses() -> None:
 def test_every_controller(controller: str, tmp_path: Path) -> None:
     scenario = small("sampled", controller={"method": controller} | CONTROLLERS[controller][1])
     done = uz.export(scenario, out=tmp_path / "fw", part="observer+controller", name="c")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert not done.report["two_phase"]
     assert built(tmp_path / "fw", "c", ["-O0", *WARNINGS]).returncode == 0
 
@@ -135,7 +143,7 @@ def test_the_same_bits_at_every_level_of_optimisation(
 ) -> None:
     scenario = small("sampled", observer={"method": method} | OBSERVERS[method][1])
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert done.report["refusals"] == []
     for options in LEVELS:
         assert built(tmp_path / "fw", "o", [*options, *WARNINGS]).returncode == 0, options
@@ -165,7 +173,7 @@ def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_
     done = uz.export(
         small("sampled", **changes), out=tmp_path / "fw", part=part, name="o", check=True
     )
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert "every bit agrees" in done.report["self_test"]
 
 
@@ -305,8 +313,8 @@ def test_a_flipped_sign_fails_the_self_test(joint: Path, tmp_path: Path) -> None
     out = shutil.copytree(joint, tmp_path / "fw")
     path = out / "joint.c"
     text = path.read_text()
-    start, end = text.index("joint_step("), text.index("joint_estimate(")
-    signs = [match.start() for match in re.finditer(r" [+-] ", text[start:end])]
+    start = text.index("void joint_estimate(")
+    signs = [match.start() for match in re.finditer(r" [+-] ", text[start:])]
     assert len(signs) > 8
     for sign in signs:
         place = start + sign + 1
@@ -368,7 +376,7 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     rows = np.tile([5.0, 0.0], (100_000, 1))
     printed = build_code(step, True)
     text = printed_source(printed, Labels("o", "slow", "observer"))
-    result = accuracy.measure_accuracy(build_code(step, False), printed, text, rows)
+    result = accuracy.measure_accuracy(printed, text, rows)
     assert len(result.refusals) == 1
     assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
 
@@ -519,7 +527,7 @@ def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("CC")
     report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
     assert report["steps"] >= 100_000
-    assert report["machine"] == 0
+    assert report["machine"] is None
     for name in ("right", "left"):
         assert report["float_against_double"][name]["error"] < 1e-4
 
@@ -585,10 +593,6 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert of["Arduino Uno"]["why"] == "flash, memory, time"
     assert of["Cortex-M4F (STM32F4)"]["fits"]
     assert "Arduino Uno" in large["leaner"]["certified"]
-    assert large["runs"].keys() == {"auto", "kalman", "certified"}
-    assert all(0 < run["rms"] < 10 for run in large["runs"].values())
-    assert large["runs"]["certified"]["coverage"] is None
-    assert 0 <= large["runs"]["auto"]["coverage"] <= 1
     double = uz.export(slow, out=tmp_path / "double", precision="double").report
     told = {board["board"]: board["why"] for board in double["boards"]}
     assert told["Arduino Uno"] == "its double is single"
@@ -601,7 +605,7 @@ def test_long_code_stores_each_state_behind_its_last_use() -> None:
     scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
     printed = build_code(exported_step.build_step(resolve_scenario(scenario)), single=True)
     text = printed_source(printed, Labels("o", "long", "observer")).code
-    body = text[text.index("void o_step(") :].split("\n}\n")[0]
+    body = text[text.index("void o_advance(") :].split("\n}\n")[0]
     lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]
     stored = {}
     for number, line in enumerate(lines):
