@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
@@ -91,22 +93,24 @@ def _function_bodies(code: Code, style: Style) -> tuple[dict[str, Body], list[Bo
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
     shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
-    inputs = _input_expressions(code)
     kept = dict(zip(stored, name_entries(s=stored), strict=True))
-    phases: dict[str, tuple[Results, int | None, list[list[str]], list[list[str]]]]
+    parts: list[Part] = []
+    inputs = _input_expressions(code)
     if code.phases is None:
         phases = {"step": (code.results, 1, [stored, out], [following, shown])}
     else:
-        carry = [f"state->carry[{k}]" for k in range(code.carry_size)]
+        first = outline_repeats(code.phases.estimate, parts)
+        carry = [f"state->carry[{k}]" for k in _order_by_calls(first[1])]
         local = [f"carry_{k}" for k in range(code.carry_size)]
+        inputs |= name_entries(c=carry)
         phases = {
-            "estimate": (code.phases.estimate, 0, [out, carry], [shown, local]),
+            "estimate": (first, 0, [out, carry], [shown, local]),
             "advance": (code.phases.advance, None, [stored], [following]),
         }
-    bodies, functions, parts = {}, list[Body](), list[Part]()
+    bodies, functions = {}, list[Body]()
     for name, (plain, place, targets, locals_) in phases.items():
-        results = outline_repeats(plain, parts)
-        calls = Calls(parts, results, _places_in_arrays(results, targets, style))
+        results = plain if name == "estimate" else outline_repeats(plain, parts)
+        calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
         functions += calls.print_functions(parts, style)
         known = local_meanings(results, step, place)
         bodies[name] = build_body(
@@ -119,29 +123,44 @@ def _function_bodies(code: Code, style: Style) -> tuple[dict[str, Body], list[Bo
     return bodies, functions
 
 
+def _order_by_calls(carried: list[Node]) -> list[int]:
+    """Return where carried numbers go: those of a call side by side, as its results are."""
+    calls = [(node.args[0].number, int(node.text)) if node.op == "part" else () for node in carried]
+    order = sorted(range(len(carried)), key=lambda k: calls[k])
+    return np.argsort(order).tolist()
+
+
 def _places_in_arrays(
-    results: Results, targets: list[list[str]], style: Style
+    results: Results, inputs: dict[str, str], targets: list[list[str]], style: Style
 ) -> dict[Node, Place]:
     """Return the inputs and results that stand in an array.
 
     Args:
         results: the nodes.
+        inputs: the expression of each input.
         targets: where each of them goes.
         style: how numbers are written.
     """
     places: dict[Node, Place] = {}
     memory, carry = f"({style.real_type} *)state", "state->carry"
     for node in required_nodes(itertools.chain(*results)):
-        if node.op == "input" and node.text[0] in "sc":
-            array = carry if node.text[0] == "c" else memory.replace("(", "(const ")
-            places[node] = Place(array, int(node.text[1:]), "")
+        if node.op == "input" and node.text[0] == "s":
+            places[node] = Place(memory.replace("(", "(const "), int(node.text[1:]), "")
+        elif node.op == "input" and node.text[0] == "c":
+            places[node] = Place(carry, _index_in(inputs[node.text]), "")
     read = {node.text for node in places}
     for nodes, wanted in zip(results, targets, strict=True):
         for k, (node, target) in enumerate(zip(nodes, wanted, strict=True)):
-            if node.op == "part" and target.startswith("state->") and f"s{k}" not in read:
-                array = carry if target.startswith(carry) else memory
-                places.setdefault(node, Place(array, k, target))
+            if node.op == "part" and target.startswith(carry):
+                places.setdefault(node, Place(carry, _index_in(target), target))
+            elif node.op == "part" and target.startswith("state->") and f"s{k}" not in read:
+                places.setdefault(node, Place(memory, k, target))
     return places
+
+
+def _index_in(entry: str) -> int:
+    """Return the index in the expression of an entry of an array."""
+    return int(entry[entry.rindex("[") + 1 : -1])
 
 
 def _input_expressions(code: Code) -> dict[str, str]:
@@ -151,7 +170,6 @@ def _input_expressions(code: Code) -> dict[str, str]:
         s=[f"{name}_was_{k}" for name, k in member_entries(step.state)],
         w=[f"in->{name}[{k}]" for name, k in member_entries(step.inputs)],
         p=[f"params->{name}[{k}]" for name, k in member_entries(step.params)],
-        c=[f"state->carry[{k}]" for k in range(code.carry_size)],
     )
 
 

@@ -1,4 +1,4 @@
-"""Calls of repeated parts in C: what differs between copies is passed, where it stands if it can be.
+"""Calls of repeated parts in C: what differs between copies is passed, by address if it can be.
 
 Numbers that stand in an array in the same order for each copy, as states do, are passed by their
 address; results go where the caller wants them. Only the rest is copied into arrays.

@@ -1,4 +1,4 @@
-"""Repeated parts of a graph as functions: the same instructions on the same operands, the same bits.
+"""Repeated parts of a graph as functions: the same instructions on the same operands.
 
 A part grows from instructions that are alike whatever inputs and constants stand below them: down
 to operands, then up to users. What differs between its copies becomes an argument.
