@@ -168,9 +168,13 @@ def _is_computed(node: Node) -> bool:
 
 
 def count_operations(results: Results) -> dict[str, int]:
-    """Count the operations of each kind in one evaluation, by their names."""
+    """Count the operations of each kind in one evaluation, by their names.
+
+    Truths as numbers are the truths themselves. The operations of repeated parts are not counted.
+    """
     counts: Counter[str] = Counter()
     for node in required_nodes(itertools.chain(*results)):
-        if node.args and to_condition(node) is None:  # a truth as a number is the truth itself
+        is_call = node.op in ("apply", "part")  # of a repeated part
+        if node.args and not is_call and to_condition(node) is None:
             counts[node.text or _COUNTED[node.op]] += 1
     return dict(sorted(counts.items()))

@@ -39,7 +39,7 @@ from undeadzone_export.targets import Material
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
-MANY = 20_000  # operations of a step, whose code a compiler takes a minute for
+MANY = 20_000  # operations of code that a compiler takes a minute for
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -120,10 +120,9 @@ def export(
     double = build_code(step, single=False)
     printed = build_code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
-    count = sum(count_operations(printed.results).values())
-    if told is not None and count > MANY:
-        told(_slow_compile_warning(count, scenario.observer))
     text = build_source(printed, labels)
+    if told is not None and text.operations > MANY:
+        told(_slow_compile_warning(text, scenario.observer))
     rows = record_inputs(continue_scenario(scenario, STEPS), step)
     report = _initial_report(printed, text, labels, tunable)
     report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
@@ -145,11 +144,12 @@ def export(
     return Exported(written, report, printed)
 
 
-def _slow_compile_warning(count: int, observer: Any) -> str:
+def _slow_compile_warning(text: Source, observer: Any) -> str:
     """Return a warning about a long compilation, with cheaper choices."""
-    said = f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler"
+    size = len(text.code) // 1000
+    said = f"{text.operations:,} operations, {size:,} kB of C, for which a compiler takes minutes"
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
-    return f"{said} takes minutes" + f"; {less} takes less" * bool(less)
+    return said + f"; {less} takes less" * bool(less)
 
 
 def leaner_setting(name: str) -> str:
@@ -228,6 +228,7 @@ def _initial_report(
         "two_phase": printed.phases is not None,
         "sizes": _struct_bytes(printed),
         "operations": count_operations(printed.results),
+        "code_operations": text.operations,
         "functions": text.functions,
     }
 
@@ -241,12 +242,8 @@ def _fit_leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, lis
             printed = build_code(
                 exported_step.build_step(resolve_scenario(other), part, ()), single=is_single
             )
-            costs = {
-                "precision": "single" if is_single else "double",
-                "step": scenario.simulation.step,
-                "sizes": _struct_bytes(printed),
-                "operations": count_operations(printed.results),
-            }
+            labels = Labels("leaner", "", part)
+            costs = _initial_report(printed, build_source(printed, labels), labels, ())
             found[name] = [fit.board for fit in fit_boards(costs) if fit.fits]
     return found
 

@@ -10,13 +10,13 @@ import numpy as np
 import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
-from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
+from undeadzone.compile.print_c import INDENT, SMALL, Body, Names, Style, build_body, c_literal
 from undeadzone.compile.print_calls import Calls, Place
 from undeadzone.compile.repeats import Part, outline_repeats
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import ASSUMPTION_CHECKS
 from undeadzone.util.text import to_one_line
-from undeadzone_export.code import Code
+from undeadzone_export.code import Code, count_operations
 from undeadzone_export.exported_step import ExportedStep, Field, member_entries, name_entries
 from undeadzone_export.template import fill_template
 
@@ -44,6 +44,7 @@ class Source(NamedTuple):
         code: init and step.
         math: the elementary functions; empty where none is used.
         functions: the names of those.
+        operations: how many are written down, those of repeated parts once.
     """
 
     prefix: str
@@ -51,6 +52,7 @@ class Source(NamedTuple):
     code: str
     math: str
     functions: list[str]
+    operations: int
 
     def texts_by_name(self) -> dict[str, str]:
         """Return the texts by file name."""
@@ -61,8 +63,8 @@ class Source(NamedTuple):
 def build_source(code: Code, labels: Labels) -> Source:
     """Print the C of an export."""
     style = Style(code.kind, labels.prefix)
-    bodies, repeats = _function_bodies(code, style)
-    used = set().union(*[part.functions for part in [*bodies.values(), *repeats]])
+    bodies = _print_bodies(code, style)
+    used = bodies.functions
     functions = elementary.required_functions(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
@@ -78,49 +80,88 @@ def build_source(code: Code, labels: Labels) -> Source:
     return Source(
         name,
         fill_template("templates/header.h", words | _header_words(code, name, style)),
-        fill_template("templates/code.c", words | _code_words(code, name, style, bodies, repeats)),
+        fill_template("templates/code.c", words | _code_words(code, name, style, bodies)),
         fill_template("templates/math.h", words | _elementary_words(functions, used, style))
         if used
         else "",
         functions,
+        bodies.operations,
     )
 
 
-def _function_bodies(code: Code, style: Style) -> tuple[dict[str, Body], list[Body]]:
-    """Print the statements of each function of a step, and the functions of repeated parts."""
-    step = code.step
+class _Function(NamedTuple):
+    """Function of a step: what it computes, and where that goes.
+
+    Attributes:
+        results: the nodes.
+        out: which of the results is the output; None: none of them.
+        targets: for each result, where each of its entries goes.
+        locals: for each result, the local that holds each of its entries.
+    """
+
+    results: Results
+    out: int | None
+    targets: list[list[str]]
+    locals: list[list[str]]
+
+
+class _Bodies(NamedTuple):
+    """Texts of a code's functions.
+
+    Attributes:
+        named: statements by function.
+        parts: functions of repeated parts.
+        operations: how many they all have.
+    """
+
+    named: dict[str, Body]
+    parts: list[Body]
+    operations: int
+
+    @property
+    def functions(self) -> set[str]:
+        """Return the elementary functions that they call."""
+        return set().union(*[each.functions for each in [*self.named.values(), *self.parts]])
+
+
+def _print_bodies(code: Code, style: Style) -> _Bodies:
+    """Print each function of a step, and the functions of repeated parts.
+
+    A step is its two halves; of a short one all is written once more, without their calls.
+    """
+    step, parts = code.step, list[Part]()
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
     shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
     kept = dict(zip(stored, name_entries(s=stored), strict=True))
-    parts: list[Part] = []
+    functions, named = {}, dict[str, Body]()
     inputs = _input_expressions(code)
-    if code.phases is None:
-        phases = {"step": (code.results, 1, [stored, out], [following, shown])}
-    else:
+    is_short = len(required_nodes(itertools.chain(*code.results))) <= SMALL
+    if code.phases is None or is_short:
+        whole = outline_repeats(code.results, parts)
+        functions["step"] = _Function(whole, 1, [stored, out], [following, shown])
+    if code.phases is not None:
         first = outline_repeats(code.phases.estimate, parts)
+        second = outline_repeats(code.phases.advance, parts)
         carry = [f"state->carry[{k}]" for k in _order_by_calls(first[1])]
         local = [f"carry_{k}" for k in range(code.carry_size)]
         inputs |= name_entries(c=carry)
-        phases = {
-            "estimate": (first, 0, [out, carry], [shown, local]),
-            "advance": (code.phases.advance, None, [stored], [following]),
-        }
-    bodies, functions = {}, list[Body]()
-    for name, (plain, place, targets, locals_) in phases.items():
-        results = plain if name == "estimate" else outline_repeats(plain, parts)
-        calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
-        functions += calls.print_functions(parts, style)
-        known = local_meanings(results, step, place)
-        bodies[name] = build_body(
-            results, style, Names(inputs, targets, locals_, known, kept, calls)
-        )
-    if code.phases is not None:
+        functions["estimate"] = _Function(first, 0, [out, carry], [shown, local])
+        functions["advance"] = _Function(second, None, [stored], [following])
         given = "state, params, in" if step.params else "state, in"
         halves = (f"estimate({given}, out)", f"advance({given})")
-        bodies["step"] = Body([f"{INDENT}{style.prefix}_{call};" for call in halves], set())
-    return bodies, functions
+        named["step"] = Body([f"{INDENT}{style.prefix}_{call};" for call in halves], set())
+    texts: list[Body] = []
+    count = sum(sum(count_operations([part.results]).values()) for part in parts)
+    for name, (results, place, targets, locals_) in functions.items():
+        calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
+        texts += calls.print_functions(parts, style)
+        known = local_meanings(results, step, place)
+        names = Names(inputs, targets, locals_, known, kept, calls)
+        named[name] = build_body(results, style, names)
+        count += sum(count_operations(results).values())
+    return _Bodies(named, texts, count)
 
 
 def _order_by_calls(carried: list[Node]) -> list[int]:
@@ -261,17 +302,15 @@ _MEANINGS = {
 }
 
 
-def _code_words(
-    code: Code, name: str, style: Style, bodies: dict[str, Body], repeats: list[Body]
-) -> dict[str, Any]:
+def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[str, Any]:
     """Return the template words of the code: its headers and functions."""
     step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carry_size]
     start = _store_statements("state", code.structs["state"], values, style)
     defaults = _store_statements("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}
-    for part, made in bodies.items():
+    for part, made in bodies.named.items():
         parts[part] = [*_void_casts(made, bool(step.params)), *made.lines]
-    functions = ["\n".join(repeat.lines) for repeat in repeats]
+    functions = ["\n".join(repeat.lines) for repeat in bodies.parts]
     for part, signature in function_signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))
     text = "\n".join(functions)

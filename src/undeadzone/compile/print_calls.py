@@ -30,12 +30,12 @@ class Place(NamedTuple):
 
     Attributes:
         array: its expression.
-        index: of the entry.
+        number: of the entry.
         text: the entry itself.
     """
 
     array: str
-    index: int
+    number: int
     text: str
 
 
@@ -59,7 +59,7 @@ class _Parameter(NamedTuple):
     is_shared: bool = False
 
     @property
-    def count(self) -> int:
+    def size(self) -> int:
         """Return the number of entries."""
         return 1 + max(self.entries.values())
 
@@ -98,10 +98,10 @@ class CalledPart:
         for number, row in enumerate(rows):
             groups[self._common_array(row)].append(number)
         copies = defaultdict[tuple[bool, str], list[int]](list)
-        found = []
+        found: list[_Parameter] = []
         for (array, *steps), numbers in groups.items():
             if array and len(numbers) >= FEW:
-                at = {number: self._places[rows[number][0]].index for number in numbers}
+                at = {number: self._places[rows[number][0]].number for number in numbers}
                 first, name = min(at.values()), f"{letter}{len(found)}"
                 starts = tuple(first + int(str(step)) for step in steps)
                 entries = {number: index - first for number, index in at.items()}
@@ -123,7 +123,7 @@ class CalledPart:
         known = [place for place in places if place is not None]
         if len(known) < len(row) or len({place.array for place in known}) > 1:
             return ("",)
-        return known[0].array, *[place.index - known[0].index for place in known]
+        return known[0].array, *[place.number - known[0].number for place in known]
 
     def print_function(self, style: Style, calls: Calls) -> Body:
         """Return the text of the function, with the functions that it calls.
@@ -165,14 +165,14 @@ class CalledPart:
                     expressions.write_node(node.args[number]).text for number in each.entries
                 )
                 lines += wrap_statement(
-                    f"const {TYPES[each.kind]} {copy}[{each.count}] = {{ {texts} }};"
+                    f"const {TYPES[each.kind]} {copy}[{each.size}] = {{ {texts} }};"
                 )
             passed.append(_address(each, k) or copy)
         self._has_shared = True
         for each in self._results:
             copy = f"{name}_{each.name}"
             if not each.array:
-                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.count}];")
+                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.size}];")
             for number, index in each.entries.items():
                 result = self._taken[k].get(number)
                 if result is not None:

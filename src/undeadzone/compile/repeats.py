@@ -14,11 +14,11 @@ from typing import Final, NamedTuple
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, required_nodes
 
 LEAST: Final = 25  # instructions that a part must have, and that it must save
-SEEDS: Final = 12  # that are tried for a part
+SEEDS: Final = 5  # that are tried for a part
 COPIES: Final = 24  # of a part, at most
 USERS: Final = 64  # of a value, beyond which none is followed
 ENOUGH: Final = 0.4  # share of all instructions saved at which no other part is looked for
-WEIGHT: Final = 1  # instructions that pass an argument or a result
+WEIGHT: Final = 2  # instructions that pass an argument or a result
 _COMMUTES: Final = ("add", "mul", "and", "or")
 _LARGE: Final = 1e30  # constants from which on stay what they are
 
@@ -95,6 +95,7 @@ class _Region:
     Attributes:
         at: the copy and the row of each node.
         rows: the operand rows of each row.
+        tried: classes from which the same region would grow.
         arguments, results: rows that a call is given, and rows that others use.
     """
 
@@ -103,6 +104,7 @@ class _Region:
         self.at: dict[Node, tuple[int, Row]] = {}
         self._climb(self._take([seed]))
         taken = dict.fromkeys(row for _, row in self.at.values())
+        self.tried = {graph.classes[row[0]] for row in taken}
         self.rows = {row: self._operands(row) for row in taken}
         while self._drop(self._misplaced()):
             pass
@@ -273,7 +275,7 @@ class _Region:
         """Return results with calls in the place of the copies."""
         nodes, place = Nodes(), {row: str(k) for k, row in enumerate(self.results)}
         new: dict[Node | int, Node] = {}  # by node; of a copy, its call
-        waiting: list[Node | int] = list(itertools.chain(*results))[::-1]
+        waiting: list[Node | int] = [*itertools.chain(*results)]
         while waiting:
             one = waiting[-1]
             copy, row = (one, ()) if isinstance(one, int) else self.at.get(one, (-1, ()))
@@ -304,7 +306,7 @@ def _find_region(results: Results) -> _Region | None:
     seeds = (seed for seed in graph.find_seeds() if graph.classes[seed[0]] not in covered)
     for seed in itertools.islice(seeds, SEEDS):
         region = _Region(graph, seed)
-        covered.update(graph.classes[node] for node in region.at)
+        covered |= region.tried
         if region.gain > (LEAST if best is None else best.gain) and len(region.rows) >= LEAST:
             best = region
             if best.gain > ENOUGH * len(graph.order):
