@@ -59,7 +59,7 @@ def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(exporting, "MANY", 20)
     code, result = called("--json")
     assert code == 0
-    assert "operations, 4 kB of C, for which a compiler takes minutes" in result.stderr
+    assert "100 operations, 5 kB of C, for which a compiler takes minutes" in result.stderr
     assert json.loads(result.stdout)["operations"]
 
 

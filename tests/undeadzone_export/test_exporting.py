@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,12 @@ import undeadzone as uz
 from scenes import scene
 from tools import require
 from undeadzone.compile import elementary, lanes, scalar_step
-from undeadzone.compile.graph import required_nodes
+from undeadzone.compile.graph import LANES, Nodes, required_nodes
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import accuracy, compiler, exported_step, exporting, selftest_vectors
-from undeadzone_export.code import build_code
+from undeadzone_export.code import build_code, count_operations, split_phases
 from undeadzone_export.source import Labels
 from undeadzone_export.source import build_source as printed_source
 
@@ -602,21 +603,77 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
 
 def test_long_code_stores_each_state_behind_its_last_use() -> None:
     """And reads it ahead of its first, so that little is alive at a time."""
-    scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
-    printed = build_code(exported_step.build_step(resolve_scenario(scenario)), single=True)
+    observer = {"method": "censored", "right": [0.0, 2.0], "levels": 1}  # nothing is repeated
+    step = exported_step.build_step(resolve_scenario(small("sampled", observer=observer)))
+    printed = build_code(step, single=True)
     text = printed_source(printed, Labels("o", "long", "observer")).code
-    body = text[text.index("void o_advance(") :].split("\n}\n")[0]
-    lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]
+    lines = {}
+    for name in ("estimate", "advance"):
+        body = text[text.index(f"void o_{name}(") :].split("\n}\n")[0]
+        lines[name] = [line for line in body.splitlines() if " = " in line]
+    pattern = re.compile(r"const float (\w+_was_\d+) = (state->.*);")
+    reads = [k for k, line in enumerate(lines["estimate"]) if pattern.search(line)]
+    assert len(reads) > 40
+    assert max(reads) > 0.4 * len(lines["estimate"])
     stored = {}
-    for number, line in enumerate(lines):
+    for number, line in enumerate(lines["advance"]):
         target = line.split(" = ")[0].strip()
         if target.startswith("state->"):
             stored[target] = number
-    reads = [line for line in lines if re.search(r"const float \w+_was_\d+ = state->", line)]
-    assert len(stored) == len(printed.results[0]) >= len(reads) > 100
-    assert sum(number < 0.9 * len(lines) for number in stored.values()) > len(stored) / 2
-    for line in reads:
-        name, place = line.strip().removeprefix("const float ").rstrip(";").split(" = ")
-        pattern = re.compile(rf"    const .* = .*\b{name}\b")
-        users = [k for k, other in enumerate(lines) if pattern.match(other)]
-        assert max(users, default=0) < stored[place]
+    assert len(stored) == len(printed.results[0])
+    assert sum(k < 0.9 * len(lines["advance"]) for k in stored.values()) > len(stored) / 2
+    found = [match for line in lines["advance"] if (match := pattern.search(line))]
+    assert found
+    for match in found:
+        used = re.compile(rf" = .*\b{match[1]}\b")
+        users = [k for k, other in enumerate(lines["advance"]) if used.search(other)]
+        assert max(users, default=0) <= stored[match[2]]
+
+
+def test_repeated_parts_are_written_once_and_called(tmp_path: Path) -> None:
+    """Three members share functions: a third of the text, and every bit of the reference."""
+    sizes, steps = {}, {}
+    for levels in (1, 3):
+        observer = {"method": "censored", "right": [0.0, 2.0], "levels": levels}
+        scenario = small("sampled", observer=observer)
+        steps[levels] = build_code(exported_step.build_step(resolve_scenario(scenario)), True)
+        text = printed_source(steps[levels], Labels("o", "bank", "observer"))
+        sizes[levels] = len(text.code)
+        calls = re.findall(r"^    o_(part_\d+)\(", text.code, re.M)
+        assert set(Counter(calls).values()) == ({3} if levels == 3 else set())
+        assert text.operations < sum(count_operations(steps[levels].results).values()) * 1.05
+    assert sizes[3] < 1.6 * sizes[1]
+    rows = np.random.default_rng(2).normal(size=(300, 2)) * 3
+    rows[::7, 0] = np.nan
+    compiled = accuracy.CompiledStep(steps[3], tmp_path)
+    vectors = selftest_vectors.reference_vectors(steps[3], rows)
+    given = selftest_vectors.bit_words(compiled(rows.astype(np.float32)), "float32")
+    np.testing.assert_array_equal(given, vectors.outputs)
+    memory = compiled.state[: steps[3].step.start.size]
+    assert selftest_vectors.bit_checksum(memory, "float32") == vectors.states[-1]
+
+
+def test_the_fewest_numbers_pass_from_estimate_to_advance() -> None:
+    """What out does not need is computed where less has to be carried."""
+    nodes = Nodes()
+    reading, late = (nodes.intern_input(name, LANES) for name in ("w0", "w1"))
+    states = [nodes.intern_input(f"s{k}", LANES) for k in range(3)]
+    shown = nodes.intern("add", reading, states[0])
+    wide = [nodes.intern("mul", shown, state) for state in states]
+    following = [nodes.intern("add", one, late) for one in wide]
+    phases = split_phases([following, [shown]], {"w1"})
+    assert phases.carried == 1
+    assert phases.estimate == [[shown], [shown]]
+
+
+def test_the_stack_is_the_deepest_chain_of_calls(tmp_path: Path) -> None:
+    (tmp_path / "o.c").write_text(
+        "static void o_low(void)\n{\n}\n\nstatic void o_mid(void)\n{\n    o_low();\n}\n\n"
+        "void o_step(void)\n{\n    o_mid();\n    o_low();\n}\n"
+    )
+    frames = (("o_step", 8), ("o_mid.isra.0", 100), ("o_low", 30), ("o_init", 999))
+    text = "".join(f"o.c:1:2:{name}\t{size}\tstatic\n" for name, size in frames)
+    (tmp_path / "o.su").write_text(text)
+    assert compiler.stack_bytes(tmp_path, "o") == 138
+    (tmp_path / "o.su").write_text("")
+    assert compiler.stack_bytes(tmp_path, "o") is None
