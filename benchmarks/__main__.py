@@ -48,6 +48,7 @@ NAMES = (
     "identify_speed",
     "damaged_logs",
     "firmware",
+    "small_code",
     "worst_day",
     "arena_effort",
     "play",

@@ -361,8 +361,8 @@ def _step_contact_filter(
     readings = [y[joint::count] for joint in range(count)]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
-        calls = [(part, one, read) for one in modes]
-        each.append(share_step_graph(partial(correct_modes, drive), calls))
+        before = [(part, one, read) for one in modes]
+        each.append(share_step_graph(partial(correct_modes, drive), before))
     odds, shares = _weigh_filters(s.odds, each)
     each = list(map(replace_diverged, each))
     ones = list(map(mix_posteriors, each, shares))

@@ -556,7 +556,7 @@ def _rest_weight(speed: Any) -> Any:
     return ca.exp(-((speed / RESTING) ** 2))
 
 
-def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
+def pack_modes(drive: Drive, moved: Sequence[Mode], s: Modes, y: Any) -> Modes:
     """Return the state at the next sample, unchanged before a first whole sample."""
     entries, begun = (
         ca.Sparsity.upper(drive.layout.entry_count),
