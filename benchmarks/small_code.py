@@ -56,7 +56,9 @@ int main(void)
     }
 }
 """
-ON_UNO = ("certified", "high_gain", "kalman", "censored")
+CLAIMS = ("right = [0.0, 2.0]", "disturbance = 0.2", "bias = 0.0")
+# Observers of the template, with the keys that they do not know.
+ON_UNO = {"certified": CLAIMS, "high_gain": CLAIMS, "kalman": CLAIMS[2:], "censored": ()}
 
 
 class Measured(NamedTuple):
@@ -185,10 +187,9 @@ def uno() -> str:
 
 def _uno_row(method: str, folder: Path) -> str:
     """One observer, built for the processor of an Uno."""
-    text = TEMPLATE.read_text(encoding="utf-8").replace('"auto"', f'"{method}"')
-    if method in ("certified", "high_gain"):
-        keys = ("right = [0.0, 2.0]", "disturbance = 0.2", "bias = 0.0")
-        text = "\n".join(line for line in text.splitlines() if not line.startswith(keys))
+    text = TEMPLATE.read_text(encoding="utf-8").replace('method = "auto"', f'method = "{method}"')
+    unknown = ON_UNO[method]
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(unknown))
     (folder / "of.toml").write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "undeadzone", "export", "of.toml", "--name", "o", "--json"]
     done = subprocess.run([*command, "--out", "c"], cwd=folder, capture_output=True, text=True)

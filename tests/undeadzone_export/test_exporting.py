@@ -668,7 +668,8 @@ def test_the_fewest_numbers_pass_from_estimate_to_advance() -> None:
 
 def test_the_stack_is_the_deepest_chain_of_calls(tmp_path: Path) -> None:
     (tmp_path / "o.c").write_text(
-        "static void o_low(void)\n{\n    return;\n}\n\nstatic void o_mid(void)\n{\n    o_low();\n}\n\n"
+        "static void o_low(void)\n{\n    return;\n}\n\n"
+        "static void o_mid(void)\n{\n    o_low();\n}\n\n"
         "void o_step(void)\n{\n    o_mid();\n    o_low();\n}\n"
     )
     frames = (("o_step", 8), ("o_mid.isra.0", 100), ("o_low", 30), ("o_init", 999))
