@@ -49,6 +49,7 @@ NAMES = (
     "identify_speed",
     "damaged_logs",
     "firmware",
+    "small_code",
     "worst_day",
     "arena_effort",
     "play",

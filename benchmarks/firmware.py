@@ -52,8 +52,7 @@ class Counted(NamedTuple):
     Attributes:
         mean, most: instructions, of all steps and of the longest 20.
         stack: [bytes].
-        text: of the object, with the step, its halves and init [bytes].
-        alone: of the step [bytes].
+        text: of the object, with all functions [bytes].
         warnings: lines of the compiler.
         symbols: of libraries that the object needs.
     """
@@ -62,7 +61,6 @@ class Counted(NamedTuple):
     most: int
     stack: int
     text: int
-    alone: int
     warnings: int
     symbols: int
 
@@ -78,25 +76,24 @@ def instructions() -> str:
     for tool in ("arm-none-eabi-gcc", "qemu-system-arm"):
         if shutil.which(tool) is None:
             return f"{title}\nNot counted: {tool} is not installed; `make tools`.\n"
-    columns = ("single precision, -O2", "instructions", "bar", "most", "stack", "step [kB]",
-               "object [kB]", "warnings", "library symbols")  # fmt: skip
-    lines = [title, *head(*columns)]
+    columns = ("single precision, -O2", "instructions", "bar", "most", "stack", "object [kB]")
+    lines = [title, *head(*columns, "warnings", "library symbols")]
     for name, bar in BARS.items():
         lines.append(_counted_row(name, case(name), bar))
         if not name.startswith("certified"):
             observer = msgspec.structs.replace(case(name).observer, glitches=0.0)
             plain = msgspec.structs.replace(case(name), observer=observer)
             lines.append(_counted_row(f"{name}, `glitches = 0`", plain, bar))
-    note = "Instructions are no cycles: the emulator knows no wait states. The object holds the"
-    return "\n".join([*lines, "", f"{note} step and both its halves.", ""])
+    note = "Instructions are no cycles: the emulator knows no wait states."
+    return "\n".join([*lines, "", note, ""])
 
 
 def _counted_row(name: str, scenario: Scenario, bar: int) -> str:
     """One case."""
     counted = count(build_code(exported_step.build_step(resolve_scenario(scenario)), True))
-    kilobytes = (f"{counted.alone / 1e3:.1f}", f"{counted.text / 1e3:.1f}")
+    size = f"{counted.text / 1e3:.1f}"
     return row(name, f"{counted.mean:,}", f"{bar:,}", f"{counted.most:,}", f"{counted.stack:,}",
-               *kilobytes, str(counted.warnings), str(counted.symbols))  # fmt: skip
+               size, str(counted.warnings), str(counted.symbols))  # fmt: skip
 
 
 def case(name: str) -> Scenario:
@@ -131,19 +128,20 @@ def count(printed: Code) -> Counted:
     """Build a step for the microcontroller, run it in the emulator."""
     text = build_source(printed, Labels("o", "benchmark", "observer"))
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for path, content in text.texts_by_name().items():
-            (folder / path).write_text(content)
-        build = ["arm-none-eabi-gcc", *CORE, *FLAGS, *WARNINGS, "-c", "-o", "o.o", "o.c"]
-        built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=True)
-        numbers = re.findall(r"\d+", _emulated([str(EMULATOR / "count.c"), "o.o"], folder))
-        sizes = _output(["arm-none-eabi-nm", "-S", "o.o"], folder).splitlines()
-        alone = next(line for line in sizes if line.endswith(" o_step")).split()[1]
-        whole = _output(["arm-none-eabi-size", "o.o"], folder).splitlines()[1].split()[0]
-        needed = _output(["arm-none-eabi-nm", "-u", "o.o"], folder).splitlines()
+        compiler.write_sources(text.texts_by_name(), Path(name))
+        return count_folder(Path(name))
+
+
+def count_folder(folder: Path) -> Counted:
+    """Build the export named o in a folder for the microcontroller, run it in the emulator."""
+    build = ["arm-none-eabi-gcc", *CORE, *FLAGS, *WARNINGS, "-c", "-o", "o.o", "o.c"]
+    built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=True)
+    numbers = re.findall(r"\d+", _emulated([str(EMULATOR / "count.c"), "o.o"], folder))
+    whole = _output(["arm-none-eabi-size", "o.o"], folder).splitlines()[1].split()[0]
+    needed = _output(["arm-none-eabi-nm", "-u", "o.o"], folder).splitlines()
     mean, most, stack = map(int, numbers)
     warnings = len(built.stderr.splitlines())
-    return Counted(mean, most, stack, int(whole), int(alone, 16), warnings, len(needed))
+    return Counted(mean, most, stack, int(whole), warnings, len(needed))
 
 
 def _emulated(files: list[str], folder: Path) -> str:

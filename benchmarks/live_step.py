@@ -56,6 +56,7 @@ def _ways(
     sensor = uz.Sensor(right=1, left=1, noise=0.01)
     plain = uz.Online(observer, plant, sensor, 1e-3)
     fast = uz.Online(observer, plant, sensor, 1e-3, compiled=True)
+    fast.settle()
     rows = np.tile([0.3, 1.0], (many, 1))
     scenario = uz.Scenario(
         plant=plant,

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret
+from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone_export.code import Code
 from undeadzone_export.compiler import compile_library, stack_bytes, write_sources
@@ -32,8 +33,8 @@ class Accuracy(NamedTuple):
     """Errors of the code against the graph, and of float against double.
 
     Attributes:
-        machine: largest error of the code in double against CasADi's virtual machine, relative to
-            the size of each field.
+        machine: largest error of code in double against CasADi's virtual machine, relative to the
+            size of each field; None in single precision.
         machine_bar: what it must stay below.
         steps: how many steps float ran beside double; 0 in double precision.
         float_against_double: the largest error of float and the largest value, by field.
@@ -44,8 +45,8 @@ class Accuracy(NamedTuple):
         stack: of a step on this computer [bytes]; None: the compiler does not tell.
     """
 
-    machine: float
-    machine_bar: float
+    machine: float | None
+    machine_bar: float | None
     steps: int
     float_against_double: dict[str, dict[str, float]]
     sides_differ: int
@@ -99,36 +100,27 @@ def _array_pointer(values: Any) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
-def measure_accuracy(double: Code, printed: Code, text: Source, rows: Floats) -> Accuracy:
-    """Compare the code in double with the virtual machine, and the code in float with double.
+def measure_accuracy(printed: Code, text: Source, rows: Floats) -> Accuracy:
+    """Compare the code in double with the virtual machine, or that in float with the graph.
 
     Args:
-        double: the code in double.
-        printed: the code in float; where the export is in double, the same.
-        text: the C of what is printed; elementary functions that it uses differ in the last bits.
+        printed: the code.
+        text: its C; elementary functions that it uses differ in the last bits.
         rows: the inputs along the scenario's own run, continued (steps x inputs).
 
     Raises:
         InputError: there is no C compiler.
     """
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        replica = CompiledStep(double, folder, text=None if printed.single else text)
-        error = _machine_error(double, replica, rows[:MACHINE_STEPS])
-        bar = CLOSE if text.functions else EXACT
-        refusals = []
-        if not error <= bar:
-            refusals.append(
-                f"the code in double differs from the graph by {error:.2g}, above {bar:g}"
-            )
-        plain = Accuracy(error, bar, 0, {}, 0, None, None, refusals, replica.stack)
-        if not printed.single:
-            return plain
-        (folder / "single").mkdir()
-        rounded = CompiledStep(printed, folder / "single", text=text)
-        plain = plain._replace(stack=rounded.stack)
-        replica.reset_memory()
-        return _compare_precisions(plain, replica, rounded, printed, rows)
+        compiled = CompiledStep(printed, Path(name), text=text)
+        if printed.single:
+            return _compare_precisions(compiled, printed, rows)
+        error = _machine_error(printed, compiled, rows[:MACHINE_STEPS])
+    bar = CLOSE if text.functions else EXACT
+    refusals = []
+    if not error <= bar:
+        refusals.append(f"the code in double differs from the graph by {error:.2g}, above {bar:g}")
+    return Accuracy(error, bar, 0, {}, 0, None, None, refusals, compiled.stack)
 
 
 def _machine_error(code: Code, replica: CompiledStep, rows: Floats) -> float:
@@ -144,16 +136,15 @@ def _machine_error(code: Code, replica: CompiledStep, rows: Floats) -> float:
     return float(max(gap[:, at].max() / (size[:, at].max() + 1e-300) for at in places))
 
 
-def _compare_precisions(
-    plain: Accuracy, double: CompiledStep, single: CompiledStep, code: Code, rows: Floats
-) -> Accuracy:
-    """Compare float with double on inputs that float represents exactly."""
-    rows = rows.astype(np.float32).astype(float)
+def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accuracy:
+    """Compare float with the graph in double on inputs that float represents exactly."""
+    step, rows = code.step, rows.astype(np.float32).astype(float)
+    double = CompiledStepper(step.function, step.start, step.defaults, brief=True)
     runs, pairs = [], []
     for start in range(0, len(rows), CHUNK):
         piece = rows[start : start + CHUNK]
-        runs.append([double(piece), single(piece)])
-        pairs.append([smallest_eigenvalue(code.step.state, one.state) for one in (double, single)])
+        runs.append([double.run(piece), single(piece)])
+        pairs.append([smallest_eigenvalue(step.state, one.state) for one in (double, single)])
     exact, rounded = np.concatenate(runs, axis=1)
     places, gap, size = (
         field_slices(code.step.outputs),
@@ -165,7 +156,7 @@ def _compare_precisions(
         error, most = float(gap[:, place].max()), float(size[:, place].max())
         table[field] = {"error": error, "size": most}
     least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
-    refusals = plain.refusals + _width_refusals(places, gap, size)
+    refusals = _width_refusals(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:
             refusals.append(
@@ -173,13 +164,9 @@ def _compare_precisions(
                 f"in {real}, below {bar:g}; use --precision double"
             )
     in_double, in_float = to_json_value(least.tolist())
-    return plain._replace(
-        steps=len(rows),
-        float_against_double=table,
-        sides_differ=int((gap[:, places["side"]] != 0).any(axis=1).sum()),
-        smallest_correlation_eigenvalue=in_double,
-        smallest_correlation_eigenvalue_in_float=in_float,
-        refusals=refusals,
+    differ = int((gap[:, places["side"]] != 0).any(axis=1).sum())
+    return Accuracy(
+        None, None, len(rows), table, differ, in_double, in_float, refusals, single.stack
     )
 
 

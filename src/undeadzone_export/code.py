@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+import numpy as np
+
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, required_nodes, to_condition
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import TYPES
@@ -18,6 +20,8 @@ _COUNTED: Final = {
     **{"not": "logic", "and": "logic", "or": "logic", "select": "select"},
     **{"lt": "compare", "le": "compare", "eq": "compare", "ne": "compare"},
 }
+
+_WIDE: Final = 2**20  # capacity of what no cut can pass
 
 
 class Phases(NamedTuple):
@@ -102,31 +106,58 @@ def build_code(step: ExportedStep, single: bool) -> Code:
 def split_phases(results: Results, acting: Iterable[str]) -> Phases:
     """Split the results (next, out) in two: before the inputs are known, and after.
 
+    What `out` does not need is computed where fewer numbers then pass from one to the other.
+
     Args:
         results: the nodes.
         acting: names of the inputs that are known late; `out` must not depend on them.
     """
     following, out = results
-    order = required_nodes(following)
     late: set[Node] = set()
-    used: list[Node] = []
-    for node in order:
+    needed = set(following)
+    for node in required_nodes(following):
         if node.text in acting or not late.isdisjoint(node.args):
             late.add(node)
-            used += node.args
-    used.sort(key=lambda node: node.number)
-    carried: dict[Node, int] = {}
-    for node in [*used, *following]:
-        if node not in late and _is_computed(node):
-            carried.setdefault(node, len(carried))
+            needed.update(node.args)
+    early = [node for node in required_nodes(needed - late) if _is_computed(node)]
+    carried = _smallest_cut(early, needed, set(required_nodes(out)))
     nodes = Nodes()
     copies: dict[Node, Node] = {}
-    for node, entry in carried.items():
+    for entry, node in enumerate(carried):
         copies[node] = nodes.intern_input(f"c{entry}", LANES, node.kind)
     for node in required_nodes(following, carried):
         args = [copies[arg] for arg in node.args]
         copies[node] = nodes.intern(node.op, *args, text=node.text, kind=node.kind)
-    return Phases([out, list(carried)], [[copies[node] for node in following]], len(carried))
+    return Phases([out, carried], [[copies[node] for node in following]], len(carried))
+
+
+def _smallest_cut(nodes: list[Node], needed: set[Node], first: set[Node]) -> list[Node]:
+    """Return the fewest values from which all that is needed can be computed.
+
+    It is the smallest cut of a flow from what is needed down to what only the first phase knows;
+    each value is a pipe of capacity 1.
+
+    Args:
+        nodes: what is known before the inputs, in the order of creation.
+        needed: what the second phase uses.
+        first: what the first phase has to compute.
+    """
+    from scipy.sparse import csgraph, csr_matrix
+
+    start, end = 2 * len(nodes), 2 * len(nodes) + 1
+    at = {
+        node: 2 * k for k, node in enumerate(nodes)
+    }  # and at the odd number behind it its operands
+    pipes = [(top, top + 1, 1) for top in at.values()]
+    for node, top in at.items():
+        pipes += [(top + 1, at[arg], _WIDE) for arg in set(node.args) & at.keys()]
+        pipes += [(start, top, _WIDE)] * (node in needed)
+        pipes += [(top + 1, end, _WIDE)] * (node in first or node.op == "input")
+    tails, heads, capacities = np.array(pipes, np.int32).reshape(-1, 3).T
+    graph = csr_matrix((capacities, (tails, heads)), (end + 1, end + 1))
+    left = graph - csgraph.maximum_flow(graph, start, end).flow
+    reached = {*csgraph.breadth_first_order(left > 0, start)[0].tolist()}
+    return [node for node, top in at.items() if top in reached and top + 1 not in reached]
 
 
 def _is_computed(node: Node) -> bool:
@@ -137,9 +168,13 @@ def _is_computed(node: Node) -> bool:
 
 
 def count_operations(results: Results) -> dict[str, int]:
-    """Count the operations of each kind in one evaluation, by their names."""
+    """Count the operations of each kind in one evaluation, by their names.
+
+    Truths as numbers are the truths themselves. The operations of repeated parts are not counted.
+    """
     counts: Counter[str] = Counter()
     for node in required_nodes(itertools.chain(*results)):
-        if node.args and to_condition(node) is None:  # a truth as a number is the truth itself
+        is_call = node.op in ("apply", "part")  # of a repeated part
+        if node.args and not is_call and to_condition(node) is None:
             counts[node.text or _COUNTED[node.op]] += 1
     return dict(sorted(counts.items()))

@@ -154,7 +154,6 @@ def _report_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
         pairs["REFUSED"] = report["refusals"]
     if report.get("leaner"):
         pairs["leaner"] = [_leaner_text(*each) for each in report["leaner"].items()]
-        pairs["along the run"] = [_sentence_on_run(*each) for each in report["runs"].items()]
     pairs["written"] = files or "nothing; --out DIR keeps the files"
     if any(name.endswith("Makefile") for name in files):
         build = shell_command("make", "-C", Path(files[0]).parent)
@@ -167,14 +166,6 @@ def _leaner_text(name: str, boards: list[str]) -> str:
     from undeadzone_export.exporting import leaner_setting
 
     return f"{leaner_setting(name)} fits {', '.join(boards) or 'none of these boards'}"
-
-
-def _sentence_on_run(method: str, run: dict[str, float | None]) -> str:
-    """Return a sentence on the errors of an observer in the last 2 s of the scenario's run."""
-    rms, coverage = run["rms"], run["coverage"]
-    error = "diverges" if rms is None else f"rms z - z^ {rms:.3g}"
-    inside = "none" if coverage is None else f"{100 * coverage:.0f} % hold the width"
-    return f"{method}: {error}, intervals: {inside}"
 
 
 def _page_lines(report: dict[str, Any], files: list[str]) -> dict[str, Any]:
@@ -196,7 +187,8 @@ def _accuracy_table(accuracy: dict[str, Any]) -> list[list[str]]:
     rows = [["float against double", "largest error", "largest value"]]
     for name, numbers in accuracy["float_against_double"].items():
         rows.append([name, f"{numbers['error']:.2g}", f"{numbers['size']:.3g}"])
-    rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
+    if accuracy["machine"] is not None:
+        rows.append(["code against graph, double", f"{accuracy['machine']:.2g}", "relative"])
     for real, key in (("double", ""), ("float", "_in_float")):
         eigenvalue = accuracy[f"smallest_correlation_eigenvalue{key}"]
         if eigenvalue is not None:

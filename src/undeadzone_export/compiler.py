@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -109,23 +110,31 @@ def _run_compiler(line: list[str], folder: Path) -> subprocess.CompletedProcess[
 def stack_bytes(folder: Path, prefix: str) -> int | None:
     """Return the stack of a step as the compiler reports it [bytes], or None.
 
-    It is the largest frame of a step or its halves and those of all functions that they may call.
+    It is the largest sum of the frames of functions that call each other.
 
     Args:
-        folder: where `shared_library` put its output.
+        folder: where `compile_library` put its output, with the sources.
         prefix: what the names of the functions begin with.
     """
     frames: dict[str, int] = {}
     for path in folder.glob("*.su"):
         for line in path.read_text(encoding="utf-8").splitlines():
             place, size, _ = line.split("\t")
-            name = place.rsplit(":", 1)[-1]
-            if name.startswith(f"{prefix}_"):
-                frames[name.removeprefix(f"{prefix}_")] = int(size)
-    steps = [frames.pop(name, 0) for name in ("step", "estimate", "advance")]
-    for other in ("init", "params_default"):
-        frames.pop(other, None)
-    return max(steps) + sum(frames.values()) if max(steps) else None
+            frames[place.rsplit(":", 1)[-1].split(".")[0]] = int(size)
+    calls: dict[str, set[str]] = {}
+    for path in folder.glob(f"{prefix}*.[ch]"):
+        for text in path.read_text(encoding="utf-8").split("\n}\n"):
+            head, _, body = text.rpartition("\n{\n")
+            name = re.findall(r"\b(\w+)\(", head)[-1:]
+            calls |= {key: set(re.findall(r"\b(\w+)\(", body)) for key in name}
+
+    def deepest(name: str) -> int:
+        """Return the stack of a function and of those that it calls."""
+        below = [deepest(other) for other in calls[name] & calls.keys()]
+        return frames.get(name, 0) + max(below, default=0)
+
+    steps = [f"{prefix}_{name}" for name in ("step", "estimate", "advance")]
+    return max(map(deepest, calls.keys() & steps)) if frames.keys() & steps else None
 
 
 def run_selftest(files: dict[str, str]) -> tuple[bool, str]:

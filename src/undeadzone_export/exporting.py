@@ -20,9 +20,7 @@ from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
-from undeadzone.simulation.simulate import simulate
-from undeadzone.util.arrays import Floats, to_json_value
-from undeadzone.util.text import HALF_95
+from undeadzone.util.arrays import Floats
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
 from undeadzone_export.code import Code, build_code, count_operations
@@ -41,7 +39,7 @@ from undeadzone_export.targets import Material
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
-MANY = 20_000  # operations of a step, whose code a compiler takes a minute for
+MANY = 20_000  # operations of code that a compiler takes a minute for
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -137,21 +135,18 @@ def export(
     double = build_code(step, single=False)
     printed = build_code(step, single=True) if precision == "single" else double
     labels = Labels(prefix, scenario.title, part)
-    count = sum(count_operations(printed.results).values())
-    if told is not None and count > MANY:
-        told(_slow_compile_warning(count, scenario.observer))
     text = build_source(printed, labels)
+    if told is not None and text.operations > MANY:
+        told(_slow_compile_warning(text, scenario.observer))
     rows = record_inputs(continue_scenario(scenario, STEPS), step)
     report = _initial_report(printed, text, labels, tunable)
     report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
-    report |= _accuracy_report(double, printed, text, rows)
+    report |= _accuracy_report(printed, text, rows)
     if to in FIRMWARE:
         found = fit_boards(report)
         report["boards"] = [fit._asdict() for fit in found]
         if not all(fit.fits for fit in found):
-            report["leaner"], leaner = _fit_leaner(scenario, part, printed.single)
-            everyone = {scenario.observer.__struct_config__.tag: scenario} | leaner
-            report["runs"] = {tag: _quality_along_run(other) for tag, other in everyone.items()}
+            report["leaner"] = _fit_leaner(scenario, part, printed.single)
     vectors = reference_vectors(printed, choose_samples(rows[: problem.steps + 1], step.readings))
     material = Material(printed, labels, text, vectors, scenario.units, report)
     files = targets.export_files(to, material)
@@ -164,11 +159,12 @@ def export(
     return Exported(written, report, printed)
 
 
-def _slow_compile_warning(count: int, observer: Any) -> str:
+def _slow_compile_warning(text: Source, observer: Any) -> str:
     """Return a warning about a long compilation, with cheaper choices."""
-    said = f"{count:,} operations a sample: about {count // 100:,} kB of code, for which a compiler"
+    size = len(text.code) // 1000
+    said = f"{text.operations:,} operations, {size:,} kB of C, for which a compiler takes minutes"
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
-    return f"{said} takes minutes" + f"; {less} takes less" * bool(less)
+    return said + f"; {less} takes less" * bool(less)
 
 
 def leaner_setting(name: str) -> str:
@@ -247,40 +243,24 @@ def _initial_report(
         "two_phase": printed.phases is not None,
         "sizes": _struct_bytes(printed),
         "operations": count_operations(printed.results),
+        "code_operations": text.operations,
         "functions": text.functions,
     }
 
 
-def _fit_leaner(
-    scenario: Scenario, part: str, is_single: bool
-) -> tuple[dict[str, list[str]], dict[str, Scenario]]:
-    """Return the boards that cheaper observers fit, and the scenarios with each, by tag."""
-    found, scenarios = {}, {}
+def _fit_leaner(scenario: Scenario, part: str, is_single: bool) -> dict[str, list[str]]:
+    """Return the boards that cheaper observers fit, by tag."""
+    found = {}
     for name, made in _leaner_choices(scenario.observer).items():
         with suppress(InputError, TypeError):  # the scenario cannot have it
             other = msgspec.structs.replace(scenario, observer=made())
             printed = build_code(
                 exported_step.build_step(resolve_scenario(other), part, ()), single=is_single
             )
-            costs = {
-                "precision": "single" if is_single else "double",
-                "step": scenario.simulation.step,
-                "sizes": _struct_bytes(printed),
-                "operations": count_operations(printed.results),
-            }
+            labels = Labels("leaner", "", part)
+            costs = _initial_report(printed, build_source(printed, labels), labels, ())
             found[name] = [fit.board for fit in fit_boards(costs) if fit.fits]
-            scenarios[name] = other
-    return found, scenarios
-
-
-def _quality_along_run(scenario: Scenario) -> dict[str, float | None]:
-    """Return the rms of z - z^ and the coverage of the widths along an observer's run."""
-    run = simulate(scenario, check_step=False)
-    covered = None
-    if run.d_std is not None:
-        inside = np.abs(np.ravel(run.info.widths) - run.d_hat) <= HALF_95 * run.d_std
-        covered = float(inside[run.last].mean())
-    return {"rms": to_json_value(run.rms_estimation), "coverage": covered}
+    return found
 
 
 def _struct_bytes(printed: Code) -> dict[str, int]:
@@ -300,11 +280,11 @@ def constants_beyond_float(double: Code) -> list[str]:
     return sorted(texts)
 
 
-def _accuracy_report(double: Code, printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
+def _accuracy_report(printed: Code, text: Source, rows: Floats) -> dict[str, Any]:
     """Return the accuracy and its refusals."""
     if compiler.find_compiler() is None:
         message = "accuracy was not measured: no C compiler (cc, gcc or clang in PATH, or $CC)"
         refusals = [message] if printed.single else []
         return {"accuracy": None, "stack": None, "refusals": refusals}
-    found = accuracy.measure_accuracy(double, printed, text, rows)._asdict()
+    found = accuracy.measure_accuracy(printed, text, rows)._asdict()
     return {"accuracy": found, "stack": found.pop("stack"), "refusals": found.pop("refusals")}

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.compile import elementary, portable_maths
-from undeadzone.compile.graph import Node
+from undeadzone.compile.graph import Node, Results, required_nodes
 from undeadzone.compile.print_c import (
     INDENT,
     Expressions,
@@ -26,6 +26,7 @@ from undeadzone.compile.print_st import (
     initial_literal,
     statement_operands,
 )
+from undeadzone.compile.repeats import Part, outline_repeats
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
@@ -165,71 +166,34 @@ class _BlockBuilder:
         self.missing, self.read, self.following = named[4:]
         given = [*self.read, *self.inputs[step.readings :]]
         self.entries = name_entries(s=self.states, w=given, p=self.params)
-        labelled = local_meanings(code.results, step, 1)
-        for nodes, wanted in zip(code.results, (self.following, self.outputs), strict=True):
+        repeats: list[Part] = []
+        self.results = outline_repeats(code.results, repeats)
+        self.repeats = [_Repeat(part, repeats, labels, style) for part in repeats]
+        labelled = local_meanings(self.results, step, 1)
+        for nodes, wanted in zip(self.results, (self.following, self.outputs), strict=True):
             for node, name in zip(nodes, wanted, strict=True):
                 if node.args:
                     labelled[node] = name
-        self._expressions = Expressions(style, self.entries)
-        self.locals = find_locals(code.results, self._expressions, labelled)
-        self.held = self._expressions.names
+        inner = _Inner(f"fb_{labels.prefix}", self.results, repeats, self.entries, style)
+        self.inner = inner.write(labelled)
+        self._expressions = inner.expressions
         self.real = real
 
     @property
     def function_names(self) -> set[str]:
-        """Return the functions that the block calls."""
-        return self._expressions.functions
+        """Return the functions that the blocks call."""
+        every = [self._expressions, *(repeat.expressions for repeat in self.repeats)]
+        return set().union(*(each.functions for each in every))
 
     def build_units(self) -> list[PlcUnit]:
-        """Build the parts, if any, and the block."""
-        name = f"fb_{self.labels.prefix}"
-        if len(self.locals) <= STATEMENTS:
-            return [self._main_block(name, self.locals, [], local_statements(self.locals))]
-        shared = set(itertools.chain(*self.code.results))
-        parts = []
-        for start in range(0, len(self.locals), STATEMENTS):
-            part = self.locals[start : start + STATEMENTS]
-            inside = {local.node for local in part}
-            read = itertools.chain(*[statement_operands(local, self.held) for local in part])
-            given = {node: None for node in read if node not in inside}
-            shared.update(given)
-            parts.append((part, given))
-        units = []
-        for place, (part, given) in enumerate(parts):
-            meaning = f"Part {place + 1} of {len(parts)}: the block calls it."
-            variables = self._part_variables(part, list(given), shared)
-            unit = (f"{name}_part_{place + 1}", meaning, variables, local_statements(part))
-            units.append(PlcUnit("FUNCTION_BLOCK", *unit))
-        own = [local for local in self.locals if local.node in shared]
-        calls = list(itertools.chain(*map(_call_part, units)))
-        return [*units, self._main_block(name, own, units, calls)]
+        """Build the blocks of repeated parts, the parts of the block, if any, and the block."""
+        own = itertools.chain(*(repeat.units for repeat in self.repeats))
+        return [*own, *self.inner.units, self._main_block()]
 
-    def _part_variables(
-        self, part: list[Local], given: list[Node], shared: set[Node]
-    ) -> dict[str, list[PlcVariable]]:
-        """Return the variables of a part, by section.
-
-        Args:
-            part: what it computes.
-            given: what it reads.
-            shared: what is read outside of the part that computes it.
-        """
-        names = [self.held.get(node) or self.entries[node.text] for node in given]
-        variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
-        for node, name in zip(given, names, strict=True):
-            variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
-        for local in part:
-            section = OUTPUTS if local.node in shared else LOCALS
-            variables[section].append(_declare_local(local))
-        return variables
-
-    def _main_block(
-        self, name: str, own: list[Local], parts: list[PlcUnit], lines: list[str]
-    ) -> PlcUnit:
+    def _main_block(self) -> PlcUnit:
         """Build the block that users call."""
         shown, step = set(self.outputs), self.code.step
-        held = [_declare_local(local) for local in own if local.name not in shown]
-        held += [PlcVariable(f"part_{k + 1}", part.name) for k, part in enumerate(parts)]
+        held = [each for each in self.inner.variables if each.name not in shown]
         read = [PlcVariable(text, self.real) for text in self.read]
         copied, stored = self._memory_assignments()
         held += [PlcVariable(text, self.real) for text in copied]
@@ -247,13 +211,13 @@ class _BlockBuilder:
         text = [
             *_if_statement("reset", start),
             *self._reading_statements(),
-            *lines,
+            *self.inner.lines,
             *self._output_assignments(),
         ]
         text += [f"{INDENT}{each} := {source};" for each, source in copied.items()]
         text += _if_statement("NOT hold", stored)
         meaning = f"{to_one_line(self.labels.title)}: {self.labels.part}, every {step.Ts:g} s."
-        return PlcUnit("FUNCTION_BLOCK", name, meaning, variables, text)
+        return PlcUnit("FUNCTION_BLOCK", f"fb_{self.labels.prefix}", meaning, variables, text)
 
     def _input_variables(self) -> list[PlcVariable]:
         """Return the input variables of the block."""
@@ -294,7 +258,7 @@ class _BlockBuilder:
     def _output_assignments(self) -> list[str]:
         """Return assignments to the outputs that no local of the same name fills."""
         lines = []
-        for node, name in zip(self.code.results[1], self.outputs, strict=True):
+        for node, name in zip(self.results[1], self.outputs, strict=True):
             text = self._expressions.write_node(node).text
             if text != name:
                 lines += wrap_statement(f"{name} := {text};")
@@ -303,9 +267,7 @@ class _BlockBuilder:
     def _memory_assignments(self) -> tuple[dict[str, str], list[str]]:
         """Return copies of states that move to another, and the assignments to the memory."""
         copied, stored = {}, []
-        for node, state, name in zip(
-            self.code.results[0], self.states, self.following, strict=True
-        ):
+        for node, state, name in zip(self.results[0], self.states, self.following, strict=True):
             text = self._expressions.write_node(node).text
             if text in self.states and text != state:
                 copied[name], text = text, name
@@ -314,14 +276,179 @@ class _BlockBuilder:
         return copied, stored
 
 
+class _Written(NamedTuple):
+    """Inside of a block.
+
+    Attributes:
+        units: its parts, if it is divided.
+        variables: what it holds.
+        lines: its statements.
+    """
+
+    units: list[PlcUnit]
+    variables: list[PlcVariable]
+    lines: list[str]
+
+
+class _Inner:
+    """Writer of the statements of a block, whole or in parts, with calls of repeated parts.
+
+    Args:
+        name: of the block.
+        results: what it computes.
+        repeats: all repeated parts.
+        entries: the expression of each input.
+        style: how numbers and functions are written.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        results: Results,
+        repeats: list[Part],
+        entries: dict[str, str],
+        style: Style,
+    ) -> None:
+        self.name, self.results, self.entries, self.prefix = name, results, entries, style.prefix
+        self.expressions = Expressions(style, entries)
+        self.expressions.calls = self._call_repeat
+        self._inputs = {part.name: part.inputs for part in repeats}
+        self._taken: dict[Node, dict[int, Node]] = {}
+        for node in required_nodes(itertools.chain(*results)):
+            if node.op == "apply":
+                self._taken[node] = {}
+            elif node.op == "part":
+                self._taken[node.args[0]][int(node.text)] = node
+
+    def _call_repeat(self, name: str, node: Node, expressions: Expressions) -> list[str]:
+        """Return the statements that call a repeated part and copy its results, which get names."""
+        pairs = zip(self._inputs[node.text], node.args, strict=True)
+        given = ", ".join(f"{to.text} := {expressions.write_node(arg).text}" for to, arg in pairs)
+        lines = wrap_statement(f"{node.text}({given});")
+        for k, result in self._taken[node].items():
+            expressions.names[result] = f"{name}_{k}"
+            lines.append(f"{INDENT}{name}_{k} := {node.text}.r{k};")
+        return lines
+
+    def _declare(self, found: Iterable[Local]) -> list[PlcVariable]:
+        """Return the variables of locals; of a call those of its results."""
+        held = self.expressions.names
+        variables = []
+        for local in found:
+            given = self._taken.get(local.node, {0: local.node})
+            variables += [PlcVariable(held[one], TYPES[one.kind]) for one in given.values()]
+        return variables
+
+    def write(self, labels: dict[Node, str]) -> _Written:
+        """Write the statements.
+
+        Args:
+            labels: names of some nodes.
+        """
+        found = find_locals(self.results, self.expressions, labels)
+        called = dict.fromkeys(node.text for node in self._taken)
+        instances = [PlcVariable(each, f"fb_{self.prefix}_{each}") for each in called]
+        if len(found) <= STATEMENTS:
+            return _Written([], [*self._declare(found), *instances], local_statements(found))
+        held = self.expressions.names
+        shared = set(itertools.chain(*self.results))
+        parts: list[tuple[list[Local], list[Node]]] = []
+        for is_call, run in itertools.groupby(found, lambda local: local.node in self._taken):
+            many = list(run)
+            size = 1 if is_call else STATEMENTS
+            for part in (many[start : start + size] for start in range(0, len(many), size)):
+                inside = {local.node for local in part}
+                read = itertools.chain(*[statement_operands(local, held) for local in part])
+                given = list(dict.fromkeys(node for node in read if node not in inside))
+                shared.update(given)
+                parts.append((part, given))
+        units, lines = list[PlcUnit](), list[str]()
+        count = sum(part[0].node not in self._taken for part, _ in parts)
+        for part, given in parts:
+            if part[0].node in self._taken:
+                lines += part[0].lines
+                continue
+            meaning = f"Part {len(units) + 1} of {count}: the block calls it."
+            unit = (f"{self.name}_part_{len(units) + 1}", meaning)
+            variables = self._part_variables(part, given, shared)
+            units.append(PlcUnit("FUNCTION_BLOCK", *unit, variables, local_statements(part)))
+            lines += _call_part(units[-1])
+        own = [local for local in found if local.node in shared or local.node in self._taken]
+        instances += [PlcVariable(_instance_name(unit), unit.name) for unit in units]
+        return _Written(units, [*self._declare(own), *instances], lines)
+
+    def _part_variables(
+        self, part: list[Local], given: list[Node], shared: set[Node]
+    ) -> dict[str, list[PlcVariable]]:
+        """Return the variables of a part, by section.
+
+        Args:
+            part: what it computes.
+            given: what it reads.
+            shared: what is read outside of the part that computes it.
+        """
+        held = self.expressions.names
+        names = [held.get(node) or self.entries[node.text] for node in given]
+        variables: dict[str, list[PlcVariable]] = {INPUTS: [], OUTPUTS: [], LOCALS: []}
+        for node, name in zip(given, names, strict=True):
+            variables[INPUTS].append(PlcVariable(name, TYPES[node.kind]))
+        for local in part:
+            section = OUTPUTS if local.node in shared else LOCALS
+            variables[section] += self._declare([local])
+        return variables
+
+
+class _Repeat:
+    """Block of a repeated part.
+
+    Args:
+        part: what it computes.
+        repeats: all repeated parts.
+        labels: the words that all files share.
+        style: how numbers and functions are written.
+
+    Attributes:
+        units: its parts, if it is divided, and the block.
+        expressions: how it is written.
+    """
+
+    def __init__(self, part: Part, repeats: list[Part], labels: Labels, style: Style) -> None:
+        name = f"fb_{labels.prefix}_{part.name}"
+        entries = {each.text: each.text for each in part.inputs}
+        inner = _Inner(name, [part.results], repeats, entries, style)
+        outputs = {node: f"r{k}" for k, node in enumerate(part.results) if node.args}
+        written, self.expressions = inner.write(outputs), inner.expressions
+        lines, shown = list(written.lines), []
+        for k, node in enumerate(part.results):
+            shown.append(PlcVariable(f"r{k}", TYPES[node.kind]))
+            text = self.expressions.write_node(node).text
+            lines += wrap_statement(f"r{k} := {text};") if text != f"r{k}" else []
+        names = {each.name for each in shown}
+        variables = {
+            INPUTS: [PlcVariable(each.text, TYPES[each.kind]) for each in part.inputs],
+            OUTPUTS: shown,
+            LOCALS: [each for each in written.variables if each.name not in names],
+        }
+        meaning = "What the block computes several times, on other numbers."
+        self.units = [
+            *written.units,
+            PlcUnit("FUNCTION_BLOCK", name, meaning, variables, lines),
+        ]
+
+
 def _declare_local(local: Local) -> PlcVariable:
     """Return the variable of a local."""
     return PlcVariable(local.name, TYPES[local.node.kind])
 
 
+def _instance_name(part: PlcUnit) -> str:
+    """Return what the instance of a part is called."""
+    return f"own_{part.name[part.name.rindex('part_') :]}"
+
+
 def _call_part(part: PlcUnit) -> list[str]:
     """Return the statements that call a part and copy its outputs."""
-    instance = part.name[part.name.rindex("part_") :]
+    instance = _instance_name(part)
     given = ", ".join(f"{each.name} := {each.name}" for each in part.variables[INPUTS])
     lines = wrap_statement(f"{instance}({given});")
     lines += [f"{INDENT}{each.name} := {instance}.{each.name};" for each in part.variables[OUTPUTS]]

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 import undeadzone
-from undeadzone.compile import interpret
 from undeadzone.compile.numpy_reference import reference_evaluator
+from undeadzone.compile.scalar_step import CompiledStepper
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
@@ -81,8 +81,8 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
 def _inputs_along_run(problem: Problem, step: ExportedStep) -> Floats:
     """Run the loop and return the inputs of a step."""
     loop, state, exogenous = prepare(problem)
-    outputs, _ = interpret.run_interpreted(loop.step, state, exogenous, tree.pack_tree(loop.params))
-    signals = name_outputs(loop, outputs)
+    stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
+    signals = name_outputs(loop, stepper.run(exogenous))
     if step.acting:
         return np.hstack([signals.y, signals.u])
     places = tree.leaf_slices(loop.instant).target

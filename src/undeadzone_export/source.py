@@ -5,14 +5,18 @@ from __future__ import annotations
 import itertools
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import undeadzone
 from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
-from undeadzone.compile.print_c import INDENT, Body, Names, Style, build_body, c_literal
+from undeadzone.compile.print_c import INDENT, SMALL, Body, Names, Style, build_body, c_literal
+from undeadzone.compile.print_calls import Calls, Place
+from undeadzone.compile.repeats import Part, outline_repeats
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import ASSUMPTION_CHECKS
 from undeadzone.util.text import to_one_line
-from undeadzone_export.code import Code
+from undeadzone_export.code import Code, count_operations
 from undeadzone_export.exported_step import ExportedStep, Field, member_entries, name_entries
 from undeadzone_export.template import fill_template
 
@@ -40,6 +44,7 @@ class Source(NamedTuple):
         code: init and step.
         math: the elementary functions; empty where none is used.
         functions: the names of those.
+        operations: how many are written down, those of repeated parts once.
     """
 
     prefix: str
@@ -47,6 +52,7 @@ class Source(NamedTuple):
     code: str
     math: str
     functions: list[str]
+    operations: int
 
     def texts_by_name(self) -> dict[str, str]:
         """Return the texts by file name."""
@@ -57,8 +63,8 @@ class Source(NamedTuple):
 def build_source(code: Code, labels: Labels) -> Source:
     """Print the C of an export."""
     style = Style(code.kind, labels.prefix)
-    bodies = _function_bodies(code, style)
-    used = set().union(*[part.functions for part in bodies.values()])
+    bodies = _print_bodies(code, style)
+    used = bodies.functions
     functions = elementary.required_functions(used, code.kind)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
@@ -79,30 +85,123 @@ def build_source(code: Code, labels: Labels) -> Source:
         if used
         else "",
         functions,
+        bodies.operations,
     )
 
 
-def _function_bodies(code: Code, style: Style) -> dict[str, Body]:
-    """Print the statements of each function of a step."""
-    step = code.step
+class _Function(NamedTuple):
+    """Function of a step: what it computes, and where that goes.
+
+    Attributes:
+        results: the nodes.
+        out: which of the results is the output; None: none of them.
+        targets: for each result, where each of its entries goes.
+        locals: for each result, the local that holds each of its entries.
+    """
+
+    results: Results
+    out: int | None
+    targets: list[list[str]]
+    locals: list[list[str]]
+
+
+class _Bodies(NamedTuple):
+    """Texts of a code's functions.
+
+    Attributes:
+        named: statements by function.
+        parts: functions of repeated parts.
+        operations: how many they all have.
+    """
+
+    named: dict[str, Body]
+    parts: list[Body]
+    operations: int
+
+    @property
+    def functions(self) -> set[str]:
+        """Return the elementary functions that they call."""
+        return set().union(*[each.functions for each in [*self.named.values(), *self.parts]])
+
+
+def _print_bodies(code: Code, style: Style) -> _Bodies:
+    """Print each function of a step, and the functions of repeated parts.
+
+    A step is its two halves; of a short one all is written once more, without their calls.
+    """
+    step, parts = code.step, list[Part]()
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
     shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
-    inputs = _input_expressions(code)
     kept = dict(zip(stored, name_entries(s=stored), strict=True))
-    known = local_meanings(code.results, step, 1)
-    names = Names(inputs, [stored, out], [following, shown], known, kept)
-    bodies = {"step": build_body(code.results, style, names)}
+    functions, named = {}, dict[str, Body]()
+    inputs = _input_expressions(code)
+    is_short = len(required_nodes(itertools.chain(*code.results))) <= SMALL
+    if code.phases is None or is_short:
+        whole = outline_repeats(code.results, parts)
+        functions["step"] = _Function(whole, 1, [stored, out], [following, shown])
     if code.phases is not None:
-        carry = [f"state->carry[{k}]" for k in range(code.carry_size)]
+        first = outline_repeats(code.phases.estimate, parts)
+        second = outline_repeats(code.phases.advance, parts)
+        carry = [f"state->carry[{k}]" for k in _order_by_calls(first[1])]
         local = [f"carry_{k}" for k in range(code.carry_size)]
-        first, second = code.phases.estimate, code.phases.advance
-        names = Names(inputs, [out, carry], [shown, local], local_meanings(first, step, 0), kept)
-        bodies["estimate"] = build_body(first, style, names)
-        names = Names(inputs, [stored], [following], local_meanings(second, step, None), kept)
-        bodies["advance"] = build_body(second, style, names)
-    return bodies
+        inputs |= name_entries(c=carry)
+        functions["estimate"] = _Function(first, 0, [out, carry], [shown, local])
+        functions["advance"] = _Function(second, None, [stored], [following])
+        given = "state, params, in" if step.params else "state, in"
+        halves = (f"estimate({given}, out)", f"advance({given})")
+        named["step"] = Body([f"{INDENT}{style.prefix}_{call};" for call in halves], set())
+    texts: list[Body] = []
+    count = sum(sum(count_operations([part.results]).values()) for part in parts)
+    for name, (results, place, targets, locals_) in functions.items():
+        calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
+        texts += calls.print_functions(parts, style)
+        known = local_meanings(results, step, place)
+        names = Names(inputs, targets, locals_, known, kept, calls)
+        named[name] = build_body(results, style, names)
+        count += sum(count_operations(results).values())
+    return _Bodies(named, texts, count)
+
+
+def _order_by_calls(carried: list[Node]) -> list[int]:
+    """Return where carried numbers go: those of a call side by side, as its results are."""
+    calls = [(node.args[0].number, int(node.text)) if node.op == "part" else () for node in carried]
+    order = sorted(range(len(carried)), key=lambda k: calls[k])
+    return np.argsort(order).tolist()
+
+
+def _places_in_arrays(
+    results: Results, inputs: dict[str, str], targets: list[list[str]], style: Style
+) -> dict[Node, Place]:
+    """Return the inputs and results that stand in an array.
+
+    Args:
+        results: the nodes.
+        inputs: the expression of each input.
+        targets: where each of them goes.
+        style: how numbers are written.
+    """
+    places: dict[Node, Place] = {}
+    memory, carry = f"({style.real_type} *)state", "state->carry"
+    for node in required_nodes(itertools.chain(*results)):
+        if node.op == "input" and node.text[0] == "s":
+            places[node] = Place(memory.replace("(", "(const "), int(node.text[1:]), "")
+        elif node.op == "input" and node.text[0] == "c":
+            places[node] = Place(carry, _index_in(inputs[node.text]), "")
+    read = {node.text for node in places}
+    for nodes, wanted in zip(results, targets, strict=True):
+        for k, (node, target) in enumerate(zip(nodes, wanted, strict=True)):
+            if node.op == "part" and target.startswith(carry):
+                places.setdefault(node, Place(carry, _index_in(target), target))
+            elif node.op == "part" and target.startswith("state->") and f"s{k}" not in read:
+                places.setdefault(node, Place(memory, k, target))
+    return places
+
+
+def _index_in(entry: str) -> int:
+    """Return the index in the expression of an entry of an array."""
+    return int(entry[entry.rindex("[") + 1 : -1])
 
 
 def _input_expressions(code: Code) -> dict[str, str]:
@@ -112,7 +211,6 @@ def _input_expressions(code: Code) -> dict[str, str]:
         s=[f"{name}_was_{k}" for name, k in member_entries(step.state)],
         w=[f"in->{name}[{k}]" for name, k in member_entries(step.inputs)],
         p=[f"params->{name}[{k}]" for name, k in member_entries(step.params)],
-        c=[f"state->carry[{k}]" for k in range(code.carry_size)],
     )
 
 
@@ -204,18 +302,18 @@ _MEANINGS = {
 }
 
 
-def _code_words(code: Code, name: str, style: Style, bodies: dict[str, Body]) -> dict[str, Any]:
+def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[str, Any]:
     """Return the template words of the code: its headers and functions."""
     step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carry_size]
     start = _store_statements("state", code.structs["state"], values, style)
     defaults = _store_statements("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}
-    for part, made in bodies.items():
+    for part, made in bodies.named.items():
         parts[part] = [*_void_casts(made, bool(step.params)), *made.lines]
-    functions = []
+    functions = ["\n".join(repeat.lines) for repeat in bodies.parts]
     for part, signature in function_signatures(code, name).items():
         functions.append("\n".join([signature, "{", *parts[part], "}"]))
-    text = "\n".join([*start, *itertools.chain(*[part.lines for part in bodies.values()])])
+    text = "\n".join(functions)
     return {
         "functions": "\n\n".join(functions),
         "with_limits": "FLT_M" in text or "DBL_M" in text,

@@ -59,7 +59,7 @@ def test_large_code_is_announced_before_it_is_made(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(exporting, "MANY", 20)
     code, result = called("--json")
     assert code == 0
-    assert "operations a sample: about 0 kB of code" in result.stderr
+    assert "100 operations, 5 kB of C, for which a compiler takes minutes" in result.stderr
     assert json.loads(result.stdout)["operations"]
 
 
@@ -69,7 +69,8 @@ def test_json_is_the_report(tmp_path: Path) -> None:
     assert code == 0
     assert report["sizes"]["params"] == 4
     assert report["operations"]["multiply"] == 9
-    assert report["accuracy"]["machine"] == 0
+    assert report["accuracy"]["machine"] is None
+    assert report["accuracy"]["float_against_double"]["x"]["error"] < 1e-3
     assert len(report["hash"]) == 16
     assert "fw/knee.c" in report["written"]
 

@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import zipfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,12 @@ import undeadzone as uz
 from scenes import scene
 from tools import require
 from undeadzone.compile import elementary, lanes, scalar_step
-from undeadzone.compile.graph import required_nodes
+from undeadzone.compile.graph import LANES, Nodes, required_nodes
 from undeadzone.errors import FileError, InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone_export import accuracy, compiler, exported_step, exporting, selftest_vectors
-from undeadzone_export.code import build_code
+from undeadzone_export.code import build_code, count_operations, split_phases
 from undeadzone_export.source import Labels
 from undeadzone_export.source import build_source as printed_source
 
@@ -68,6 +69,14 @@ def built(folder: Path, name: str, options: list[str]) -> subprocess.CompletedPr
     return subprocess.run([str(once.program(words, folder))], capture_output=True, text=True)
 
 
+def assert_near_the_graph(told: dict[str, Any]) -> None:
+    """Code in double is compared with the virtual machine; float with the graph in double."""
+    if told["machine"] is None:
+        assert told["float_against_double"].keys() >= {"x", "z"}
+    else:
+        assert told["machine"] <= told["machine_bar"]
+
+
 def certified(**changes: Any) -> Scenario:
     """The paper's example, sampled."""
     return scene(simulation={"time": "sampled"}, **changes)
@@ -105,7 +114,7 @@ CASES = [case for case in CASES if case[1] == "double" or case[0] in IN_FLOAT]
 def test_every_observer(observer: str, precision: str, tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": observer} | OBSERVERS[observer][1])
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert done.report["refusals"] == []
     result = built(tmp_path / "fw", "o", ["-O0", *WARNINGS])
     assert result.returncode == 0, result.stdout
@@ -123,7 +132,7 @@ def test_auto_is_exported_as_what_it_chooses() -> None:
 def test_every_controller(controller: str, tmp_path: Path) -> None:
     scenario = small("sampled", controller={"method": controller} | CONTROLLERS[controller][1])
     done = uz.export(scenario, out=tmp_path / "fw", part="observer+controller", name="c")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert not done.report["two_phase"]
     assert built(tmp_path / "fw", "c", ["-O0", *WARNINGS]).returncode == 0
 
@@ -135,7 +144,7 @@ def test_the_same_bits_at_every_level_of_optimisation(
 ) -> None:
     scenario = small("sampled", observer={"method": method} | OBSERVERS[method][1])
     done = uz.export(scenario, out=tmp_path / "fw", precision=precision, name="o")
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert done.report["refusals"] == []
     for options in LEVELS:
         assert built(tmp_path / "fw", "o", [*options, *WARNINGS]).returncode == 0, options
@@ -165,7 +174,7 @@ def test_every_kind_of_plant_and_sensor(changes: dict[str, Any], part: str, tmp_
     done = uz.export(
         small("sampled", **changes), out=tmp_path / "fw", part=part, name="o", check=True
     )
-    assert done.report["accuracy"]["machine"] <= done.report["accuracy"]["machine_bar"]
+    assert_near_the_graph(done.report["accuracy"])
     assert "every bit agrees" in done.report["self_test"]
 
 
@@ -305,8 +314,8 @@ def test_a_flipped_sign_fails_the_self_test(joint: Path, tmp_path: Path) -> None
     out = shutil.copytree(joint, tmp_path / "fw")
     path = out / "joint.c"
     text = path.read_text()
-    start, end = text.index("joint_step("), text.index("joint_estimate(")
-    signs = [match.start() for match in re.finditer(r" [+-] ", text[start:end])]
+    start = text.index("void joint_estimate(")
+    signs = [match.start() for match in re.finditer(r" [+-] ", text[start:])]
     assert len(signs) > 8
     for sign in signs:
         place = start + sign + 1
@@ -368,7 +377,7 @@ def test_float_that_is_not_enough_is_refused_with_its_number(tmp_path: Path) -> 
     rows = np.tile([5.0, 0.0], (100_000, 1))
     printed = build_code(step, True)
     text = printed_source(printed, Labels("o", "slow", "observer"))
-    result = accuracy.measure_accuracy(build_code(step, False), printed, text, rows)
+    result = accuracy.measure_accuracy(printed, text, rows)
     assert len(result.refusals) == 1
     assert re.match(r"float is not enough: right is wrong by 0\.00\d+", result.refusals[0])
 
@@ -519,7 +528,7 @@ def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("CC")
     report = uz.export(certified(), out=tmp_path / "fw", name="joint").report["accuracy"]
     assert report["steps"] >= 100_000
-    assert report["machine"] == 0
+    assert report["machine"] is None
     for name in ("right", "left"):
         assert report["float_against_double"][name]["error"] < 1e-4
 
@@ -585,10 +594,6 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
     assert of["Arduino Uno"]["why"] == "flash, memory, time"
     assert of["Cortex-M4F (STM32F4)"]["fits"]
     assert "Arduino Uno" in large["leaner"]["certified"]
-    assert large["runs"].keys() == {"auto", "kalman", "certified"}
-    assert all(0 < run["rms"] < 10 for run in large["runs"].values())
-    assert large["runs"]["certified"]["coverage"] is None
-    assert 0 <= large["runs"]["auto"]["coverage"] <= 1
     double = uz.export(slow, out=tmp_path / "double", precision="double").report
     told = {board["board"]: board["why"] for board in double["boards"]}
     assert told["Arduino Uno"] == "its double is single"
@@ -598,21 +603,78 @@ def test_boards_say_what_fits_and_what_would(tmp_path: Path) -> None:
 
 def test_long_code_stores_each_state_behind_its_last_use() -> None:
     """And reads it ahead of its first, so that little is alive at a time."""
-    scenario = small("sampled", observer={"method": "censored", "right": [0.0, 2.0]})
-    printed = build_code(exported_step.build_step(resolve_scenario(scenario)), single=True)
+    observer = {"method": "censored", "right": [0.0, 2.0], "levels": 1}  # nothing is repeated
+    step = exported_step.build_step(resolve_scenario(small("sampled", observer=observer)))
+    printed = build_code(step, single=True)
     text = printed_source(printed, Labels("o", "long", "observer")).code
-    body = text[text.index("void o_step(") :].split("\n}\n")[0]
-    lines = [line for line in body.splitlines() if line.startswith("    ") and " = " in line]
+    lines = {}
+    for name in ("estimate", "advance"):
+        body = text[text.index(f"void o_{name}(") :].split("\n}\n")[0]
+        lines[name] = [line for line in body.splitlines() if " = " in line]
+    pattern = re.compile(r"const float (\w+_was_\d+) = (state->.*);")
+    reads = [k for k, line in enumerate(lines["estimate"]) if pattern.search(line)]
+    assert len(reads) > 40
+    assert max(reads) > 0.4 * len(lines["estimate"])
     stored = {}
-    for number, line in enumerate(lines):
+    for number, line in enumerate(lines["advance"]):
         target = line.split(" = ")[0].strip()
         if target.startswith("state->"):
             stored[target] = number
-    reads = [line for line in lines if re.search(r"const float \w+_was_\d+ = state->", line)]
-    assert len(stored) == len(printed.results[0]) >= len(reads) > 100
-    assert sum(number < 0.9 * len(lines) for number in stored.values()) > len(stored) / 2
-    for line in reads:
-        name, place = line.strip().removeprefix("const float ").rstrip(";").split(" = ")
-        pattern = re.compile(rf"    const .* = .*\b{name}\b")
-        users = [k for k, other in enumerate(lines) if pattern.match(other)]
-        assert max(users, default=0) < stored[place]
+    assert len(stored) == len(printed.results[0])
+    assert sum(k < 0.9 * len(lines["advance"]) for k in stored.values()) > len(stored) / 2
+    found = [match for line in lines["advance"] if (match := pattern.search(line))]
+    assert found
+    for match in found:
+        used = re.compile(rf"    const .* = .*\b{match[1]}\b")
+        users = [k for k, other in enumerate(lines["advance"]) if used.search(other)]
+        assert max(users, default=0) <= stored[match[2]]
+
+
+def test_repeated_parts_are_written_once_and_called(tmp_path: Path) -> None:
+    """Three members share functions: a third of the text, and every bit of the reference."""
+    sizes, steps = {}, {}
+    for levels in (1, 3):
+        observer = {"method": "censored", "right": [0.0, 2.0], "levels": levels}
+        scenario = small("sampled", observer=observer)
+        steps[levels] = build_code(exported_step.build_step(resolve_scenario(scenario)), True)
+        text = printed_source(steps[levels], Labels("o", "bank", "observer"))
+        sizes[levels] = len(text.code)
+        calls = re.findall(r"^    o_(part_\d+)\(", text.code, re.M)
+        assert set(Counter(calls).values()) == ({3} if levels == 3 else set())
+        assert text.operations < sum(count_operations(steps[levels].results).values()) * 1.05
+    assert sizes[3] < 1.6 * sizes[1]
+    rows = np.random.default_rng(2).normal(size=(300, 2)) * 3
+    rows[::7, 0] = np.nan
+    compiled = accuracy.CompiledStep(steps[3], tmp_path)
+    vectors = selftest_vectors.reference_vectors(steps[3], rows)
+    given = selftest_vectors.bit_words(compiled(rows.astype(np.float32)), "float32")
+    np.testing.assert_array_equal(given, vectors.outputs)
+    memory = compiled.state[: steps[3].step.start.size]
+    assert selftest_vectors.bit_checksum(memory, "float32") == vectors.states[-1]
+
+
+def test_the_fewest_numbers_pass_from_estimate_to_advance() -> None:
+    """What out does not need is computed where less has to be carried."""
+    nodes = Nodes()
+    reading, late = (nodes.intern_input(name, LANES) for name in ("w0", "w1"))
+    states = [nodes.intern_input(f"s{k}", LANES) for k in range(3)]
+    shown = nodes.intern("add", reading, states[0])
+    wide = [nodes.intern("mul", shown, state) for state in states]
+    following = [nodes.intern("add", one, late) for one in wide]
+    phases = split_phases([following, [shown]], {"w1"})
+    assert phases.carried == 1
+    assert phases.estimate == [[shown], [shown]]
+
+
+def test_the_stack_is_the_deepest_chain_of_calls(tmp_path: Path) -> None:
+    (tmp_path / "o.c").write_text(
+        "static void o_low(void)\n{\n    return;\n}\n\n"
+        "static void o_mid(void)\n{\n    o_low();\n}\n\n"
+        "void o_step(void)\n{\n    o_mid();\n    o_low();\n}\n"
+    )
+    frames = (("o_step", 8), ("o_mid.isra.0", 100), ("o_low", 30), ("o_init", 999))
+    text = "".join(f"o.c:1:2:{name}\t{size}\tstatic\n" for name, size in frames)
+    (tmp_path / "o.su").write_text(text)
+    assert compiler.stack_bytes(tmp_path, "o") == 138
+    (tmp_path / "o.su").write_text("")
+    assert compiler.stack_bytes(tmp_path, "o") is None

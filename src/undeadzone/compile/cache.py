@@ -96,6 +96,11 @@ class CompiledBlock:
             plain.append(value if kind is None else _array_address(value, kind))
         (self.trial or self.c_function)(*plain)
 
+    @property
+    def has_best(self) -> bool:
+        """Return whether no better code is being compiled."""
+        return self._better is None or not self._better.is_alive()
+
     def improve(self, better: Callable[[], LinkedCode]) -> None:
         """Compile with more effort in a thread and exchange the code between two calls."""
 
@@ -191,7 +196,9 @@ def load_block(text: str, kinds: tuple[str, ...]) -> CompiledBlock:
 
 
 @functools.lru_cache(maxsize=64)
-def load_or_compile(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False) -> CompiledBlock:
+def load_or_compile(
+    recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False, brief: bool = False
+) -> CompiledBlock:
     """Return the function `block` of a recipe, compiled now or read from disk.
 
     Where the folder cannot be used or trusted, or what it holds is damaged, the function is
@@ -202,6 +209,7 @@ def load_or_compile(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False)
         kinds: of its arguments.
         hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
             best one behind it.
+        brief: the best one is not worth its time.
     """
     block = read_cached_block(recipe, kinds)
     if block is not None:
@@ -214,7 +222,8 @@ def load_or_compile(recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False)
     block = CompiledBlock(
         _require_linked(link_block(compile_text(text, 0), kinds)), kinds, note, text
     )
-    block.improve(lambda: _compile_fully(recipe, kinds, text, note))
+    if not brief:
+        block.improve(lambda: _compile_fully(recipe, kinds, text, note))
     return block
 
 

@@ -76,13 +76,15 @@ def map_rows(step: ca.Function, rows: Floats, params: Floats) -> Floats:
 class Stepper:
     """Single step at a time, in place and without copies, for scalar steps.
 
-    Fill `w`, call, read `out`; `state` advances.
+    Fill `w`, call, read `out`; `state` advances. There is nothing to wait for.
 
     Args:
         step: next, out = step(s, w, p).
         state: at the beginning (states).
         params: p.
     """
+
+    engine: Final = "virtual machine"
 
     def __init__(self, step: ca.Function, state: Floats, params: Floats) -> None:
         self.state = np.array(state, float)
@@ -103,6 +105,9 @@ class Stepper:
         """Evaluate `out` at the present state and `w`, then advance the state."""
         self._evaluate()
         self.state[:] = self._next
+
+    def settle(self) -> None:
+        """Return at once."""
 
     def run(self, w: Floats) -> Floats:
         """Return the outputs along w (N x outputs) and advance the state.

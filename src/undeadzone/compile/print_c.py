@@ -126,10 +126,15 @@ class Expressions:
     Attributes:
         names: the locals that hold nodes.
         functions: those of the export that are used so far.
+        read: the inputs whose expressions were written.
+        calls: what writes the calls of repeated parts.
     """
+
+    calls: Callable[[str, Node, Expressions], list[str]]
 
     def __init__(self, style: Style, inputs: dict[str, str]) -> None:
         self.style, self.inputs = style, inputs
+        self.read: set[str] = set()
         self.names: dict[Node, str] = {}
         self.functions: set[str] = set()
         self._written: dict[Node, Text] = {}
@@ -147,6 +152,7 @@ class Expressions:
     def _write_expression(self, node: Node) -> Text:
         """Return the expression of a node that is not a local."""
         if node.op == "input":
+            self.read.add(node.text)
             return Text(self.inputs[node.text])
         if node.op == "const":
             return self.style.language.constant(node)
@@ -202,6 +208,7 @@ class Names(NamedTuple):
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
         kept: the input that stands where a result will, by that lvalue; its expression is a local.
+        calls: what writes the calls of repeated parts; None: there are none.
     """
 
     inputs: dict[str, str]
@@ -209,6 +216,7 @@ class Names(NamedTuple):
     locals: list[list[str]]
     meanings: dict[Node, str]
     kept: dict[str, str]
+    calls: Callable[[str, Node, Expressions], list[str]] | None = None
 
 
 class Body(NamedTuple):
@@ -235,24 +243,27 @@ def build_body(results: Results, style: Style, names: Names) -> Body:
             if node.args:
                 labels.setdefault(node, name)
     expressions = Expressions(style, names.inputs)
+    if names.calls is not None:
+        expressions.calls = names.calls
     found = find_locals(results, expressions, names.meanings | labels)
     end, used = len(found), _uses_of_inputs(found, results)
     number = {local.node: k for k, local in enumerate(found)}
     short = len(required_nodes(itertools.chain(*results))) <= SMALL
     ahead, behind = defaultdict[int, list[str]](list), defaultdict[int, list[str]](list)
+    for nodes, targets in zip(results, names.results, strict=True):
+        for node, target in zip(nodes, targets, strict=True):
+            text = expressions.write_node(node).text
+            last = max(used.get(names.kept.get(target, ""), [0]))
+            at = end if short else max(number.get(node, end), last)
+            behind[at] += wrap_statement(f"{target} = {text};") if text != target else []
     for place, name in names.kept.items():
-        if name in used:
+        if name in expressions.read:
             first = 0 if short else min(used[name])
             ahead[first] += wrap_statement(
                 f"const {style.real_type} {names.inputs[name]} = {place};"
             )
     if short and ahead[0]:
         ahead[0].append("")
-    for nodes, targets in zip(results, names.results, strict=True):
-        for node, target in zip(nodes, targets, strict=True):
-            last = max(used.get(names.kept.get(target, ""), [0]))
-            at = end if short else max(number.get(node, end), last)
-            behind[at] += wrap_statement(f"{target} = {expressions.write_node(node).text};")
     lines: list[str] = []
     for k, local in enumerate(found):
         lines += [*ahead[k], *local.lines, *behind[k]]
@@ -268,9 +279,10 @@ def _uses_of_inputs(found: list[Local], results: Results) -> dict[str, list[int]
     at, used = {local.node: k for k, local in enumerate(found)}, defaultdict[str, list[int]](list)
     for node in reversed(required_nodes(itertools.chain(*results))):
         for arg in node.args:
-            at.setdefault(arg, at[node])  # a part of the expression that uses it
+            place = at.get(node, len(found))
+            at.setdefault(arg, place)  # a part of the expression that uses it
             if arg.op == "input":
-                used[arg.text].append(at[node])
+                used[arg.text].append(place)
     for node in itertools.chain(*results):
         if node.op == "input":
             used[node.text].append(len(found))
@@ -307,7 +319,9 @@ def find_locals(results: Results, expressions: Expressions, labels: dict[Node, s
         order = order_depth_first(order, list(itertools.chain(*results)))
     found: list[Local] = []
     for node in order:
-        often = bool(node.args) and counts[node] > 1
+        if node.op == "input" or node in expressions.names:  # what a call gave
+            continue
+        often = node.op == "apply" or (bool(node.args) and counts[node] > 1)
         if often or node in apart or len(expressions.write_node(node).text) > LONGEST:
             name = labels.get(node, f"v{node.number}")
             found.append(Local(name, node, language.statement(name, node, expressions)))
@@ -321,7 +335,9 @@ def local_statements(found: list[Local]) -> list[str]:
 
 
 def _c_declaration(name: str, node: Node, expressions: Expressions) -> list[str]:
-    """Return the declaration of a local in C."""
+    """Return the declaration of a local in C, or a call."""
+    if node.op == "apply":
+        return expressions.calls(name, node, expressions)
     return wrap_statement(f"const {TYPES[node.kind]} {name} = {expressions.write_node(node).text};")
 
 

@@ -120,6 +120,8 @@ def _st_statement(name: str, node: Node, expressions: Expressions) -> list[str]:
     """Return the statement that fills a local: an assignment, or an IF with an assignment per
     branch.
     """
+    if node.op == "apply":
+        return expressions.calls(name, node, expressions)
     if node.op == "const":
         return [INDENT + line for line in assign_number(name, float(node.text), node.kind)]
     if node.op != "select":

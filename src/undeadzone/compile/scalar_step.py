@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+from collections.abc import Callable
 from typing import Final
 
 import casadi as ca
 import numpy as np
 
 from undeadzone.compile import cache
+from undeadzone.compile.interpret import Stepper
 from undeadzone.compile.kernel import build_graphs, print_kernel
 from undeadzone.compile.lower import Arithmetic
 from undeadzone.compile.machine import ONE, Shape, host_machine
+from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
+KINDS: Final = ("float64*",)
 ROWS: Final = 128  # samples in a call
 
 # A call's memory holds the number of samples, p, s, and w and out of each sample.
@@ -35,18 +40,26 @@ class CompiledStepper:
     """Machine code for `interpret.Stepper`: the same bits in a fraction of the time.
 
     All numbers stand in one array, so that a call takes one address. It is compiled once, whatever
-    the numbers, and kept on disk.
+    the numbers, and kept on disk. Until then the virtual machine runs the samples, then code of no
+    effort; the code is exchanged between two samples.
 
     Args:
         step: next, out = step(s, w, p).
         state: at the beginning (states).
         params: p.
+        brief: of a single run: code of no effort, before the first sample, and no better one.
+
+    Attributes:
+        engine: what runs a sample: "compiled"; "compiled, first form" while a faster one is made;
+            "virtual machine" and why it is that.
 
     Raises:
-        InputError: an instruction that cannot be compiled.
+        InputError: an instruction that cannot be compiled, of a brief one.
     """
 
-    def __init__(self, step: ca.Function, state: Floats, params: Floats) -> None:
+    def __init__(
+        self, step: ca.Function, state: Floats, params: Floats, brief: bool = False
+    ) -> None:
         sizes = [1, params.size, state.size, ROWS * step.size1_in(1), ROWS * step.size1_out(1)]
         starts = np.cumsum([0, *sizes]).tolist()
         self._memory = np.zeros(starts[-1])
@@ -57,12 +70,56 @@ class CompiledStepper:
         self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
         self.w, self.out = self._rows[0], self._outs[0]
-        self._block = cache.load_or_compile(_stepper_recipe(step, starts), ("float64*",))
-        function = ctypes.cast(self._block.c_function, ctypes.c_void_p).value
+        self._address = ctypes.c_void_p(self._memory.ctypes.data)
+        recipe = _stepper_recipe(step, starts)
+        block = cache.read_cached_block(recipe, KINDS)
+        self._thread: threading.Thread | None = None
+        if block is not None or brief:
+            self._take_code(block or cache.load_or_compile(recipe, KINDS, True, True))
+            return
+        self.engine = "virtual machine, while the step is compiled"
+        self._call = self._interpreter(Stepper(step, state, params))
+        self._thread = threading.Thread(target=self._compile, args=(recipe,), name="compile")
+        self._thread.start()
+
+    def _interpreter(self, machine: Stepper) -> Callable[[object], None]:
+        """Return the call of the virtual machine on the same memory."""
+
+        def call(_: object) -> None:
+            """Run the samples of a call."""
+            machine.state[:] = self.state
+            for row, out in zip(self._rows[: int(self._memory[0])], self._outs, strict=False):
+                machine.w[:] = row
+                machine()
+                out[:] = machine.out
+            self.state[:] = machine.state
+
+        return call
+
+    def _compile(self, recipe: cache.Recipe) -> None:
+        """Compile, and exchange what is called each time that there is a better code."""
+        try:
+            block = cache.load_or_compile(recipe, KINDS, True)
+        except InputError as error:
+            self.engine = f"virtual machine: {error}"
+            return
+        self._take_code(block)
+        block.wait_until_best()
+        self._take_code(block)
+
+    def _take_code(self, block: cache.CompiledBlock) -> None:
+        """Call the present code of a block from the next sample on."""
+        function = ctypes.cast(block.c_function, ctypes.c_void_p).value
         assert function is not None
         # It holds the interpreter's lock, as a change of threads takes longer than a sample.
         self._call = ctypes.PYFUNCTYPE(None, ctypes.c_void_p)(function)
-        self._address = ctypes.c_void_p(self._memory.ctypes.data)
+        self._block = block  # its code must outlive the call
+        self.engine = "compiled" if block.has_best else "compiled, first form"
+
+    def settle(self) -> None:
+        """Wait until the fastest code runs the samples."""
+        if self._thread is not None:
+            self._thread.join()
 
     def __call__(self) -> None:
         """Evaluate `out` at the present state and `w`, then advance the state."""

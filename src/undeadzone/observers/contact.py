@@ -48,7 +48,7 @@ from undeadzone.observers.contact_filter.modes import (
 )
 from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate_innovations
 from undeadzone.observers.filtering.innovation_tests import assumption_fields
-from undeadzone.observers.filtering.multiple_models import update_weights
+from undeadzone.observers.filtering.multiple_models import share_step_graph, update_weights
 from undeadzone.plants.robots.geared import Geared
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
@@ -361,7 +361,8 @@ def _step_contact_filter(
     readings = [y[joint::count] for joint in range(count)]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
-        each.append([correct_modes(drive, part, one, read) for one in modes])
+        before = [(part, one, read) for one in modes]
+        each.append(share_step_graph(partial(correct_modes, drive), before))
     odds, shares = _weigh_filters(s.odds, each)
     each = list(map(replace_diverged, each))
     ones = list(map(mix_posteriors, each, shares))
@@ -384,11 +385,10 @@ def _step_contact_filter(
         parts = update_joint_numbers(setup.ones, drives, parts, ones, arm)
     after = []
     for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
-        later = []
-        for one, before in zip(each[joint], modes, strict=True):
-            moved = predict_modes(drive, part, one, u[joint::count])
-            later.append(pack_modes(drive, moved, before, readings[joint]))
-        after.append(tuple(later))
+        calls = [(part, one, u[joint::count]) for one in each[joint]]
+        moved = share_step_graph(partial(predict_modes, drive), calls)
+        pairs = zip(moved, modes, strict=True)
+        after.append(tuple(pack_modes(drive, *pair, readings[joint]) for pair in pairs))
     return State(tuple(after), odds, sums), shown
 
 

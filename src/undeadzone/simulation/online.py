@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile.interpret import Stepper
-from undeadzone.errors import InputError, ShapeError
+from undeadzone.errors import ShapeError
 from undeadzone.interfaces import (
     Estimate,
     Observer,
@@ -107,13 +107,15 @@ class Online:
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
         compiled: whether the step is compiled for this processor: the same bits in a fraction of
-            the time. The first time this takes up to some seconds; the result is kept on disk.
+            the time. The first time this takes up to some seconds, in which the virtual machine
+            runs the samples; the result is kept on disk.
         actuator: what is known of the actuator between u and the plant; widths that are ranges are
             estimated; None: there is none.
 
     Attributes:
         model: the sampled model.
-        engine: what computes a sample: "compiled", or "virtual machine" and why it is not compiled.
+        engine: what computes a sample: "compiled"; "compiled, first form", while a faster one is
+            made; or "virtual machine" and why it is not compiled.
         latest: the estimate from the last sample, as views that the next sample overwrites;
             NaN before the first.
         samples: how many samples came in.
@@ -151,7 +153,7 @@ class Online:
         self._graph = observer_graph(self.model, require_graph(built), zone)
         self.samples = 0
         self.missing = 0
-        self._step, self.engine = _engine(self._graph, compiled)
+        self._step = _stepper(self._graph, compiled)
         self._p, self._w, self._out = self.model.p, self._step.w, self._step.out
         self._where: Out = tree.leaf_slices(self._graph.out)
         self.latest = Estimate(*[self._out[part] for part in self._where.estimate])
@@ -175,6 +177,15 @@ class Online:
         """Go on where another one was."""
         for name, value in kept.items():
             setattr(self, name, value)
+
+    @property
+    def engine(self) -> str:
+        """Return what computes a sample."""
+        return self._step.engine
+
+    def settle(self) -> None:
+        """Wait until the fastest code computes the samples, of which no bit changes."""
+        self._step.settle()
 
     @property
     def digest(self) -> str:
@@ -303,17 +314,14 @@ class Online:
         return estimate
 
 
-def _engine(graph: ObserverGraph, compiled: bool) -> tuple[Stepper | CompiledStepper, str]:
-    """What runs samples, and how it is called."""
-    engine, parts = "virtual machine", (graph.step, graph.start, graph.numbers)
+def _stepper(graph: ObserverGraph, compiled: bool) -> Stepper | CompiledStepper:
+    """What runs samples."""
+    parts = (graph.step, graph.start, graph.numbers)
     if compiled:
         from undeadzone.compile.scalar_step import CompiledStepper
 
-        try:
-            return CompiledStepper(*parts), "compiled"
-        except InputError as error:
-            engine = f"virtual machine: {error}"
-    return Stepper(*parts), engine
+        return CompiledStepper(*parts)
+    return Stepper(*parts)
 
 
 def build_observer(

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import copy
 import pickle
+import threading
+import time
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -13,7 +16,7 @@ from test_engines import OBSERVERS, small
 
 import undeadzone as uz
 from scenes import scene
-from undeadzone.compile import scalar_step
+from undeadzone.compile import cache
 
 PLANT = uz.Plant(A=[[0, 1], [-1, -2]], B=[[0], [1]], C=[[1, 0]], x0=[0.5, 0])
 SENSOR = uz.Sensor(right=1.3, left=0.6, noise=0.02)
@@ -103,6 +106,8 @@ def test_a_compiled_step_has_every_bit_of_the_virtual_machine(method: str) -> No
     of = small("sampled", observer={"method": method} | OBSERVERS[method][1])
     parts = (of.observer, of.plant, of.sensor, of.simulation.step)
     plain, compiled, blocks = uz.Online(*parts), *(uz.Online(*parts, compiled=True) for _ in "ab")
+    compiled.settle()
+    plain.settle()
     assert (plain.engine, compiled.engine) == ("virtual machine", "compiled")
     random = np.random.default_rng(3)
     y, u = random.normal(size=(2, 300, 1)) * 2
@@ -143,7 +148,44 @@ def test_several_outputs_and_inputs_compiled() -> None:
     for k in range(20):
         y, u = np.array([np.sin(k), np.nan]), np.array([1.0, -k])
         np.testing.assert_array_equal(one.update(y, u).x, two.update(y, u).x)
+    two.settle()
     assert (two.missing, two.engine) == (20, "compiled")
+
+
+def test_samples_run_before_the_code_is_there_and_every_bit_stays(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The virtual machine, then code of no effort, then the best one: exchanged between samples."""
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path))
+    cache.load_or_compile.cache_clear()
+    gates = [threading.Event(), threading.Event()]
+    compile_text, efforts = cache.compile_text, []
+
+    def wait_and_compile(text: str, effort: int) -> Any:
+        gates[len(efforts)].wait(60)
+        efforts.append(effort)
+        return compile_text(text, effort)
+
+    monkeypatch.setattr(cache, "compile_text", wait_and_compile)
+    monkeypatch.setattr(cache, "LONG", 10)
+    parts = (OBSERVER, PLANT, SENSOR, STEP)
+    plain, online = uz.Online(*parts), uz.Online(*parts, compiled=True)
+    engines = []
+    y = np.random.default_rng(5).normal(size=(90, 1)) * 3
+    for k, sample in enumerate(y):
+        if k % 30 == 0 and k:
+            gates[k // 30 - 1].set()
+            for _ in range(60_000):
+                if online.engine != engines[-1]:
+                    break
+                time.sleep(0.001)
+        engines.append(online.engine)
+        np.testing.assert_array_equal(plain.update(sample, 1.0).x, online.update(sample, 1.0).x)
+    first = "virtual machine, while the step is compiled"
+    assert engines == [first] * 30 + ["compiled, first form"] * 30 + ["compiled"] * 30
+    assert efforts == [0, 3]
+    online.settle()
+    cache.load_or_compile.cache_clear()
 
 
 def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
@@ -152,8 +194,10 @@ def test_what_cannot_be_compiled_runs_on_the_virtual_machine_and_says_so(
     def refuse(*_: object) -> None:
         raise uz.InputError("no instruction OP_OF_TOMORROW")
 
-    monkeypatch.setattr(scalar_step, "CompiledStepper", refuse)
+    monkeypatch.setattr(cache, "load_or_compile", refuse)
+    monkeypatch.setattr(cache, "read_cached_block", lambda *_: None)
     online = uz.Online(OBSERVER, PLANT, SENSOR, STEP, compiled=True)
+    online.settle()
     assert online.engine == "virtual machine: no instruction OP_OF_TOMORROW"
     assert np.isfinite(online.update(2.0, 1.0).x).all()
 

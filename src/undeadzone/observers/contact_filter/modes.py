@@ -361,7 +361,7 @@ class Mode(NamedTuple):
     belief: Gaussian
 
 
-def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mode]:
+def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> tuple[Mode, ...]:
     """Return the modes a sample later: links leave flanks, all move, links reach flanks.
 
     Args:
@@ -380,7 +380,7 @@ def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> list[Mod
     arrivals = [_arrival_shares(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
         after, arrivals = _reach_flanks(drive, q, joint, after, arrivals)
-    return after
+    return tuple(after)
 
 
 def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
@@ -559,7 +559,7 @@ def _rest_weight(speed: Any) -> Any:
     return ca.exp(-((speed / RESTING) ** 2))
 
 
-def pack_modes(drive: Drive, moved: list[Mode], s: Modes, y: Any) -> Modes:
+def pack_modes(drive: Drive, moved: Sequence[Mode], s: Modes, y: Any) -> Modes:
     """Return the state at the next sample, unchanged before a first whole sample."""
     entries, begun = (
         ca.Sparsity.upper(drive.layout.entry_count),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -19,6 +19,8 @@ from undeadzone.observers.filtering.consistency import Member, Step
 from undeadzone.observers.filtering.smoothing import Moments, Smoothing
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+
+Result = TypeVar("Result")
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
 FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
@@ -92,10 +94,9 @@ def build_multiple_models(member: Member, variants: Sequence[Callable[[Any], Any
 
     def step(q: Any, s: State, u: Any, reading: Reading) -> Step:
         """Return the result of the mixture for a sample."""
-        one_step = share_step_graph(member.step, variants[0](q), s.members[0], u, reading)
-        steps = []
-        for variant, state in zip(variants, s.members, strict=True):
-            steps.append(one_step(variant(q), state, u, reading))
+        pairs = zip(variants, s.members, strict=True)
+        calls = [(variant(q), state, u, reading) for variant, state in pairs]
+        steps = share_step_graph(member.step, calls)
         odds, share = update_weights(s.odds, ca.vertcat(*(one.log for one in steps)))
         return Step(
             state=State(tuple(one.state for one in steps), odds),
@@ -126,26 +127,21 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
     return odds, share / ca.sum1(share)
 
 
-def share_step_graph(step: Callable[..., Step], *like: Any) -> Callable[..., Step]:
-    """Return a step with a graph that is built once. A call replaces symbols by its arguments.
+def share_step_graph(step: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> list[Result]:
+    """Return the results of a step whose graph is built once, in symbols that calls replace.
 
     Args:
         step: of a member.
-        like: arguments of the shapes of those of every call.
+        calls: arguments of each, of equal shapes.
     """
-    shapes = [leaf for _, leaf in tree.iterate_leaves(like)]
-    symbols = [ca.SX.sym(f"a{i}", *ca.SX(leaf).shape) for i, leaf in enumerate(shapes)]
-    result = step(*tree.rebuild_tree(like, iter(symbols)))
+    if len(calls) == 1:
+        return [step(*calls[0])]
+    columns = [[ca.SX(leaf) for _, leaf in tree.iterate_leaves(call)] for call in calls]
+    symbols = [ca.SX.sym(f"a{i}", leaf.sparsity()) for i, leaf in enumerate(columns[0])]
+    result = step(*tree.rebuild_tree(calls[0], iter(symbols)))
     leaves = [ca.SX(leaf) for _, leaf in tree.iterate_leaves(result)]
     graph = ca.Function("member", symbols, leaves)
-
-    def call(*arguments: Any) -> Step:
-        """Return the result of the graph for the arguments of a step."""
-        given = [leaf for _, leaf in tree.iterate_leaves(arguments)]
-        found: Step = tree.rebuild_tree(result, iter(graph.call(given)))
-        return found
-
-    return call
+    return [tree.rebuild_tree(result, iter(graph.call(column))) for column in columns]
 
 
 def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:
