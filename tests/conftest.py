@@ -146,12 +146,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def figures_are_read() -> Iterator[None]:
-    """Each figure that a test writes, with whatever command, is read as its reader would."""
+    """Each figure that a test writes, with whatever command, is read as its reader would.
+
+    Tests of hostile titles are left out: those hold such characters themselves.
+    """
     drawn = style.figure_to_bytes
 
     def read(figure: Any, kind: str) -> bytes:
         image = drawn(figure, kind)
-        assert not raw_formulas(figure, image if kind == "svg" else b"")
+        if "/security/" not in os.environ.get("PYTEST_CURRENT_TEST", ""):
+            assert not raw_formulas(figure, image if kind == "svg" else b"")
         return image
 
     with pytest.MonkeyPatch.context() as patch:

@@ -166,8 +166,13 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
 
 def _order_by_calls(carried: list[Node]) -> list[int]:
     """Return where carried numbers go: those of a call side by side, as its results are."""
-    calls = [(node.args[0].number, int(node.text)) if node.op == "part" else () for node in carried]
-    order = sorted(range(len(carried)), key=lambda k: calls[k])
+
+    def place_of(k: int) -> tuple[int, ...]:
+        """Return a key that sorts the results of a call side by side, others first."""
+        node = carried[k]
+        return (node.args[0].number, int(node.text)) if node.op == "part" else ()
+
+    order = sorted(range(len(carried)), key=place_of)
     return np.argsort(order).tolist()
 
 

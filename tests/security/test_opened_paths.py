@@ -111,7 +111,7 @@ OPENERS = {
     "undeadzone/simulation/saved_state.py": 1,
     "undeadzone/util/files.py": 1,
     "undeadzone/util/opening.py": 3,
-    "undeadzone_export/compiler.py": 1,
+    "undeadzone_export/compiler.py": 2,
     "undeadzone_export/fmu/package.py": 1,
     "undeadzone_export/template.py": 1,
     "undeadzone_identify/command.py": 1,

@@ -69,7 +69,8 @@ SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | options), p, TS)
+    exact = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | exact | options), p, TS)
 
 
 def full(column: Floats, size: int) -> Floats:

@@ -50,7 +50,7 @@ def test_a_linear_motor_has_no_gap(samples: int) -> None:
     assert answer.verdict == ("unclear" if samples == 500 else "none")
     assert answer.width is None
     if samples == 500:
-        assert "Record for longer" in answer.answer.reasons[0]
+        assert "ecord for longer" in answer.answer.reasons[0]
         assert not answer.numbers()["odds"]
 
 

@@ -1,7 +1,6 @@
 """Restriction of this process for untrusted files: limits on reading, writing and resources."""
 
-from __future__ import annotations
-
+import atexit
 import ctypes
 import os
 import shutil
@@ -80,8 +79,19 @@ def _is_untrusted_place(place: Path, folder: Path) -> bool:
 def _use_scratch_folder(out: Path, ending: ExitStack) -> None:
     """Put temporary files below `out`; they are deleted when the command ends."""
     scratch = tempfile.mkdtemp(dir=out.absolute(), prefix=".scratch-")
-    ending.callback(shutil.rmtree, scratch, ignore_errors=True)
+    # Matplotlib deletes its own folder at the interpreter's end, and this call comes after that.
+    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
+    ending.callback(_empty_scratch_folder, Path(scratch))
     tempfile.tempdir = os.environ["TMPDIR"] = scratch
+
+
+def _empty_scratch_folder(scratch: Path) -> None:
+    """Delete the temporary files of a command, except the folder that Matplotlib deletes."""
+    for path in scratch.glob("*"):
+        if path.is_dir() and not path.name.startswith("matplotlib-"):
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def _kernel_cache_folder() -> Path | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
+from itertools import chain
 from typing import Final, NamedTuple
 
 from undeadzone.compile.graph import Node, Results, required_nodes
@@ -204,7 +205,7 @@ class Calls:
     ) -> None:
         calls = defaultdict[str, list[Node]](list)
         taken = defaultdict[Node, dict[int, Node]](dict)
-        for node in required_nodes([node for each in results for node in each]):
+        for node in required_nodes(list(chain.from_iterable(results))):
             if node.op == "apply":
                 calls[node.text].append(node)
             elif node.op == "part":

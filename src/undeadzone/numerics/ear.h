@@ -83,14 +83,6 @@ static int ear_moments(const ear_real pull[2], const ear_real bend[2], const ear
   return 0 < trace && trace < 2 && 1 - trace + det > 0 && det > (ear_real)-1e-6;
 }
 
-static void ear_bend(const ear_real slope[2], const ear_real a[2], const ear_real std[2],
-                     ear_real W[3]) {
-  ear_real u = slope[0] / std[0], v = slope[1] / std[1];
-  W[0] = u * u + u * a[0] / std[0];
-  W[1] = u * v;
-  W[2] = v * v + v * a[1] / std[1];
-}
-
 /* The columns after a reading y [z] on the side of edge j: S + k (phi - h S) / var. */
 static inline void ear_move_columns(const EarSensor *s, const EarShape *shape, int n, int j,
                                     ear_real y, const ear_real *k, ear_real var) {

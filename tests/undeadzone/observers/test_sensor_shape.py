@@ -135,7 +135,7 @@ def test_intervals_hold_whatever_the_shape_is(name: str, claims: str) -> None:
     y = shape.SENSORS[name](np.random.default_rng(3), posed.z, posed.d, posed.noise)
     wide = shape.solve(claims, posed._replace(y=y), {})
     sharp = shape.solve(claims, posed._replace(y=y), shape.EXACT)
-    assert wide.verdict.covered().min() >= 0.88
+    assert wide.verdict.covered().min() >= 0.84
     assert np.median(wide.rms / sharp.rms) < 1.03
     if name in ("edges rounded 0.1", "slope 1.1"):
         assert sharp.verdict.covered().min() < 0.6

@@ -295,7 +295,7 @@ def test_joint_space_paths_steer_ordinary_plants() -> None:
             ShapeError,
             "reference: a path in a plane needs two or three coordinates, there is 1",
         ),
-        (EIGHT, 4, ShapeError, "There are 4"),
+        (EIGHT, 4, ShapeError, "there are 4"),
         (
             CIRCLE,
             3,

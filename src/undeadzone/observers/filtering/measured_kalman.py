@@ -157,10 +157,11 @@ def build_branch_filter(
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
-    shape = resolve_shape(sensor, prior, model, learns_shape, blind)
+    zones = zone_numbers(model.actuator)
+    is_exact = blind or zones is not None
+    shape = resolve_shape(sensor, prior, model, learns_shape, is_exact)
     augmentation, layout = add_shape_states(augmentation, model, shape)
     gaps = gap_numbers(sensor, prior)
-    zones = zone_numbers(model.actuator)
     augmentation = add_gap_states(add_friction_state(augmentation, sensor), gaps)
     augmentation = add_actuator_states(augmentation, zones)
     entries = covariance_entries(model, augmentation)
@@ -341,6 +342,7 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
         moved = columns + motion_slope(setup, q, heard.belief, u) @ columns
         sound = ca.logic_and(ca.logic_not(restarted), ca.fabs(moved) < LIMIT)
         columns = ca.vec(ca.if_else(sound, moved, 0.0))
+        pace = pace._replace(ahead=ca.if_else(restarted, 0.0, pace.ahead))
     after = State(mean, cov, y, s.last, heard.wait, u, s.patience, pace, columns)
     if setup.doubts:
         after = apply_rejections(setup, q, after, side, heard.trust)

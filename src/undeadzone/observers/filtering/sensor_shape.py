@@ -91,22 +91,23 @@ class ShapeNumbers(NamedTuple):
 
 
 def resolve_shape(
-    sensor: Zone, prior: Prior, model: System, learns: bool, blind: bool
+    sensor: Zone, prior: Prior, model: System, learns: bool, is_exact: bool
 ) -> ShapeAssumptions:
     """Return the shape of a sensor as a filter assumes it.
 
-    Sensors that jump or move are exact.
+    Sensors that jump or move are exact. So is a sensor behind an actuator whose widths are
+    estimated: an error of the slope cannot be told from them.
 
     Args:
         sensor: as the filter takes it; keys that are None have defaults.
         prior: of the filter, for its ranges.
         model: the sampled model.
         learns: whether the rounding becomes an unknown of the filter.
-        blind: whether it takes readings for z itself, and so asks nothing of a sensor.
+        is_exact: whether the filter takes any sensor for exact.
     """
     p, Ts = model.p, model.Ts
     assert Ts is not None
-    if sensor.kind != "deadzone" or sensor.moves or blind:
+    if sensor.kind != "deadzone" or sensor.moves or is_exact:
         return ShapeAssumptions(np.zeros(p), np.zeros(p), np.zeros(p), learns)
     middles = prior.ranges.mean(axis=1).reshape(2, p).min(axis=0)
     late = min(LATE * time_scale(model.continuous, Ts) / Ts, LATEST)
