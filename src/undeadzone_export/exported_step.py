@@ -249,8 +249,8 @@ def build_step(
     """
     if problem.model.Ts is None:
         raise InputError(
-            'simulation.time: "continuous" cannot be exported, a controller chip takes samples; '
-            'set simulation.time = "sampled"'
+            'simulation.time: "continuous" cannot be exported, a controller chip takes samples. '
+            'Set simulation.time = "sampled"'
         )
     if part not in PARTS:
         raise InputError(f"part: expected one of {', '.join(PARTS)}, found {part!r}")

@@ -277,6 +277,9 @@ class Follower:
         zone, remarks = self.zone, []
         noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
         active = self._counts[:2].sum(axis=0)
+        # Readings at an end of their range repeat as well, and have a remark of their own.
+        ended = [i for i, running in enumerate(self._ends) if running.ends().has_ends]
+        noisy[ended] = False
         for i in np.flatnonzero(noisy & (self._repeats > FEWEST_REPEATS * active)):
             share = 100 * self._repeats[i] / active[i]
             remarks.append(
