@@ -53,7 +53,8 @@ COASTS = INVERSE | {"coast": 0.8}
 def loop(**changes: Any) -> Scenario:
     """The paper's plant behind a dead zone at either end."""
     tables: dict[str, Any] = {
-        "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01},
+        "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01}
+        | {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0},
         "actuator": {"right": RIGHT, "left": LEFT},
         "model": {"actuator": RANGES},
         "compensator": COASTS,
