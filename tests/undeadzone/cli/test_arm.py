@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,18 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     assert run.info.sensor == "gears"
     assert run.rms_tip is not None
     assert run.rms_tip < 2e-3
+
+
+def test_the_proposed_filter_of_a_large_arm_with_gears_runs() -> None:
+    """The three lines that stand in remarks take the place of the method, as written."""
+    text = starting_scenario(survey_urdf(UR5), str(UR5), gears=True)
+    text = re.sub(r'^method = "full_state".*\n', "", text, flags=re.M)
+    text = re.sub(r"^# (method|joints|half) =", r"\1 =", text, flags=re.M)
+    scenario = parse(text).replace("simulation.duration", 0.05)
+    assert isinstance(scenario.observer, uz.observers.Contact)
+    run = uz.simulate(scenario)
+    assert run.gap_std is not None or run.d_std is not None
+    assert np.isfinite(run.z_hat).all()
 
 
 def test_an_upright_lift_is_drawn(tmp_path: Path) -> None:
