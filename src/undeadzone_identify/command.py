@@ -10,6 +10,7 @@ import click
 from undeadzone.cli.common import (
     READ,
     WRITTEN,
+    SubjectCommand,
     add_untrusted,
     build_origin,
     columns_option,
@@ -17,7 +18,6 @@ from undeadzone.cli.common import (
     force_option,
     help_all,
     name_file_in_errors,
-    rarely,
     require_writable,
     shell_command,
     strict_option,
@@ -40,7 +40,29 @@ NOISES = click.Choice(["auto", "before", "after"])
 PLACES = click.Choice(["auto", "sensor"])
 
 
-@click.command(epilog="Example: undeadzone identify log.csv && undeadzone run log.toml")
+SUBJECTS = {
+    "Options": (
+        "--columns",
+        "--order",
+        "--right",
+        "--left",
+        "--next",
+        "--out",
+        "--help-all",
+        "--help",
+    ),
+    "Log": ("--zero", "--threshold", "--resample", "--delay", "--held-out", "--strict"),
+    "Model": ("--kind", "--place", "--noise", "--offset", "--integrators"),
+    "Results": ("--chain", "--resume", "--force", "--json", "--no-figures"),
+    "Files of strangers": ("--untrusted",),
+}
+
+
+@click.command(
+    cls=SubjectCommand,
+    subjects=SUBJECTS,
+    epilog="Example: undeadzone identify log.csv && undeadzone run log.toml",
+)
 @click.argument("logs", nargs=-1, required=True, type=READ, metavar="LOG [LOG ...]")
 @columns_option
 @value_option("--kind", None, "Nonlinearity at the output, or auto.", type=KINDS, default="auto")
@@ -50,20 +72,20 @@ PLACES = click.Choice(["auto", "sensor"])
 @value_option("--right", "WIDTH", "d_r: known (0.5), within bounds (0.2,1) or inf (no such edge).")
 @value_option("--left", "WIDTH", "d_l: known (0.5), within bounds (0.2,1) or inf (no such edge).")
 @value_option("--zero", "READING", "Reading of the sensor inside its zone.", default=0.0)
-@rarely("--integrators", None, "Poles of the plant at 0: 1 for a motor's position.", default=0)
-@rarely("--offset", "RMS|free", "RMS of a constant offset of the output, or free.", default="0")
-@rarely("--held-out", None, "Share of the log, at its end, for validation.", default=0.3)
-@rarely("--noise", None, "Noise enters before or after the zone.", type=NOISES, default="auto")
-@rarely(
+@value_option("--integrators", None, "Poles at 0: 1 for a motor's position.", default=0)
+@value_option("--offset", "RMS|free", "RMS of an offset of the output, or free.", default="0")
+@value_option("--held-out", None, "Share of the log, at its end, for validation.", default=0.3)
+@value_option("--noise", None, "Noise before or after the zone.", type=NOISES, default="auto")
+@value_option(
     "--place",
     None,
     "sensor: assume that the dead zone is in the sensor.",
     type=PLACES,
     default="auto",
 )
-@rarely("--delay", "N", "Samples by which the recording delays the input.", default="auto")
-@rarely("--threshold", "|y|", "Largest |y| that counts as inside the zone.", type=float)
-@rarely("--resample", "STEP", "Step [s] to put the samples on.", type=float)
+@value_option("--delay", "N", "Samples by which the recording delays the input.", default="auto")
+@value_option("--threshold", "|y|", "Largest |y| that counts as inside the zone.", type=float)
+@value_option("--resample", "STEP", "Step [s] to put the samples on.", type=float)
 @strict_option
 @value_option(
     "--chain", "DIR", "Go on to firmware in DIR: check, estimate, export, replay.", type=WRITTEN

@@ -96,6 +96,10 @@ def test_a_rare_option_stands_in_the_whole_help_alone() -> None:
         undeadzone("identify", "--help-all").stdout,
     )
     assert "--integrators" not in usual
+    shown = [line for line in usual.splitlines() if line.startswith("  -")]
+    assert len(shown) == 6 + 2  # besides --help-all and --help
+    listed = [name for names in identify.subjects.values() for name in names]
+    assert len(listed) == len(set(listed)) == len(identify.get_params(click.Context(identify))) - 1
     assert {line.split()[0] for line in usual.splitlines() if line.startswith("  --")} <= set(
         whole.split()
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import errno
 import functools
 import json
@@ -82,26 +81,43 @@ def flag_option(name: str, words: str, *into: str, **more: Any) -> Callable[...,
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 
-rarely = functools.partial(value_option, hidden=True)  # `--help-all` shows it, `--help` does not
+class SubjectCommand(click.Command):
+    """Command whose help shows a few options, and with --help-all every option by subject.
+
+    Attributes:
+        subjects: names of options by title. `--help` shows the first title alone.
+    """
+
+    subjects: Mapping[str, Sequence[str]]
+
+    def __init__(self, *args: Any, subjects: Mapping[str, Sequence[str]], **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.subjects = subjects
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options of the first subject, or of all subjects."""
+        records = {each.opts[-1]: each.get_help_record(ctx) for each in self.get_params(ctx)}
+        shown = self.subjects if ctx.meta.get(ALL_OPTIONS) else dict([*self.subjects.items()][:1])
+        for title, names in shown.items():
+            with formatter.section(title):
+                formatter.write_dl([record for name in names if (record := records[name])])
+
+
+ALL_OPTIONS = "undeadzone.all_options"  # key of a context in which --help-all stands
 
 
 def _print_full_help(context: click.Context, _: click.Parameter, asked: bool) -> None:
     """Print the help with every option, and exit."""
-    if not asked:
-        return
-    shown = copy.copy(context.command)
-    shown.params = [copy.copy(each) for each in shown.params]
-    for each in shown.params:
-        if isinstance(each, click.Option):
-            each.hidden = False
-    click.echo(shown.get_help(context))
-    context.exit()
+    if asked:
+        context.meta[ALL_OPTIONS] = True
+        click.echo(context.get_help())
+        context.exit()
 
 
 # Options that several commands have
 help_all = flag_option(
     "--help-all",
-    "Show this message with the options that are rarely needed, and exit.",
+    "Show all options by subject, and exit.",
     is_eager=True,
     expose_value=False,
     callback=_print_full_help,
