@@ -170,7 +170,7 @@ def _seen(folder: Path) -> dict[str, object]:
         state: Any = path.lstat()
         plain = stat.S_ISREG(state.st_mode)
         content = hashlib.sha256(path.read_bytes()).hexdigest() if plain else ""
-        found[path.name] = (state.st_mode, content, state.st_nlink)
+        found[str(path.relative_to(folder))] = (state.st_mode, content, state.st_nlink)
     return found
 
 

@@ -9,7 +9,7 @@ import struct
 import sys
 import tempfile
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -86,12 +86,14 @@ def _use_scratch_folder(out: Path, ending: ExitStack) -> None:
 
 
 def _empty_scratch_folder(scratch: Path) -> None:
-    """Delete the temporary files of a command, except the folder that Matplotlib deletes."""
-    for path in scratch.glob("*"):
-        if path.is_dir() and not path.name.startswith("matplotlib-"):
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.is_file():
+    """Delete the temporary files of a command, except a folder that Matplotlib deletes itself."""
+    for path in scratch.iterdir():
+        if path.is_file():
             path.unlink(missing_ok=True)
+        elif not path.name.startswith("matplotlib-"):
+            shutil.rmtree(path, ignore_errors=True)
+    with suppress(OSError):  # Matplotlib's folder is there: the end of the interpreter follows
+        scratch.rmdir()
 
 
 def _kernel_cache_folder() -> Path | None:
