@@ -62,8 +62,8 @@ def case(draw: random.Random) -> Case:
     style = _style(draw, separator)
     plain = style._replace(group="", exponent="", minus="-", around=("", ""))
     times = style if draw.random() < 0.3 else plain
-    # A recorder that writes times with a point, whatever the locale. Beside points between thousands
-    # 1.000 would be a thousand to any reader.
+    # A recorder that writes times with a point, whatever the locale. If points stand between
+    # thousands, 1.000 is a thousand to any reader.
     if style.group != "." and draw.random() < 0.2:
         times = plain._replace(mark=".")
     rows = _rows(draw)
