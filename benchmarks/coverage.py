@@ -149,13 +149,13 @@ def built_of(options: Callable[[Problems, int], Any], posed: Problems) -> list[O
     built = []
     for k, model in enumerate(posed.models):
         (right, left), told = posed.ranges[k, :, 1], options(posed, k)
-        sensor = Sensor(right=right, left=left, noise=posed.noise[k], **known_shape(told))
+        sensor = Sensor(right=right, left=left, noise=posed.noise[k], **exact_shape_if_known(told))
         built.append(built_for(told, model, sensor, posed.step[k]))
     return built
 
 
-def known_shape(options: Any) -> dict[str, float]:
-    """What an observer is told of the sensor's shape: that it is exact, where it is told all."""
+def exact_shape_if_known(options: Any) -> dict[str, float]:
+    """Return the keys of an exact sensor for an observer that knows all numbers, else none."""
     told = getattr(options, "x_std", None) is not None
     return dict.fromkeys(SHAPE, 0.0) if told else {}
 

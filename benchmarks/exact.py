@@ -98,7 +98,7 @@ def by_graph(options: Callable[[Problem], Any]) -> Callable[[list[Problem]], lis
         for one in posed:
             place = "noise_before" if one.ahead else "noise"
             said = options(one)
-            known = {place: one.noise} | coverage.known_shape(said)
+            known = {place: one.noise} | coverage.exact_shape_if_known(said)
             sensor = Sensor(right=RANGE[1], left=RANGE[1], **known)
             built.append(coverage.built_for(said, one.model, sensor, STEP))
         numbers = np.stack([tree.pack_tree(one.params) for one in built])

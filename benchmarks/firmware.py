@@ -84,7 +84,7 @@ def instructions() -> str:
             observer = msgspec.structs.replace(case(name).observer, glitches=0.0)
             plain = msgspec.structs.replace(case(name), observer=observer)
             lines.append(_counted_row(f"{name}, `glitches = 0`", plain, bar))
-    note = "Instructions are no cycles: the emulator knows no wait states."
+    note = "Instructions are not cycles: the emulator knows no wait states."
     return "\n".join([*lines, "", note, ""])
 
 

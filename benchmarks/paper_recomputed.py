@@ -44,7 +44,7 @@ class Again(NamedTuple):
     repaired: float | None
 
     def verdict(self, limit: float, announced: bool) -> str:
-        """What follows from the numbers and the limit."""
+        """Return the verdict that follows from the numbers and the limit."""
         if self.printed is not None and self.printed <= limit:
             return "holds"
         if announced:
@@ -53,8 +53,8 @@ class Again(NamedTuple):
         return "holds after repair" if mended else "does not hold"
 
 
-def drawn() -> list[str]:
-    """The claims that are computed again."""
+def draw_claims() -> list[str]:
+    """Return the names of the claims that the seed selects."""
     with CLAIMS.open("rb") as file:
         return random.Random(SEED).sample(sorted(tomllib.load(file)), DRAWN)
 
@@ -300,9 +300,9 @@ def identify(u: Floats, y: Floats) -> tuple[Floats, Floats]:
 def filter_in_loop(gust: float, noise: float) -> float:
     """Largest |d^ - d|, last 2 s, of a Kalman filter on the measured side, in the loop at 100 Hz.
 
-    Its state is [x1; x2; d_r; d_l]. As docs/methods/kalman.md says, a filter that is told of no
-    disturbance doubts its model: a white one moves z by a fifth of the largest width (3) in a
-    quarter period. One that is told that there is none trusts it.
+    Its state is [x1; x2; d_r; d_l]. As docs/methods/kalman.md says, without a declared
+    disturbance the filter assumes a white one, which moves z by a fifth of the largest width (3) in
+    a quarter period. With a declared disturbance of 0 it trusts its model.
     """
     step = 0.01
     plant = expm(np.block([[A, B[:, None]], [np.zeros((1, 3))]]) * step)
@@ -335,7 +335,7 @@ def filter_in_loop(gust: float, noise: float) -> float:
 
 
 def recompute() -> dict[str, Again]:
-    """The numbers of the claims that were drawn."""
+    """Return the numbers of the selected claims."""
     rest, outside = (0.0, 0.0), (5.0, 0.0)
     printed = run_printed(
         [rest, rest, outside, outside, outside], [5.0, 2.0, 5.0, 2.0, 5.0], [1, 1, 1, 1, -1]
@@ -386,19 +386,19 @@ MISMATCHES: Final = (
 
 
 def verdicts() -> dict[str, tuple[Again, str]]:
-    """Each claim that was drawn: its numbers, and the verdict that follows."""
+    """Return the numbers and the verdict of each selected claim."""
     with CLAIMS.open("rb") as file:
         texts = tomllib.load(file)
     again = recompute()
     found = {}
-    for name in drawn():
+    for name in draw_claims():
         limit, announced = texts[name]["limit"], texts[name].get("announced", False)
         found[name] = again[name], again[name].verdict(limit, announced)
     return found
 
 
 def table() -> str:
-    """Numbers and verdicts of the claims that were drawn, as Markdown."""
+    """Return the numbers and verdicts of the selected claims as Markdown."""
     lines = [
         f"## Ten verdicts on the paper, computed again (drawn by the seed {SEED})\n",
         "| claim | as printed | repaired | verdict |",

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 import undeadzone_arena.unscented as unscented
-from scenes import PAPER_PLANT, OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import (
     COLUMNS,
@@ -69,8 +69,7 @@ SAMPLED = {"time": "sampled", "step": 0.01, "duration": 6.0}
 
 
 def zone(p: int = 1, **options: Any) -> Zone:
-    exact = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
-    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | exact | options), p, TS)
+    return resolve(Sensor(**{"right": 1.0, "left": 1.0} | EXACT_SENSOR | options), p, TS)
 
 
 def full(column: Floats, size: int) -> Floats:

@@ -70,11 +70,6 @@ STEADY = 5.0 / (1.0 + 4.0 * np.pi**2)
 
 
 @pytest.fixture(scope="module")
-def paper() -> Paper:
-    return once.audit()[0]
-
-
-@pytest.fixture(scope="module")
 def written(paper: Paper, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return write(paper, tmp_path_factory.mktemp("paper") / "new" / "folder")
 

@@ -5,18 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import once
 from undeadzone_paper import Paper
 from undeadzone_paper.both_sides import compare_sides
 from undeadzone_paper.equations import EQUATIONS
 
 ROUNDING = 1e-12
 AGREE = (1, 3, 4, 7, 14, 17, 18, 34, 38, 39)  # as printed
-
-
-@pytest.fixture(scope="module")
-def paper() -> Paper:
-    return once.audit()[0]
 
 
 def test_every_equation_is_computed(paper: Paper) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import once
 from undeadzone_paper import Paper
 from undeadzone_paper.equations import FIGURES
 from undeadzone_paper.evidence import BEGUN, RESTING
@@ -17,11 +16,6 @@ from undeadzone_paper.figures import (
     plot_V,
 )
 from undeadzone_paper.page import claims_text
-
-
-@pytest.fixture(scope="module")
-def paper() -> Paper:
-    return once.audit()[0]
 
 
 @pytest.fixture(scope="module")

@@ -10,17 +10,11 @@ import numpy as np
 import pytest
 from benchmarks import paper_recomputed
 
-import once
 from undeadzone_paper import Paper
 from undeadzone_paper.claims import read_claim_texts
 
 EXACT = ("state-2", "global", "unknown-width", "theorem", "width-bound", "bounded", "tracking")
 """Claims whose runs have no noise in what is measured: their numbers agree, not verdicts alone."""
-
-
-@pytest.fixture(scope="module")
-def paper() -> Paper:
-    return once.audit()[0]
 
 
 def test_ten_verdicts_drawn_by_the_seed_are_found_again(paper: Paper) -> None:
@@ -45,7 +39,7 @@ def test_ten_verdicts_drawn_by_the_seed_are_found_again(paper: Paper) -> None:
 
 def test_the_draw_is_that_of_the_seed() -> None:
     ids = sorted(text.id for text in read_claim_texts())
-    assert paper_recomputed.drawn() == random.Random(58).sample(ids, 10)
+    assert paper_recomputed.draw_claims() == random.Random(58).sample(ids, 10)
 
 
 def test_the_script_shares_no_code_with_the_package() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import once
 from undeadzone.simulation.simulate import simulate
 from undeadzone_paper import Paper
 from undeadzone_paper.example import D
@@ -19,11 +18,6 @@ from undeadzone_paper.theorem import (
     is_kindest,
     select_outcomes,
 )
-
-
-@pytest.fixture(scope="module")
-def paper() -> Paper:
-    return once.audit()[0]
 
 
 def test_every_reading_is_run_once(paper: Paper) -> None:

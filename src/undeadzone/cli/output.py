@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
 from importlib import import_module
 from pathlib import Path
@@ -212,11 +212,12 @@ def export_command(path: Path, scenario: uz.Scenario) -> list[str]:
     command = shell_command("undeadzone", "export", path)
     if scenario.simulation.time == "sampled":
         return [command]
-    return [f"{command} takes it with {changes}" for changes in _changes_for_export(scenario)][:1]
+    changes = _changes_for_export(scenario)
+    return [f"{command} takes it with {changes}"] if changes else []
 
 
-def _changes_for_export(scenario: uz.Scenario) -> Iterator[str]:
-    """Return the changes with which a continuous scenario can be sampled, the least first.
+def _changes_for_export(scenario: uz.Scenario) -> str:
+    """Return the least changes with which a continuous scenario can be sampled, or "".
 
     Some methods exist in continuous time alone: `certified` and `state_feedback` take their place.
     """
@@ -242,7 +243,8 @@ def _changes_for_export(scenario: uz.Scenario) -> Iterator[str]:
         named = [
             f'{part}.method = "{options.__struct_config__.tag}"' for part, options in other.items()
         ]
-        yield ", ".join([*named, 'simulation.time = "sampled"'])
+        return ", ".join([*named, 'simulation.time = "sampled"'])
+    return ""
 
 
 def files_line(written: Sequence[Path]) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """Restriction of this process for untrusted files: limits on reading, writing and resources."""
 
+from __future__ import annotations
+
 import atexit
 import ctypes
 import os

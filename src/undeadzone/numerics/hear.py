@@ -23,7 +23,9 @@ NARROW = 1e-6  # least chance of silence, over that of being inside of the neare
 CLIP = 30.0  # standard deviations off an edge from which all is alike
 PARALLEL = 1e-12  # 1 - correlation^2 of two edges below which they are one
 ROUNDING = 1e-6  # by which a covariance may be none, over its deviations
-LENGTH, AT_EDGE, FAR = 1.4, 1.15, 30.0  # of a round edge, as in `sensor_shape`
+LENGTH = 1.4  # length over which an edge is round, in `rounding`
+FIXED_AT_EDGE = 1.15  # deviation of a reading at its edge, in `rounding`, if it has a column
+FAR = 30.0  # lengths beyond which an edge is not round any more
 
 
 class DeadzoneMemory(NamedTuple):
@@ -179,7 +181,7 @@ def deadzone_update(
             DeadzoneMemory(0.0, ear.last, *later.tolist()),
             0,
             columns=S,
-            shown=belief.cov + (S * doubts) @ (S * doubts).T,
+            shown=_shown_covariance(belief, S, doubts),
         )
     gate = max(SILENT * noise, rounding * slope)
     side = _sure(y, ear.last, ear.previous, gate) - _sure(-y, -ear.last, -ear.previous, gate)
@@ -205,8 +207,14 @@ def deadzone_update(
         e,
         std,
         S,
-        belief.cov + (S * doubts) @ (S * doubts).T,
+        _shown_covariance(belief, S, doubts),
     )
+
+
+def _shown_covariance(belief: Gauss, S: Floats, doubts: Floats) -> Floats:
+    """Return the covariance with the errors that the sensor's shape may have caused (N x N)."""
+    wide = S * doubts
+    return belief.cov + wide @ wide.T
 
 
 def _require_columns(columns: Array | None, count: int) -> Floats:
@@ -223,7 +231,7 @@ def _require_doubts(**doubts: float) -> Floats:
     for name, value in doubts.items():
         if not 0 <= value < np.inf:
             raise InputError(f"{name}: must be at least 0 and finite, found {value:g}")
-    return np.array([doubts["slope_std"], AT_EDGE * doubts["rounding"], doubts["lag"]])
+    return np.array([doubts["slope_std"], FIXED_AT_EDGE * doubts["rounding"], doubts["lag"]])
 
 
 def _require_belief(mean: Array, cov: Array) -> Gauss:

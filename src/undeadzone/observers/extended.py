@@ -220,7 +220,7 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
     if rate is None or flow is None or Ts is None or not is_mechanical(model):
         raise InputError(
-            "observer.joints: separate joints need a nonlinear model of states [q. Q'] that "
+            "observer.joints: separate joints need a nonlinear model of states [q; q'] that "
             "measures each position, such as a rigid arm's"
         )
     variance = flow.B[N:] ** 2 @ rms**2

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from test_engines import distance, parts, small
 
 import undeadzone as uz
-from scenes import PAPER_PLANT, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, scene
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
@@ -53,8 +53,7 @@ COASTS = INVERSE | {"coast": 0.8}
 def loop(**changes: Any) -> Scenario:
     """The paper's plant behind a dead zone at either end."""
     tables: dict[str, Any] = {
-        "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01}
-        | {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0},
+        "sensor": {"right": 1.0, "left": 0.7, "noise": 0.01} | EXACT_SENSOR,
         "actuator": {"right": RIGHT, "left": LEFT},
         "model": {"actuator": RANGES},
         "compensator": COASTS,
@@ -223,6 +222,17 @@ def test_widths_in_a_narrow_range_are_known_widths() -> None:
     told = {"right": RIGHT, "left": LEFT}
     runs = [outputs(loop(model={"actuator": one}, compensator=INVERSE)) for one in (narrow, told)]
     np.testing.assert_allclose(runs[0].estimate.x, runs[1].estimate.x, atol=1e-4)
+
+
+def test_beside_unknown_actuator_widths_a_shape_is_assumed_only_if_it_is_given() -> None:
+    """The default is an exact sensor; a given key has its effect."""
+    widths = {"right": 1.0, "left": 0.7, "noise": 0.01}
+    exact, default, wide = (
+        outputs(loop(sensor=sensor)).estimate.actuator_right_std[-1, 0]
+        for sensor in (widths | EXACT_SENSOR, widths, widths | {"slope_std": 0.06})
+    )
+    assert default == exact
+    assert wide > 2 * exact
 
 
 def test_coasts_tell_what_an_inverse_hides() -> None:

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
+from scenes import EXACT_SENSOR
 from undeadzone.scenario.reader import convert
-
-EXACT = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
 
 
 def run(**observer: Any) -> uz.Run:
@@ -21,7 +20,7 @@ def run(**observer: Any) -> uz.Run:
         convert(
             {
                 "plant": {"arm": {"kind": "one_link"}, "parameters": {"g": 0.0, "b1": 0.1}},
-                "sensor": {"right": 0.08, "left": 0.05, "noise": 1e-3} | EXACT,
+                "sensor": {"right": 0.08, "left": 0.05, "noise": 1e-3} | EXACT_SENSOR,
                 "reference": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
                 "observer": {"method": "extended", "right": [0.0, 0.15], "disturbance": 0.05}
                 | observer,

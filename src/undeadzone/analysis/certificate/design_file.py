@@ -151,8 +151,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if not proof.proved:
             raise ProofError(
                 f"{what}: its proof does not hold (greatest eigenvalue of the inequality "
-                f"{proof.lmi:.3g}, least of P {proof.P:.3g}. They must be negative and positive): "
-                "the file was changed, or made for another model or sample time. Design again"
+                f"{proof.lmi:.3g}, least of P {proof.P:.3g}, not negative and positive). "
+                "The file was changed, or made for another model or sample time. Design again"
             )
 
     def blocks(self) -> list[shown.Block]:

@@ -157,11 +157,10 @@ def build_branch_filter(
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
-    zones = zone_numbers(model.actuator)
-    is_exact = blind or zones is not None
-    shape = resolve_shape(sensor, prior, model, learns_shape, is_exact)
+    shape = resolve_shape(sensor, prior, model, learns_shape, blind)
     augmentation, layout = add_shape_states(augmentation, model, shape)
     gaps = gap_numbers(sensor, prior)
+    zones = zone_numbers(model.actuator)
     augmentation = add_gap_states(add_friction_state(augmentation, sensor), gaps)
     augmentation = add_actuator_states(augmentation, zones)
     entries = covariance_entries(model, augmentation)

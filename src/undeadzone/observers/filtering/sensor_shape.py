@@ -19,7 +19,8 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.constant_states import add_constants
+from undeadzone.numerics.hear import FAR, FIXED_AT_EDGE, LENGTH
+from undeadzone.observers.filtering.constant_states import add_constants, zone_numbers
 from undeadzone.observers.filtering.gaussian_filter import (
     Augmentation,
     Params,
@@ -33,9 +34,7 @@ from undeadzone.util.arrays import Floats
 ROUND = 0.07  # rounding of an edge, in the smaller middle of the ranges, by default
 SLOPE = 0.06  # relative error of the slope by default
 LATE, LATEST = 0.25, 3.0  # delay by default: in quarter periods, at most in samples
-LENGTH = 1.4  # length over which an edge is round, in `rounding`
-AT_EDGE, FIXED_AT_EDGE = 0.8, 1.15  # deviation of a reading at its edge, in `rounding`, likewise
-FAR = 30.0  # lengths beyond which an edge is not round any more
+AT_EDGE = 0.8  # deviation of a reading at its edge, in `rounding`, if that is an unknown
 
 
 class ShapeAssumptions(NamedTuple):
@@ -91,30 +90,31 @@ class ShapeNumbers(NamedTuple):
 
 
 def resolve_shape(
-    sensor: Zone, prior: Prior, model: System, learns: bool, is_exact: bool
+    sensor: Zone, prior: Prior, model: System, learns: bool, blind: bool
 ) -> ShapeAssumptions:
     """Return the shape of a sensor as a filter assumes it.
 
-    Sensors that jump or move are exact. So is a sensor behind an actuator whose widths are
-    estimated: an error of the slope cannot be told from them.
+    Sensors that jump or move are exact. So is, by default, a sensor beside an actuator whose widths
+    are estimated: an error of the slope would leave next to nothing known of them.
 
     Args:
         sensor: as the filter takes it; keys that are None have defaults.
         prior: of the filter, for its ranges.
         model: the sampled model.
         learns: whether the rounding becomes an unknown of the filter.
-        is_exact: whether the filter takes any sensor for exact.
+        blind: whether it takes readings for z itself, and so asks nothing of a sensor.
     """
     p, Ts = model.p, model.Ts
     assert Ts is not None
-    if sensor.kind != "deadzone" or sensor.moves or is_exact:
+    if sensor.kind != "deadzone" or sensor.moves or blind:
         return ShapeAssumptions(np.zeros(p), np.zeros(p), np.zeros(p), learns)
     middles = prior.ranges.mean(axis=1).reshape(2, p).min(axis=0)
     late = min(LATE * time_scale(model.continuous, Ts) / Ts, LATEST)
+    usual = 1.0 if zone_numbers(model.actuator) is None else 0.0
     return ShapeAssumptions(
-        rounding=ROUND * middles if sensor.rounding is None else sensor.rounding,
-        slope_std=np.full(p, SLOPE) if sensor.slope_std is None else sensor.slope_std,
-        lag=np.full(p, late) if sensor.lag is None else sensor.lag / Ts,
+        rounding=usual * ROUND * middles if sensor.rounding is None else sensor.rounding,
+        slope_std=np.full(p, usual * SLOPE) if sensor.slope_std is None else sensor.slope_std,
+        lag=np.full(p, usual * late) if sensor.lag is None else sensor.lag / Ts,
         learns=learns,
     )
 
