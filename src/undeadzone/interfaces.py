@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.nonlinearities.limits import Limits, beyond
+from undeadzone.nonlinearities.limits import Limits, is_beyond_range
 from undeadzone.nonlinearities.sensor import inverse, present, side
 from undeadzone.util.arrays import Floats
 
@@ -51,9 +51,9 @@ def to_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     seen = ca.if_else(present(y), y, np.nan)
     if limits is None:
         return Reading(seen, side(seen, threshold))
-    seen = ca.if_else(beyond(y, limits), np.nan, seen)
+    seen = ca.if_else(is_beyond_range(y, limits), np.nan, seen)
     side_read = side(seen, threshold, limits)
-    return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
+    return Reading(ca.if_else(is_beyond_range(y, limits), np.inf, seen), side_read)
 
 
 def sample_branch(reading: Reading, estimate: Any) -> Any:

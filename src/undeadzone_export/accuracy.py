@@ -69,13 +69,13 @@ class CompiledStep:
     def __init__(
         self, code: Code, folder: Path, options: Options = ("-O1",), text: Source | None = None
     ) -> None:
-        text = text or build_source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
+        text = text or build_source(code, Labels(f"run_{code.dtype_name}", "accuracy", "replica"))
         prefix, files, given = text.prefix, text.texts_by_name(), bool(code.step.params)
         files[f"{prefix}_run.c"] = fill_template("templates/runner.c", call_words(prefix, given))
         library = compile_library(write_sources(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
-        self.real = code.kind
+        self.real = code.dtype_name
         self.state = np.zeros(total_size(code.structs["state"]), self.real)
         self.outputs = total_size(code.step.outputs)
         self.reset_memory()

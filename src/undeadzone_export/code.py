@@ -54,14 +54,14 @@ class Code(NamedTuple):
     phases: Phases | None
 
     @property
-    def kind(self) -> str:
+    def dtype_name(self) -> str:
         """Return NumPy's name of the type of numbers."""
         return "float32" if self.single else "float64"
 
     @property
-    def real(self) -> str:
+    def c_type(self) -> str:
         """Return the type of numbers in C."""
-        return TYPES[self.kind]
+        return TYPES[self.dtype_name]
 
     @property
     def carry_size(self) -> int:

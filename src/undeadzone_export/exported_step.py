@@ -340,7 +340,7 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
     t_column, target = tree.create_symbols(like, "target")
     reading = to_reading(y, *params.sensor)
     own = observer, controller, params, compensator
-    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
+    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).advance_controller(
         s, reading, target
     )
     out = u, estimate, sample_branch(reading, estimate)

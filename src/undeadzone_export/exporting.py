@@ -274,7 +274,7 @@ def constants_beyond_float(double: Code) -> list[str]:
     """Return the numbers of the code in double that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
     for node in required_nodes(itertools.chain(*double.results)):
-        size = abs(node.value or 0.0)
+        size = abs(node.constant_value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")
     return sorted(texts)

@@ -113,9 +113,9 @@ def export_plc(code: Code, labels: Labels, vectors: Vectors) -> PlcExport:
     Raises:
         InputError: an operation that the language has not.
     """
-    style = Style(code.kind, labels.prefix, ST)
+    style = Style(code.dtype_name, labels.prefix, ST)
     block = _BlockBuilder(code, labels, style)
-    names = elementary.required_functions(block.function_names, code.kind, portable_maths.OWN)
+    names = elementary.required_functions(block.function_names, code.dtype_name, portable_maths.OWN)
     functions = [function_unit(name, style) for name in names]
     blocks = block.build_units()
     return PlcExport([*functions, *blocks], _selftest_unit(code, labels, vectors, blocks[-1]))
@@ -207,7 +207,7 @@ class _BlockBuilder:
             ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
-        start = itertools.chain(*[assign_number(*each, self.code.kind) for each in states])
+        start = itertools.chain(*[assign_number(*each, self.code.dtype_name) for each in states])
         text = [
             *_if_statement("reset", start),
             *self._reading_statements(),
@@ -243,7 +243,7 @@ class _BlockBuilder:
         self, names: list[str], fields: list[Field], values: Floats
     ) -> list[PlcVariable]:
         """Return variables for the numbers of fields, with their start values."""
-        starts = [(initial_literal(value, self.code.kind),) for value in values.tolist()]
+        starts = [(initial_literal(value, self.code.dtype_name),) for value in values.tolist()]
         known = zip(self._field_variables(names, fields), starts, strict=True)
         return [each._replace(start=start) for each, start in known]
 
@@ -252,7 +252,7 @@ class _BlockBuilder:
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
-            lines += _if_statement(missing, assign_number(read, np.inf, self.code.kind))
+            lines += _if_statement(missing, assign_number(read, np.inf, self.code.dtype_name))
         return lines
 
     def _output_assignments(self) -> list[str]:
@@ -463,7 +463,7 @@ def _if_statement(truth: str, statements: Iterable[str]) -> list[str]:
 
 def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit) -> PlcUnit:
     """Build the self-test: one sample a cycle, each output compared with its reference."""
-    samples, kind = len(vectors.states), code.kind
+    samples, kind = len(vectors.states), code.dtype_name
     given, expected = vectors.inputs.view(kind), vectors.outputs.view(kind)
     names = [each.name for each in block.variables[INPUTS] if each.kind != "BOOL"]
     arguments, checks, tables = [], [], []

@@ -30,7 +30,7 @@ def st_text(units: list[PlcUnit], labels: Labels, code: Code) -> str:
         code: what is printed.
     """
     head = [
-        f"{labels.prefix}: {labels.part}, {TYPES[code.kind]}; hash {code.hash}.",
+        f"{labels.prefix}: {labels.part}, {TYPES[code.dtype_name]}; hash {code.hash}.",
         f"Written by undeadzone {undeadzone.__version__}; do not edit.",
         "SPDX-License-Identifier: BSD-3-Clause",
     ]

@@ -113,7 +113,7 @@ def reference_vectors(code: Code, rows: Floats) -> Vectors:
         code: what is printed.
         rows: inputs, a row for each sample.
     """
-    kind, evaluate = code.kind, reference_evaluator(code.results)
+    kind, evaluate = code.dtype_name, reference_evaluator(code.results)
     rows = rows.astype(kind)
     state = code.step.start.astype(kind)
     params = code.step.defaults.astype(kind)
@@ -161,12 +161,12 @@ def selftest_source(code: Code, prefix: str, vectors: Vectors) -> str:
         "inputs": vectors.inputs.shape[1],
         "outputs": vectors.outputs.shape[1],
         "memory": code.step.start.size,
-        "real": code.real,
+        "real": code.c_type,
         "word": f"uint{4 * digits}_t",
         "is_double": not code.single,
         "magnitude": "0x7fffffffu" if code.single else "0x7fffffffffffffffull",
         "infinity": "0x7f800000u" if code.single else "0x7ff0000000000000ull",
-        "nan": f"0x{NAN[code.kind]:x}{ending}",
+        "nan": f"0x{NAN[code.dtype_name]:x}{ending}",
         "offset": OFFSET,
         "prime": PRIME,
         "phased": code.phases is not None,

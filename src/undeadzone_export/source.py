@@ -62,18 +62,18 @@ class Source(NamedTuple):
 
 def build_source(code: Code, labels: Labels) -> Source:
     """Print the C of an export."""
-    style = Style(code.kind, labels.prefix)
+    style = Style(code.dtype_name, labels.prefix)
     bodies = _print_bodies(code, style)
     used = bodies.functions
-    functions = elementary.required_functions(used, code.kind)
+    functions = elementary.required_functions(used, code.dtype_name)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
         "name": name,
         "upper": name.upper(),
         "title": _to_comment_line(labels.title),
         "version": undeadzone.__version__,
-        "real": code.real,
-        "step": c_literal(step.Ts, code.kind),
+        "real": code.c_type,
+        "step": c_literal(step.Ts, code.dtype_name),
         "hash": code.hash,
         "with_math": bool(used),
     }
@@ -397,7 +397,7 @@ def _input_in_comparison(node: Node) -> str:
         return ""
     low, high = node.args
     for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
-        is_huge = sign * (bound.value or 0.0) >= round_to_type(HUGE, bound.kind)
+        is_huge = sign * (bound.constant_value or 0.0) >= round_to_type(HUGE, bound.kind)
         if is_huge and value.op == "input":
             return value.text
     return ""

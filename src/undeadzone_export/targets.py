@@ -301,7 +301,7 @@ def _python_module(printed: Code, report: dict[str, Any]) -> str:
         "arguments": ", ".join(field.name for field in structs["in"]),
         "inputs": _field_lines(structs["in"]),
         "outputs": _field_lines(structs["out"]),
-        "real": f"c_{printed.real}",
+        "real": f"c_{printed.c_type}",
     }
     for name in ("state", "in", "out", "params"):
         words[f"fields_of_{name}"] = _field_sizes(structs.get(name, []))

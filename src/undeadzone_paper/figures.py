@@ -175,7 +175,7 @@ def _plot_sorted_errors(
     axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
 ) -> None:
     """Plot the errors of the readings of (29) as printed, in their order."""
-    errors = [outcome.error for outcome in select_outcomes(outcomes, mismatch)]
+    errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
     values = np.sort(errors)
     shown = np.isfinite(values)
     axes.set_yscale("log")

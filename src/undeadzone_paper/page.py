@@ -256,7 +256,7 @@ _VARIANT: Final = (
 def _variants_section(paper: Paper) -> list[Html]:
     """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
-    counts = [(READINGS[count.plant].words, *count) for count in paper.counts]
+    counts = [(READINGS[count.plant].words, *count) for count in paper.count_variants]
     leaving = []
     for outcome in paper.variants:
         if outcome.leaves_zone and outcome.variant.start.startswith("from rest"):

@@ -103,7 +103,7 @@ class TheoremOutcome(NamedTuple):
     diverged_at: float | None
 
     @property
-    def error(self) -> float:
+    def worst_error(self) -> float:
         """Return the larger of both errors, infinite if the run diverges."""
         if self.width_error is None or self.state_error is None:
             return np.inf
@@ -234,7 +234,7 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
             plant,
             total=len(group),
             diverge=count_diverging(group),
-            end_right=sum(outcome.error <= RIGHT for outcome in group),
+            end_right=sum(outcome.worst_error <= RIGHT for outcome in group),
             leave_true_widths=sum(outcome.leaves_widths for outcome in group),
         )
         for (mismatch, sign, plant), group in groups.items()

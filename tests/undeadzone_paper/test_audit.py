@@ -159,15 +159,15 @@ def test_repaired_is_the_example_that_ships(five: Run) -> None:
 def test_every_variant_is_run_once(paper: Paper) -> None:
     assert len(paper.variants) == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
     assert len({outcome.variant for outcome in paper.variants}) == len(paper.variants)
-    counted = {(item.plant, item.start) for item in paper.counts}
+    counted = {(item.plant, item.start) for item in paper.count_variants}
     assert counted == set(itertools.product(READINGS, STARTS))
-    assert all(item.total == 48 for item in paper.counts)
+    assert all(item.total == 48 for item in paper.count_variants)
 
 
 def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(
     paper: Paper,
 ) -> None:
-    for item in paper.counts:
+    for item in paper.count_variants:
         if item.start == "from rest, d^(0) = d":
             unity = item.plant == "unity DC gain"
             assert item.leave_zone == (48 if unity else 0)

@@ -280,16 +280,16 @@ def _bisect_crossings(
     """
     a, b = middle - half, middle + half
 
-    def above(t: Floats) -> Any:
+    def is_above_level(t: Floats) -> Any:
         """Return whether the signal is above the level at times t."""
         return reference.state(t) @ row > level
 
-    crossing = above(a) != above(b)
+    crossing = is_above_level(a) != is_above_level(b)
     a, b = a[crossing], b[crossing]
-    first = above(a)
+    first = is_above_level(a)
     for _ in range(BISECTIONS):
         middle = (a + b) / 2
-        left = above(middle) == first
+        left = is_above_level(middle) == first
         a, b = np.where(left, middle, a), np.where(left, b, middle)
     return (a + b) / 2
 

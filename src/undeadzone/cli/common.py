@@ -141,7 +141,7 @@ def add_untrusted(command: Command) -> Command:
     """Add --untrusted, which restricts the process until its end and implies --confine."""
 
     @functools.wraps(command)
-    def held(*, untrusted: Path | None, **options: Any) -> Any:
+    def run_confined(*, untrusted: Path | None, **options: Any) -> Any:
         """Run the command, in a restricted process if --untrusted is given."""
         if untrusted is None:
             return command(**options)
@@ -162,7 +162,7 @@ def add_untrusted(command: Command) -> Command:
         "DIR",
         "Treat DIR as hostile: read only DIR, write only --out, limit time and memory.",
         type=LIMIT,
-    )(held)
+    )(run_confined)
 
 
 def _bind_process(folder: Path, options: Mapping[str, Any]) -> None:
@@ -197,14 +197,14 @@ def name_file_in_errors(command: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(command)
-    def named(**options: Any) -> Any:
+    def run_with_file_name(**options: Any) -> Any:
         """Run the command; an InputError names the file."""
         try:
             return command(**options)
         except InputError as error:
             raise type(error)(_prefix_file(str(error), options)) from None
 
-    return named
+    return run_with_file_name
 
 
 def _prefix_file(message: str, options: Mapping[str, Any]) -> str:

@@ -99,11 +99,11 @@ def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add --out, --json and --no-figures, passed to the command as an `Output`."""
 
     @wraps(command)
-    def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+    def run_with_output(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
         """Run the command with its `Output`."""
         return command(output=Output(out, as_json, not no_figures), **options)
 
-    return reduce(lambda made, option: option(made), OUTPUTS, given)
+    return reduce(lambda made, option: option(made), OUTPUTS, run_with_output)
 
 
 def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:

@@ -68,8 +68,8 @@ def read_assumptions(numbers: list[list[tuple[int | None, float]]]) -> tuple[Ker
 
 def to_breakpoint(node: Node) -> ParamBreakpoint | None:
     """Return a node as a breakpoint, or None if it is neither a param nor a constant."""
-    if node.value is not None:
-        return ParamBreakpoint(None, node.value)
+    if node.constant_value is not None:
+        return ParamBreakpoint(None, node.constant_value)
     if node.op == "input" and node.text.startswith("p"):
         return ParamBreakpoint(int(node.text[1:]), 1.0)
     if node.op != "neg":

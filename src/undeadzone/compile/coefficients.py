@@ -77,17 +77,17 @@ class Numbers(msgspec.Struct, frozen=True):
         return 1 << (self.bits - 1)
 
     @property
-    def one(self) -> int:
+    def one_bits(self) -> int:
         """Return the bits of the number 1."""
         return self.bias << self.mantissa
 
     @property
-    def largest(self) -> float:
+    def largest_finite(self) -> float:
         """Return the largest finite number."""
         return (2.0 - 0.5**self.mantissa) * 2.0**self.bias
 
     @property
-    def whole(self) -> float:
+    def first_whole(self) -> float:
         """Return 2^mantissa, the size from which numbers have no fraction."""
         return 2.0**self.mantissa
 
@@ -96,7 +96,7 @@ class Numbers(msgspec.Struct, frozen=True):
         """Return the number whose addition rounds a small number to an integer in the last
         bits of the sum.
         """
-        return 1.5 * self.whole
+        return 1.5 * self.first_whole
 
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

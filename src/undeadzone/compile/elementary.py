@@ -54,7 +54,7 @@ class Maths:
         """Return the bits of a number as an unsigned integer."""
         return x.cast("view", self.c.word)
 
-    def number(self, x: Any) -> Any:
+    def from_bits(self, x: Any) -> Any:
         """Return the number with the given bits."""
         return x.cast("view", self.c.kind)
 
@@ -107,7 +107,7 @@ def shifted_power(m: Maths, shifted: Any, less: Any = None) -> Any:
     if m.bitless:
         return m.call("power", shifted - (m.c.shift if less is None else less))
     bits = m.bits(shifted) if less is None else m.bits(shifted) - m.bits(less)
-    return m.number((bits << m.c.mantissa) + m.c.one)
+    return m.from_bits((bits << m.c.mantissa) + m.c.one_bits)
 
 
 def reduce_exponent(m: Maths, x: Any) -> Any:
@@ -153,8 +153,8 @@ def larger_of(m: Maths, x: Any, y: Any) -> Any:
 def floor(m: Maths, x: Any) -> Any:
     """Return the largest whole number that is not larger."""
     a = abs(x)
-    near = m.call("copysign", (a + m.c.whole) - m.c.whole, x)
-    return m.select(a < m.c.whole, near - m.select(x < near, 1.0, 0.0 * a), x)
+    near = m.call("copysign", (a + m.c.first_whole) - m.c.first_whole, x)
+    return m.select(a < m.c.first_whole, near - m.select(x < near, 1.0, 0.0 * a), x)
 
 
 def ceil(m: Maths, x: Any) -> Any:
@@ -185,12 +185,12 @@ def split_mantissa(m: Maths, x: Any) -> Any:
     if m.bitless:
         return m.call("exponent", x), m.call("fraction", x) - 1.0
     c = m.c
-    lift, counted = c.mantissa + 2, c.whole + c.bias
+    lift, counted = c.mantissa + 2, c.first_whole + c.bias
     small = x < 2.0 ** (1 - c.bias)
-    word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one - c.half)
+    word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one_bits - c.half)
     count = (c.bias + c.mantissa) << c.mantissa  # the bits of `whole`, to which n is added
-    n = m.number((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
-    return n, m.number((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
+    n = m.from_bits((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
+    return n, m.from_bits((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
 
 
 def log(m: Maths, x: Any) -> Any:
@@ -204,7 +204,7 @@ def log(m: Maths, x: Any) -> Any:
     smaller = m.fma(n, c.log2_short[1], -s * m.fma(-z, m.polynomial(z, c.log), f))
     value = high + ((f - (high - whole)) + smaller)
     edge = m.select(x == 0.0, -math.inf, math.nan)
-    return m.select(x <= c.largest, m.select(x > 0.0, value, edge), x)
+    return m.select(x <= c.largest_finite, m.select(x > 0.0, value, edge), x)
 
 
 def log1p(m: Maths, x: Any) -> Any:
@@ -227,14 +227,14 @@ def sin(m: Maths, x: Any) -> Any:
     """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, cosine, sine)
-    return m.number(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
+    return m.from_bits(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
 
 
 def cos(m: Maths, x: Any) -> Any:
     """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, sine, cosine)
-    return m.number(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
+    return m.from_bits(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
 
 
 def tan(m: Maths, x: Any) -> Any:
@@ -242,7 +242,7 @@ def tan(m: Maths, x: Any) -> Any:
     sine, cosine, n = reduce_angle(m, x)
     odd = (n & 1) != 0
     value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)
-    return m.number(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
+    return m.from_bits(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
 
 
 def atan(m: Maths, x: Any) -> Any:
@@ -409,11 +409,11 @@ def inline_functions(
     """Return, by name, builders that insert a function's instructions at the place of a call."""
     maths = Maths(nodes, numbers, inline=True)
 
-    def written(name: str) -> Callable[..., Node]:
+    def build_function(name: str) -> Callable[..., Node]:
         """Return the builder of a function."""
         return lambda *args: maths.call(name, *[Value(nodes, arg) for arg in args]).node
 
-    return {name: written(name) for name in names}
+    return {name: build_function(name) for name in names}
 
 
 def required_functions(

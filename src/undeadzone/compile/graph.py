@@ -42,7 +42,7 @@ class Node:
     number: int
 
     @property
-    def value(self) -> float | None:
+    def constant_value(self) -> float | None:
         """Return the number of a constant, or None for all further nodes."""
         return float(self.text) if self.op == "const" else None
 

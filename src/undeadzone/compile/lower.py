@@ -123,7 +123,7 @@ class Term(NamedTuple):
 
 def _is_gate(node: Node) -> bool:
     """Return whether a node selects a number or 0 by a truth and is not a truth as a number."""
-    return node.op == "select" and node.args[2].value == 0.0 and to_condition(node) is None
+    return node.op == "select" and node.args[2].constant_value == 0.0 and to_condition(node) is None
 
 
 def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
@@ -201,7 +201,7 @@ class _Lowering(NamedTuple):
         made, op = self.nodes.intern, "least" if word == "fmin" else "most"
         if _is_never_nan(a):
             return made(op, b, a)
-        if _is_never_nan(b) and (self.fused or b.value):
+        if _is_never_nan(b) and (self.fused or b.constant_value):
             return made(op, a, b)  # the sign of zero apart
         better = made("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
         if not _is_never_nan(b):

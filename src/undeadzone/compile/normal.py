@@ -129,7 +129,7 @@ def fill_text(group: int) -> str:
     text.block = "entry"
     below = [*operands_at_level(order, results, STEADY), *operands_at_level(order, results, SHARED)]
     last = text.add("add i64 %first, %steps")
-    text.line(f"%whole = and i64 %lanes, -{group}")
+    text.append_line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")
     begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
     with text.print_loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
@@ -147,7 +147,7 @@ def fill_text(group: int) -> str:
                 for node, (asked, first) in zip(results, rows, strict=True):
                     with text.print_if(asked, f"of{text.lanes}.{node.number}"):
                         place = text.add(f"add i64 {first}, {at}")
-                        text.store(names(node), text.at("%numbers", place), vector=True)
+                        text.store(names(node), text.address_of("%numbers", place), vector=True)
     return _module_text(text)
 
 
@@ -183,7 +183,7 @@ def _run_source(text: Text, have: dict[Node, str], count: str) -> Names:
     def source(node: Node) -> str:
         """Return the name of a value."""
         if node.level == LANES:
-            return text.load(text.at("%runs", count), "i64", vector=True)
+            return text.load(text.address_of("%runs", count), "i64", vector=True)
         return text.splat(have[node], TYPES[node.kind])
 
     return source

@@ -81,7 +81,7 @@ class OutlinedStep:
             if node not in self._made:
                 self._print_frame_store(text, node, source(node))
         for at in range(len(self._orders)):
-            text.line(f"call void @piece{at}({_pointer_arguments('ptr')})")
+            text.append_line(f"call void @piece{at}({_pointer_arguments('ptr')})")
         return self._frame_source(text, self._made, source)
 
     def outlined_texts(
@@ -124,7 +124,7 @@ class OutlinedStep:
 
     def _print_frame_store(self, text: Text, node: Node, name: str) -> None:
         """Print the instructions that store a value in the frame."""
-        address = text.at("%frame", self._places[node] * self._lanes)
+        address = text.address_of("%frame", self._places[node] * self._lanes)
         text.store(to_double(text, node, name, vector=True), address, vector=True)
 
     def _frame_source(self, text: Text, within: Container[Node], otherwise: Names) -> Names:
@@ -136,7 +136,7 @@ class OutlinedStep:
             """Return the name of a value."""
             if node not in within:
                 return otherwise(node)
-            address = text.at("%frame", self._places[node] * self._lanes)
+            address = text.address_of("%frame", self._places[node] * self._lanes)
             return from_double(text, node, text.load(address, vector=True), vector=True)
 
         return source

@@ -188,7 +188,7 @@ class Expressions:
 def _c_constant(node: Node) -> Text:
     """Return the text of a constant."""
     if node.kind == "bool":
-        return Text("true" if node.value else "false")
+        return Text("true" if node.constant_value else "false")
     if not node.is_real:
         number = int(node.text)
         return Text(f"{number}u" if number < 256 else f"0x{number:x}u")

@@ -60,7 +60,7 @@ class _Parameter(NamedTuple):
     is_shared: bool = False
 
     @property
-    def size(self) -> int:
+    def entry_count(self) -> int:
         """Return the number of entries."""
         return 1 + max(self.entries.values())
 
@@ -166,14 +166,14 @@ class CalledPart:
                     expressions.write_node(node.args[number]).text for number in each.entries
                 )
                 lines += wrap_statement(
-                    f"const {TYPES[each.kind]} {copy}[{each.size}] = {{ {texts} }};"
+                    f"const {TYPES[each.kind]} {copy}[{each.entry_count}] = {{ {texts} }};"
                 )
             passed.append(_address(each, k) or copy)
         self._has_shared = True
         for each in self._results:
             copy = f"{name}_{each.name}"
             if not each.array:
-                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.size}];")
+                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.entry_count}];")
             for number, index in each.entries.items():
                 result = self._taken[k].get(number)
                 if result is not None:

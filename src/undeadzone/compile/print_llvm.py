@@ -53,7 +53,7 @@ class Text:
         self.block = ""  # the label of the block that is being printed
         self._prefix, self._fresh = prefix, 0
 
-    def line(self, text: str) -> None:
+    def append_line(self, text: str) -> None:
         """Append a line without a value."""
         self.lines.append(f"  {text}")
 
@@ -73,7 +73,7 @@ class Text:
         """Return the type of a vector of lanes, or of a single number."""
         return f"<{self.lanes} x {of_one}>" if vector and self.lanes > 1 else of_one
 
-    def at(self, base: str, index: int | str) -> str:
+    def address_of(self, base: str, index: int | str) -> str:
         """Return the address of an entry of an array."""
         if index == 0:
             return base
@@ -87,7 +87,7 @@ class Text:
 
     def store(self, name: str, address: str, vector: bool = False) -> None:
         """Store numbers at an address."""
-        self.line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
+        self.append_line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
 
     def splat(self, name: str, of_type: str) -> str:
         """Return the name of a vector with a number in every lane."""
@@ -202,14 +202,14 @@ class Text:
             begin, end, stride: of the count; both ends are at least 0.
         """
         came, count = self.block, f"%{name}.count"
-        self.line(f"br label %{name}")
+        self.append_line(f"br label %{name}")
         self.label(name)
         head = len(self.lines)
-        self.line(f"%{name}.more = icmp ult i64 {count}, {end}")
+        self.append_line(f"%{name}.more = icmp ult i64 {count}, {end}")
         self._enter_if(f"%{name}.more", name)
         yield count
-        self.line(f"%{name}.next = add i64 {count}, {stride}")
-        self.line(f"br label %{name}")
+        self.append_line(f"%{name}.next = add i64 {count}, {stride}")
+        self.append_line(f"br label %{name}")
         counts = f"[{begin}, %{came}], [%{name}.next, %{self.block}]"
         self.lines.insert(head, f"  {count} = phi i64 {counts}")
         self.label(f"{name}.past")
@@ -224,14 +224,14 @@ class Text:
         """
         self._enter_if(truth, name)
         yield
-        self.line(f"br label %{name}.past")
+        self.append_line(f"br label %{name}.past")
         self.label(f"{name}.past")
 
     def _enter_if(self, truth: str, name: str) -> None:
         """Start the block that runs if a truth holds, with a jump past the block
         otherwise.
         """
-        self.line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
+        self.append_line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
         self.label(f"{name}.do")
 
     def any_lane(self, condition: str) -> str:
@@ -353,7 +353,7 @@ def _print_branch(text: Text, branch: Branch, have: dict[Node, str], name: Names
 
 def entry_source(text: Text, array: str) -> Names:
     """Return a source that loads an input, such as p3, from entry 3 of an array."""
-    return lambda node: text.load(text.at(f"%{array}", int(node.text[1:])))
+    return lambda node: text.load(text.address_of(f"%{array}", int(node.text[1:])))
 
 
 def _conversion_word(source: Node, target: Node) -> str:

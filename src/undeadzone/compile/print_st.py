@@ -82,7 +82,7 @@ def _decimal_digits(size: float, kind: str) -> str:
 def _st_constant(node: Node) -> Text:
     """Return the text of a constant."""
     if node.kind == "bool":
-        return Text("TRUE" if node.value else "FALSE")
+        return Text("TRUE" if node.constant_value else "FALSE")
     text = st_literal(float(node.text), node.kind)
     return Text(text, "neg" if text.startswith("-") else "")
 

@@ -70,8 +70,8 @@ class ExactRules:
 
     def to_number(self, truth: Node) -> Node:
         """Return a truth as the number 1 or 0."""
-        if truth.value is not None:
-            return self.one if truth.value else self.zero
+        if truth.constant_value is not None:
+            return self.one if truth.constant_value else self.zero
         return self.nodes.intern("select", truth, self.one, self.zero)
 
     def to_truth(self, number: Node) -> Node:
@@ -80,15 +80,15 @@ class ExactRules:
 
     def negate_truth(self, truth: Node) -> Node:
         """Return the negation of a truth."""
-        if truth.value is not None:
-            return self.no if truth.value else self.yes
+        if truth.constant_value is not None:
+            return self.no if truth.constant_value else self.yes
         return truth.args[0] if truth.op == "not" else self.nodes.intern("not", truth)
 
     def join_truths(self, a: Node, b: Node) -> Node:
         """Return the conjunction of two truths."""
         for one, other in ((a, b), (b, a)):
-            if one.value is not None:
-                return other if one.value else self.no
+            if one.constant_value is not None:
+                return other if one.constant_value else self.no
             if self.implies(one, other):
                 return one
         return self.nodes.intern("and", a, b)
@@ -96,8 +96,8 @@ class ExactRules:
     def either_truth(self, a: Node, b: Node) -> Node:
         """Return the disjunction of two truths."""
         for one, other in ((a, b), (b, a)):
-            if one.value is not None:
-                return self.yes if one.value else other
+            if one.constant_value is not None:
+                return self.yes if one.constant_value else other
             if self.implies(one, other):
                 return other
         return self.nodes.intern("or", a, b)
@@ -113,7 +113,7 @@ class ExactRules:
 
     def _check_implication(self, one: Node, other: Node) -> bool:
         """Determine `implies` from the parts of two truths."""
-        if one is other or other.value == 1.0:
+        if one is other or other.constant_value == 1.0:
             return True
         every, some = {"and": all, "or": any}, {"and": any, "or": all}
         if other.op in every and every[other.op](self.implies(one, part) for part in other.args):
@@ -126,7 +126,7 @@ class ExactRules:
         """Return the truth of a comparison of numbers."""
         compare, (x, y), (this, that) = (
             _COMPARED[word],
-            (a.value, b.value),
+            (a.constant_value, b.constant_value),
             map(to_condition, (a, b)),
         )
         if x is not None and y is not None:
@@ -186,8 +186,8 @@ class ExactRules:
 
     def select_number(self, truth: Node, yes: Node, no: Node) -> Node:
         """Return the selection of two numbers by a truth."""
-        if truth.value is not None:
-            return yes if truth.value else no
+        if truth.constant_value is not None:
+            return yes if truth.constant_value else no
         inner = to_condition(yes)
         if inner is not None and no is self.zero:
             return self.to_number(self.join_truths(truth, inner))
@@ -345,9 +345,9 @@ class PortableRules:
         constant.
         """
         for number, bound in ((a, b), (b, a)):
-            if bound.value is None:
+            if bound.constant_value is None:
                 continue
-            if bound.value == (self.largest if word == "fmin" else -self.largest):
+            if bound.constant_value == (self.largest if word == "fmin" else -self.largest):
                 return number
             compared = (number, bound) if word == "fmin" else (bound, number)
             return self._select_positive(self.exact.compare_numbers("lt", *compared), number, bound)

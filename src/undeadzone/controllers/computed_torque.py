@@ -73,12 +73,12 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         Raises InputError.
         """
         arm = model.arm
-        if arm is None or arm.size != model.m:
+        if arm is None or arm.joint_count != model.m:
             raise InputError(
                 "controller.method: 'computed_torque' needs an arm whose every joint has its "
                 "motor. Use 'state_feedback' or 'lqr'"
             )
-        N = arm.size
+        N = arm.joint_count
         k_p, k_d = self._joint_gains(N)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
@@ -141,7 +141,7 @@ def path_accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N = arm.size
+    N = arm.joint_count
     return along_targets(
         lambda x, u: forward_dynamics(arm, ca.SX(params), x[:N], x[N:], u),
         target,
@@ -196,7 +196,7 @@ def build_gear_controller(
     gears, Ts = model.gears, model.Ts
     assert gears is not None
     assert Ts is not None
-    N = gears.size
+    N = gears.joint_count
     numbers = doubly_integrated(require_number(KEY, crossing, above=0.0), Ts, KEY)
     ahead = round(LEAD / crossing / Ts)
 
@@ -261,7 +261,7 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N, p = gears.size, ca.SX(params)
+    N, p = gears.joint_count, ca.SX(params)
 
     def turned_together(x: Any, u: Any) -> Any:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""

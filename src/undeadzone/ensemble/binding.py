@@ -392,7 +392,7 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
             numbers[:, wear] = exogenous.width_drift(moves)
         if losses:
             normals = numbers[:, lost].swapaxes(1, 2)
-            numbers[:, lost] = exogenous.lost(normals, own.dropout).swapaxes(1, 2)
+            numbers[:, lost] = exogenous.missing_mask(normals, own.dropout).swapaxes(1, 2)
         return numbers
 
     return source

@@ -131,7 +131,7 @@ class Store(NamedTuple):
         self.close()
 
 
-def start(path: Path, layout: Layout, resume: bool = False) -> Store:
+def open_store(path: Path, layout: Layout, resume: bool = False) -> Store:
     """Open a store, or create it if the file does not exist.
 
     Args:

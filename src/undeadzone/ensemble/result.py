@@ -77,10 +77,14 @@ class Ensemble:
         These are the metrics, the errors d^ - d of the widths as `d_right_error[0]`, and the
         largest of their sizes, `d_error`.
         """
-        return [*(name for name in self.metrics if name != "diverged"), *self.errors, WIDTHS]
+        return [
+            *(name for name in self.metrics if name != "diverged"),
+            *self.width_error_names,
+            WIDTHS,
+        ]
 
     @property
-    def errors(self) -> list[str]:
+    def width_error_names(self) -> list[str]:
         """Return the names of the errors of the widths."""
         widths = [name for name in self.metrics if name.startswith(("d_right[", "d_left["))]
         return [name.replace("[", "_error[") for name in widths]
@@ -98,12 +102,14 @@ class Ensemble:
             InputError: there is no such column.
         """
         if name == WIDTHS:
-            return reduce(np.maximum, (np.abs(self.column(each)) for each in self.errors))
+            return reduce(
+                np.maximum, (np.abs(self.column(each)) for each in self.width_error_names)
+            )
         if name in self.metrics:
             return self.metrics[name]
         if name in self.varied:
             return self.varied[name]
-        if name not in self.errors:
+        if name not in self.width_error_names:
             known = ", ".join([*self.varied, *self.quantities])
             raise InputError(f"{name}: is not a column of this ensemble. There are {known}")
         return width_error(name, self.metrics, self.info.widths, self.varied, self.info.geared)

@@ -48,7 +48,7 @@ def compute_job(
     """
     _require_one_backend(workers, cluster)
     job = prepare()
-    store = journal.start(path, job.layout, resume)
+    store = journal.open_store(path, job.layout, resume)
     report = progress or ignore_progress
     with close_on_failure(store):
         if store.runs_done:

@@ -63,14 +63,14 @@ def joint_path(
 
     def derivatives(at: Floats) -> Floats:
         if at.size == 0:
-            return np.empty((0, 3, arm.size))
+            return np.empty((0, 3, arm.joint_count))
         if at.max() > t[-1]:
             raise TrackingError(
                 f"reference: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
             )
         return _refine_path(equations, task, at, nearby(at))
 
-    path = piecewise_exosystem(derivatives, arm.size)._replace(corners=task.corners)
+    path = piecewise_exosystem(derivatives, arm.joint_count)._replace(corners=task.corners)
     period = task.period if _closes(path, task.period, t[-1]) else None
     return path._replace(period=period)
 
@@ -284,23 +284,23 @@ class Equations(NamedTuple):
 
 def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     """Return the equations of an arm that sets out from `start`. Raises TrackingError."""
-    q, v = ca.SX.sym("q", arm.size), ca.SX.sym("v", arm.size)
+    q, v = ca.SX.sym("q", arm.joint_count), ca.SX.sym("v", arm.joint_count)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
-    if arm.size < tip.numel():
+    if arm.joint_count < tip.numel():
         raise TrackingError(
-            f"reference.space: an arm with {arm.size} joint{'s' * (arm.size > 1)} cannot move its "
-            f"tip along a path in {tip.numel()} coordinates. Give the joints' path "
+            f"reference.space: an arm with {arm.joint_count} joint{'s' * (arm.joint_count > 1)} "
+            f"cannot move its tip along a path in {tip.numel()} coordinates. Give the joints' path "
             "(space = 'joint')"
         )
     reach = float(np.linalg.norm(np.diff(arm.points(params, start).full(), axis=0), axis=1).sum())
     place = tip / reach
-    if tip.numel() == 3 and arm.size >= 6:
+    if tip.numel() == 3 and arm.joint_count >= 6:
         W = ca.DM(arm.turn(params, start)).T @ arm.turn(numbers, q)  # turn since the start
         # 2 tan(angle / 2) about the axis: 0 at W = I alone.
         turned = 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
         place = ca.vertcat(place, turned)
-    free = arm.size - place.numel()  # joints to spare
+    free = arm.joint_count - place.numel()  # joints to spare
     _, J = evaluate_at_inputs(_with_jacobian(q, place), start[None])
     if singular(J).any():
         raise TrackingError(
@@ -309,7 +309,7 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
             "its tip cannot move in every direction there. "
             "Let it start from another configuration (plant.x0)"
         )
-    null_space = np.linalg.svd(J[0])[2][arm.size - free :]
+    null_space = np.linalg.svd(J[0])[2][arm.joint_count - free :]
     place = ca.vertcat(place, null_space @ (q - start))
     swing = ca.jtimes(ca.jtimes(place, q, v), q, v)
     return Equations(

@@ -137,23 +137,24 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 "observer.method: 'contact' is for an arm with gears in sampled time. Give "
                 "plant.arm.gears, or use 'extended'"
             )
-        if gears.size > MOST_COUPLED and self.joints == "coupled":
+        if gears.joint_count > MOST_COUPLED and self.joints == "coupled":
             raise InputError(
-                f"observer.joints: {gears.size} joints have {3**gears.size} combinations of "
-                f'contacts, each a filter of its own. Use joints = "separate" beyond {MOST_COUPLED}'
+                f"observer.joints: {gears.joint_count} joints have {3**gears.joint_count} "
+                "combinations of contacts, each a filter of its own. "
+                f'Use joints = "separate" beyond {MOST_COUPLED}'
             )
         if not 1 <= self.starts <= len(STARTS):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
         fastest = float(np.max(np.asarray(gears.gear_number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
-        apart = range(gears.size) if self.joints == "separate" else ()
+        apart = range(gears.joint_count) if self.joints == "separate" else ()
         ones = tuple(isolate_joint(gears, joint) for joint in apart)
         drives = tuple(build_drive(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
         first, numbers = self._build_numbers(model, gears, drives, sensor)
         params = Params(
             first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
         )
-        each = product(FRICTION, range(1, gears.size + 1))
+        each = product(FRICTION, range(1, gears.joint_count + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
         traits = Traits(uncertain=uncertain, ranges=self._ranges_of_gaps(model, gears))
         setup = Setup(drives, ones, model, gears, sensor.kind)
@@ -170,7 +171,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         They are half of the gap, moved by the gears' centre, which may be off by three deviations.
         Encoders of motors, which hide nothing, come last.
         """
-        N = gears.size
+        N = gears.joint_count
         half = _read_joint_ranges("observer.half", self.half, N)
         middle = np.ravel(np.asarray(gears.gear_number(model.params, "centre"), float))[:, None]
         off = 3 * require_nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
@@ -187,10 +188,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
         Raises InputError, ShapeError.
         """
-        N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
+        N, layout, Ts = gears.joint_count, Layout(gears.joint_count), drives[0].Ts
         of, values = layout.slice_of, model.params
 
-        def told(name: str) -> Floats:
+        def gear_parameter(name: str) -> Floats:
             """Return a parameter of the gears in the model, per joint (N)."""
             return np.asarray(gears.gear_number(values, name), float).ravel()
 
@@ -218,12 +219,16 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             loads = require_nonnegative("observer.load", self.load, N, "one per joint")
         share = require_number("observer.friction", self.friction, least=0.0)
         for name in FRICTION:
-            mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
+            mean[of(name)], std[of(name)], low[of(name)] = (
+                gear_parameter(name),
+                share * gear_parameter(name),
+                0.0,
+            )
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
-        stable = np.log(STABLE * drives[0].substeps / (Ts * told("contact")))
+        stable = np.log(STABLE * drives[0].substeps / (Ts * gear_parameter("contact")))
         high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
         low[of("firmness")] = -3 * std[of("firmness")]
-        mean[of("centre")] = told("centre")
+        mean[of("centre")] = gear_parameter("centre")
         std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
@@ -254,8 +259,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             torque=TURNING * unknown,
             leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
-            rest=STICKING * Ts / told("inertia") ** 2,
-            least=told("friction"),
+            rest=STICKING * Ts / gear_parameter("inertia") ** 2,
+            least=gear_parameter("friction"),
         )
 
 
@@ -332,7 +337,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
         gears: of the model.
         payload: as it is taken for [kg].
     """
-    N, links, names = gears.size, gears.link_params(model.params).copy(), gears.arm.names
+    N, links, names = gears.joint_count, gears.link_params(model.params).copy(), gears.arm.names
     links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
@@ -356,7 +361,7 @@ def _step_contact_filter(
 ) -> tuple[State, Estimate]:
     """Return the next state and the estimate for a sample: correct, estimate, predict."""
     drives, y = setup.drives, reading.y / q.slope
-    count, layout = len(drives), Layout(setup.gears.size)
+    count, layout = len(drives), Layout(setup.gears.joint_count)
     parts = [joint_numbers(q.modes, layout, joint, count) for joint in range(count)]
     readings = [y[joint::count] for joint in range(count)]
     each = []
@@ -427,7 +432,7 @@ def _to_contact_estimate(
     setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
 ) -> Estimate:
     """Return the estimate from the posterior of each filter and of all joints."""
-    layout, mean = Layout(setup.gears.size), told.whole.mean
+    layout, mean = Layout(setup.gears.joint_count), told.whole.mean
     N, of = layout.size, layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]

@@ -127,7 +127,7 @@ class System(NamedTuple):
         state.
         """
         assert self.arm is not None
-        N = self.arm.size
+        N = self.arm.joint_count
         if self.gears is None:
             return params, x[:N]
         return self.gears.link_params(params), x[N : 2 * N]
@@ -241,18 +241,20 @@ def scale_states(system: System, units: Floats) -> System:
     if not system.nonlinear:
         params = ScaledMatrices(params.A, params.B, params.C, units)
 
-    def of(params: Any) -> Any:
+    def select_units(params: Any) -> Any:
         """Return the units in the params (n)."""
         return units if system.nonlinear else params.units
 
     def counted(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
         """Return a function of a scaled state."""
-        return lambda params, x, u: function(params, of(params) * x, u) / of(params)
+        return lambda params, x, u: (
+            function(params, select_units(params) * x, u) / select_units(params)
+        )
 
     return system._replace(
         params=params,
         move=counted(move),
-        output=lambda params, x: output(params, of(params) * x),
+        output=lambda params, x: output(params, select_units(params) * x),
         change=counted(change),
         rate=None if rate is None else counted(rate),
         linear=_scale_matrices(system.linear, units),

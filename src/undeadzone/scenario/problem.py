@@ -420,9 +420,9 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
     t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
     if getattr(reference, "space", "joint") == "joint":
         path = signals.build_exosystem("reference", reference, model.m)
-        if model.m == body.size:
+        if model.m == body.joint_count:
             require_range(body.chain, t, path.output_at(t), path.output_at(t, 1))
-    elif model.m < body.size:
+    elif model.m < body.joint_count:
         raise InputError(
             "reference.space: the path of an elastic joint is its link's angle. Use space = 'joint'"
         )

@@ -229,7 +229,7 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
     """
     root = Path(os.path.realpath(folder))
 
-    def inside(key: str, path: str) -> str:
+    def confine_path(key: str, path: str) -> str:
         if "\0" in path:
             raise InputError(f"{key}: no path: it holds a NUL character. Take it out")
         real = Path(os.path.realpath(path))
@@ -241,7 +241,7 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
         return str(real)
 
-    return _with_files(scenario, inside)
+    return _with_files(scenario, confine_path)
 
 
 def _has_further_names(path: Path) -> bool:
@@ -259,13 +259,13 @@ def digests(scenario: Scenario) -> dict[str, str]:
     """
     by_key: dict[str, str] = {}
 
-    def seen(key: str, path: str) -> str:
+    def record_digest(key: str, path: str) -> str:
         with suppress(OSError, ValueError):
             content = read_bytes(path, LARGEST_TABLE)
             by_key[key] = hashlib.blake2b(content, digest_size=16).hexdigest()
         return path
 
-    _with_files(scenario, seen)
+    _with_files(scenario, record_digest)
     return by_key
 
 

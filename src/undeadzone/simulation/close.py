@@ -129,7 +129,7 @@ class Wiring(NamedTuple):
         elif self.p.sensor.gap_right.numel():
             level = self.ahead_of_zone(s, w)
         reading = self._sensor_reading(self.ahead_of_zone(s, w), level, s, w, mode)
-        driven, u, estimate = self.answer(s, reading, w.target)
+        driven, u, estimate = self.advance_controller(s, reading, w.target)
         line, acting = through_line(s.line, u)
         actuator, entering = self._actuate(s, acting)
         if self.p.sensor.friction.numel():  # of the load, while it is pushed
@@ -139,7 +139,7 @@ class Wiring(NamedTuple):
         after = State(plant, sensor=level, actuator=actuator, line=line, **driven._asdict())
         return after, outputs
 
-    def answer(
+    def advance_controller(
         self, s: State | Driven, reading: Reading, target: Target
     ) -> tuple[Driven, ca.SX, Estimate]:
         """What follows s by a reading, and the input that it leads to, within the drives' limits.
@@ -416,12 +416,14 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
     before = wiring.mode(tree.unpack_column(like, step.start), noise)
     edges = wiring.levels(noise)
 
-    def after(mode: Mode, crossing: dense_output.Crossing) -> Mode:
+    def mode_after_crossing(mode: Mode, crossing: dense_output.Crossing) -> Mode:
         edge = dense_output.next_level(edges, mode.side, crossing.rising)
         return branch_after_crossing(mode, crossing, edge, right, left)
 
     levels = dense_output.Levels(*(tuple(edge - noise.before for edge in part) for part in edges))
-    attempts = dense_output.locate_side_changes(arc, levels, before, after, step.start)
+    attempts = dense_output.locate_side_changes(
+        arc, levels, before, mode_after_crossing, step.start
+    )
     return [attempt._replace(end=wiring.admissible(like, attempt.end)) for attempt in attempts]
 
 

@@ -80,7 +80,7 @@ def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiabilit
     gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
     friction = at_motor * np.ravel(gears.gear_number(plant.params, "friction"))
     told = gap_identifiability(plant.arm, gears.link_params(plant.params), along, step, friction)
-    return told * (plant.p // plant.arm.size)
+    return told * (plant.p // plant.arm.joint_count)
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
@@ -107,7 +107,9 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     simulation = scenario.simulation
     bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
-    def told(start_std: Floats | None, centre_std: Floats | None) -> list[WidthIdentifiability]:
+    def width_verdicts(
+        start_std: Floats | None, centre_std: Floats | None
+    ) -> list[WidthIdentifiability]:
         return width_identifiability_along(
             problem.plant,
             signal.x,
@@ -122,9 +124,9 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
             centre_std,
         )
 
-    found = told(None, None)
+    found = width_verdicts(None, None)
     if traits.start_std is not None or traits.centre_std is not None:
-        claimed = told(traits.start_std, traits.centre_std)
+        claimed = width_verdicts(traits.start_std, traits.centre_std)
         found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
     return with_cures(problem, found, signal.z)
 

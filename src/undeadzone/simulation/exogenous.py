@@ -154,7 +154,7 @@ def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
 
     moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
     walk = width_drift(np.cumsum(moves, axis=0))
-    missing = lost(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
+    missing = missing_mask(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
     return [
         normal(noise.BEFORE, sensor.noise_before, p),
         normal(noise.AFTER, sensor.noise, p),
@@ -182,7 +182,7 @@ def width_drift(walk: Floats) -> Floats:
     return np.expm1(walk)
 
 
-def lost(normal: Floats, dropout: Floats) -> Floats:
+def missing_mask(normal: Floats, dropout: Floats) -> Floats:
     """Return NaN where a reading is missing, else 0 (... x p).
 
     Args:

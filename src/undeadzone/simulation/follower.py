@@ -268,7 +268,7 @@ class Follower:
             if ends.has_ends:
                 remarks.append(
                     f"{ends.number} readings of output {i} stick at an end of their range, where "
-                    f"they only bound z: set sensor.range = {ends.text}"
+                    f"they only bound z: set sensor.range = {ends.range_text}"
                 )
         return remarks
 
@@ -360,7 +360,7 @@ class LiveLog:
             return
         if not begun:
             require_units(layout, self._units, self._source)
-        for piece in self.clock.place(samples, self.reader.latest, layout.has_times, last):
+        for piece in self.clock.place_samples(samples, self.reader.latest, layout.has_times, last):
             if piece.samples.t.size:
                 yield piece
 

@@ -14,7 +14,7 @@ from undeadzone.compile.interpret import CHUNK, Stepper
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, PythonObserver, Reading
-from undeadzone.nonlinearities.limits import beyond
+from undeadzone.nonlinearities.limits import is_beyond_range
 from undeadzone.nonlinearities.sensor import Zone, side
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
@@ -125,7 +125,7 @@ def numeric_along(
     state = observer.start(seed)
     held = np.zeros(u.shape[1])
     if sensor.limits is not None:
-        y = np.where(beyond(y, sensor.limits), np.nan, y)
+        y = np.where(is_beyond_range(y, sensor.limits), np.nan, y)
     sides = side(y, sensor.threshold, sensor.limits)
     rows = []
     for k in range(len(y)):

@@ -67,7 +67,7 @@ class TestRuns(NamedTuple):
     values: Floats
 
     @property
-    def problem(self) -> Problem:
+    def first_problem(self) -> Problem:
         """Return the problem of the first candidate."""
         return self.batch.problem
 
@@ -169,23 +169,23 @@ class OneByOne(NamedTuple):
     """Runs of an observer that computes in Python: they differ in noise and disturbance alone.
 
     Attributes:
-        problem: of the first candidate
+        first_problem: of the first candidate
         runs: how many: the first ones of the seed
         seed: of noise and disturbance
         values_by_name: nothing, see `TestRuns.values_by_name`
     """
 
-    problem: Problem
+    first_problem: Problem
     runs: int = 0
     seed: int = 0
     values_by_name: Mapping[str, Floats] = {}
 
     def redraw_runs(self, runs: int, seed: int) -> OneByOne:
         """Return the first `runs` runs of a seed, or one if all runs are equal."""
-        sensor = self.problem.sensor
+        sensor = self.first_problem.sensor
         noisy = sensor.noise.any() or sensor.noise_before.any()
-        differ = noisy or random_disturbance(self.problem)
-        return OneByOne(self.problem, runs if differ else 1, seed)
+        differ = noisy or random_disturbance(self.first_problem)
+        return OneByOne(self.first_problem, runs if differ else 1, seed)
 
     def simulate_candidates(
         self, candidates: Sequence[Problem], threads: int | None = None
@@ -391,7 +391,7 @@ def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Float
         runs: on which the rows were computed
         rows: of metrics (... x columns)
     """
-    problem, sensor = runs.problem, runs.problem.sensor
+    problem, sensor = runs.first_problem, runs.first_problem.sensor
     names = metrics.metric_names(problem.plant, sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:

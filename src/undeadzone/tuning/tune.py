@@ -341,19 +341,19 @@ def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -
     least = what.margin + 1e-6  # so that rounding does not cost the certificate
 
     @functools.cache
-    def at(point: bytes) -> tuple[Evaluation, Evaluation]:
+    def evaluate_point(point: bytes) -> tuple[Evaluation, Evaluation]:
         """Return the evaluation of a point and its slopes."""
         return difference_gradient(evaluate, np.frombuffer(point))
 
     def cost(u: Floats) -> tuple[float, Floats]:
         """Return the scaled cost of a point and its slopes."""
-        worth, slopes = at(u.tobytes())
+        worth, slopes = evaluate_point(u.tobytes())
         return min(float(worth.cost[0]) / size, FORBIDDEN), slopes.cost / size
 
     certificate = {
         "type": "ineq",
-        "fun": lambda u: np.maximum(at(u.tobytes())[0].margin - least, -1e3),
-        "jac": lambda u: at(u.tobytes())[1].margin[None],
+        "fun": lambda u: np.maximum(evaluate_point(u.tobytes())[0].margin - least, -1e3),
+        "jac": lambda u: evaluate_point(u.tobytes())[1].margin[None],
     }
     method: dict[str, Any] = {"method": "L-BFGS-B"}
     if what.certified:

@@ -35,7 +35,7 @@ class Bound(NamedTuple):
     real: Path
     descriptor: int | None
 
-    def holds(self, path: Path) -> bool:
+    def contains_path(self, path: Path) -> bool:
         """Return whether a path begins in this folder, whatever it leads to."""
         named = Path(os.path.abspath(self.named))
         places = Path(os.path.abspath(path)), Path(os.path.realpath(path))
@@ -72,7 +72,7 @@ def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600)
     flags |= getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     if not flags & PATH_ALONE:  # a pipe may have taken a file's place
         flags |= getattr(os, "O_NONBLOCK", 0)
-    bound = next((each for each in _BOUNDS if each.holds(Path(path))), None)
+    bound = next((each for each in _BOUNDS if each.contains_path(Path(path))), None)
     if bound is None:
         return os.open(path, flags, mode)
     descriptor = _open_beneath(bound, _resolve(bound, Path(path), flags), flags, mode)
@@ -90,7 +90,7 @@ def require_beneath(path: Path) -> None:
         path: of what is to be written; it need not exist.
     """
     for bound in _BOUNDS:
-        if bound.holds(path):
+        if bound.contains_path(path):
             _resolve(bound, path, 0)
 
 

@@ -109,7 +109,7 @@ def write_arena(
 def arena_figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """Build the figures by name. `runs` are those that `traces.trace_runs` returns."""
     drawn = {
-        "leaderboard": first(contest),
+        "leaderboard": plot_first_figure(contest),
         "scenarios": plot_regret_map(
             contest.rows, compute_regrets(contest.results), list(contest.scenarios)
         ),
@@ -120,7 +120,7 @@ def arena_figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     return drawn
 
 
-def first(contest: Contest) -> Figure:
+def plot_first_figure(contest: Contest) -> Figure:
     """Plot median and worst regret of every method."""
     return plot_ranking(contest.rows, contest_size_text(contest))
 

@@ -311,7 +311,7 @@ def _model_header(printed: Code, report: dict[str, Any], version: int) -> str:
         "readings": step.readings,
         "outputs": total_size(step.outputs),
         "params": total_size(step.params),
-        "real": printed.real,
+        "real": printed.c_type,
     }
     return fill_template("templates/fmu_model.h", words)
 

@@ -210,7 +210,7 @@ class Identified:
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     """Simulate the states in observer form (N x n), scaled."""
     layout, data = simulator.layout, simulator.data
-    F, B, _ = observer_matrices(theta[layout.a], theta[layout.b], layout)
+    F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
     drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     x = np.empty((data.y.size, layout.n))

@@ -457,14 +457,14 @@ def test_ur5_follows_without_turning() -> None:
 def driven(given: Arm, limit: Floats) -> System:
     """An arm as a plant whose motors have so much torque."""
     linear = Matrices(
-        np.zeros((2 * given.size,) * 2),
-        np.zeros((2 * given.size, given.size)),
-        np.eye(given.size, 2 * given.size),
+        np.zeros((2 * given.joint_count,) * 2),
+        np.zeros((2 * given.joint_count, given.size)),
+        np.eye(given.joint_count, 2 * given.size),
     )
     return System(
         given.values,
         lambda p, x, u: x,
-        lambda p, x: x[: given.size],
+        lambda p, x: x[: given.joint_count],
         linear,
         nonlinear=True,
         arm=given,

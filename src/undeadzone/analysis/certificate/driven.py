@@ -299,13 +299,13 @@ def ultimate_bound(
     if sigma > 0:
         fastest = min(fastest, scaling.time * sigma * float(np.diag(gamma).min()) / 2)
 
-    def at(rate: float) -> _Level:
+    def level_at_rate(rate: float) -> _Level:
         """Return the least level of V at a rate."""
         of_widths = fed / (2 * rate) if sigma > 0 else held
         return _least_level(scaled, signals, z, of_widths, rate)
 
-    rate = _best_rate(lambda rate: at(rate).bound, fastest)
-    best = at(rate)
+    rate = _best_rate(lambda rate: level_at_rate(rate).bound, fastest)
+    best = level_at_rate(rate)
     if best.solution is None:
         return nothing
     V = original_storage(errors, scaling, best.solution)._replace(gamma=gamma)

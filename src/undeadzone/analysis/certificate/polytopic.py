@@ -403,7 +403,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
 
     everything = function(moved, A)
 
-    def at(points: Floats) -> Floats:
+    def jacobian_at_points(points: Floats) -> Floats:
         """Return the Jacobian at points [x, u] (N x n x n)."""
         repeated = np.broadcast_to(numbers, (numbers.size, len(points)))
         side_by_side = everything(repeated, points.T)[1].full()
@@ -425,7 +425,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None
 
-    return ModelJacobian(at, (rows, columns), bounds)
+    return ModelJacobian(jacobian_at_points, (rows, columns), bounds)
 
 
 def _bounds_over_boxes(function: ca.Function, numbers: Floats) -> Bounds:

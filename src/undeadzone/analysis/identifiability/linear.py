@@ -399,16 +399,16 @@ def _confounding_reasons(
     visited = schedule.branch_visits(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
 
-    def known(bias: Floats | None) -> bool:
+    def are_edges_known(bias: Floats | None) -> bool:
         """Return whether the visited edges are known, given the directions of bias."""
         hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
         return all(hidden.is_width_known(i, name) for name in edges)
 
-    if known(bias):
+    if are_edges_known(bias):
         return {}
     start = "the centre is not identifiable: "
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
-    if known(None):
+    if are_edges_known(None):
         reason = f"{start}constant input bias, {what} and bias cannot be told apart"
         return {reason: "calibrate the input"}
     rest = f"the {what} cannot be told from a shift of the state"

@@ -31,7 +31,7 @@ def use_gear_estimates(
     gears = model.gears
     if gears is None:
         return controller
-    N = gears.size
+    N = gears.joint_count
     places = [model.names.index(name) for name in uncertain]
     halves, centres = ([f"{name}{i + 1}" for i in range(N)] for name in ("half", "centre"))
     gaps = [model.names.index(name) for name in (*halves, *centres)]

@@ -177,14 +177,14 @@ def step_branch_observer(
         correction = drop_limit_corrections(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
 
-    def moved(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+    def width_change(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
         """Return the change of a branch's widths, and of their gain (p each)."""
         edge = BranchWidths(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
         change, gain = law.move(p.law, edge)
         return model.keep * width + change, gain
 
-    right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
-    left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)
+    right, right_gain = width_change(correction.right, s.right, p.right0, s.right_gain)
+    left, left_gain = width_change(correction.left, s.left, p.left0, s.left_gain)
     x = model.move_with_correction(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:

@@ -56,7 +56,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         substeps: Runge-Kutta steps in a sample.
         apart: whether it is one joint of several.
     """
-    N, layout = gears.size, Layout(gears.size)
+    N, layout = gears.joint_count, Layout(gears.joint_count)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
@@ -86,7 +86,7 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
         params: as the model says.
         x: unknowns of the filter.
     """
-    N, layout = gears.size, Layout(gears.size)
+    N, layout = gears.joint_count, Layout(gears.joint_count)
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
@@ -237,7 +237,11 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         mean: of all unknowns.
         u: torque of the motors (N).
     """
-    layout, params, body = Layout(gears.size), substitute_estimates(gears, model, mean), gears.arm
+    layout, params, body = (
+        Layout(gears.joint_count),
+        substitute_estimates(gears, model, mean),
+        gears.arm,
+    )
     links = gears.link_params(params)
     q, turning, v = (mean[layout.slice_of(name)] for name in ("link", "motor_speed", "link_speed"))
     rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
@@ -251,7 +255,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
-        _solve_mass(mass, ca.DM.eye(gears.size)),
+        _solve_mass(mass, ca.DM.eye(gears.joint_count)),
     )
 
 
@@ -267,7 +271,7 @@ def apply_gear_impulses(told: Sequence[Posterior], news: Any, arm: Posture) -> l
         news: by how much the readings moved the means of all unknowns.
         arm: all joints in the mean.
     """
-    layout, inertia = Layout(arm.gears.size), arm.gears.gear_number(arm.params, "inertia")
+    layout, inertia = Layout(arm.gears.joint_count), arm.gears.gear_number(arm.params, "inertia")
     impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
     gained = arm.inverse @ impulses - ca.diag(arm.inverse) * impulses
     free = Layout(1).contact_combinations.index((0,))
@@ -349,7 +353,7 @@ def update_joint_numbers(
         told: of each joint, after its readings.
         arm: all joints in the mean.
     """
-    gears, N, body = arm.gears, arm.gears.size, arm.gears.arm
+    gears, N, body = arm.gears, arm.gears.joint_count, arm.gears.arm
     links, names = gears.link_params(arm.params), body.names
     carried = links[names.index("payload")]
     known = []
@@ -405,7 +409,7 @@ def _link_mobility(arm: Posture, touching: Any) -> Any:
 
     So a link answers to its own contact, which lasts longer than a stiff contact takes.
     """
-    N, inertia, rows = arm.gears.size, arm.gears.gear_number(arm.params, "inertia"), []
+    N, inertia, rows = arm.gears.joint_count, arm.gears.gear_number(arm.params, "inertia"), []
     for joint in range(N):
         turned = touching * inertia
         turned[joint] = 0.0
@@ -420,7 +424,7 @@ def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
-    gears, N = arm.gears, arm.gears.size
+    gears, N = arm.gears, arm.gears.joint_count
     frequency, inertia = (gears.gear_number(arm.params, name) for name in ("contact", "inertia"))
     K, damping = gears.stiffness * frequency**2, gears.damping * frequency
     own = ca.diag(arm.inverse)

@@ -93,7 +93,7 @@ class Arm(NamedTuple):
     tip: ca.Function
 
     @property
-    def size(self) -> int:
+    def joint_count(self) -> int:
         """Return the number of joints."""
         return len(self.chain.joints)
 

@@ -68,7 +68,7 @@ def _build_rigid(plant: Plant, options: Rigid, key: str) -> System:
     body = build_arm(chain, require_number(f"{key}.arm.rest", options.rest, above=0.0))
     params = change_arm_numbers(body.names, body.values, plant.parameters, key)
     _require_mass(body, params, key)
-    N = body.size
+    N = body.joint_count
     offset = require_vector(f"{key}.arm.reference", options.reference, N, "one per joint")
     hold = _build_stops(options, chain, key)
 
@@ -106,7 +106,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         )
     rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
     gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
-    params, N = gears.values, gears.size
+    params, N = gears.values, gears.joint_count
     _require_mass(gears.arm, gears.link_params(params), key)
     hold = _build_stops(options, chain, key)
     at, given = _linearisation_state(plant)
@@ -131,7 +131,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         """Return the positions of the links (N)."""
         return x[N : 2 * N]
 
-    def both(p: Any, x: Any) -> Any:
+    def both_sides(p: Any, x: Any) -> Any:
         """Return the positions of the links, then of the motors (2 N)."""
         return ca.vertcat(x[N : 2 * N], x[:N])
 
@@ -139,7 +139,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         """Return the positions of the motors (N)."""
         return x[:N]
 
-    output = both if gears.measured == "both" else links
+    output = both_sides if gears.measured == "both" else links
     return linearise_plant(key, params, locked, output, x_eq, u_eq)._replace(
         move=move,
         arm=gears.arm,
@@ -176,7 +176,7 @@ def require_geared_start(gears: Geared, x: Array | None, key: str) -> Floats:
     Raises:
         InputError, ShapeError: it is none.
     """
-    N = gears.size
+    N = gears.joint_count
     if x is not None and np.size(x) == 4 * N:
         return require_vector(key, x, 4 * N).copy()
     why = "the angles of the links, then their speeds; or motors and links, then their speeds"
@@ -280,7 +280,7 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
 
 def _require_mass(body: Arm, params: Floats, key: str) -> None:
     """Raise InputError if the mass matrix is not positive definite in some random postures."""
-    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, body.size)):
+    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, body.joint_count)):
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
             span = f"eigenvalues {values[0]:.3g} to {values[-1]:.3g}"

@@ -87,9 +87,9 @@ class Geared(NamedTuple):
     measured: Literal["motor", "link", "both"]
 
     @property
-    def size(self) -> int:
+    def joint_count(self) -> int:
         """Return the number of joints."""
-        return self.arm.size
+        return self.arm.joint_count
 
     def link_params(self, params: Any) -> Any:
         """Return the parameters of `arm` in a column of parameters."""
@@ -98,13 +98,13 @@ class Geared(NamedTuple):
     def gear_number(self, params: Any, name: str) -> Any:
         """Return a number of the gears, such as "half", in a column of parameters (N)."""
         first = self.names.index(f"{name}1")
-        return params[first : first + self.size]
+        return params[first : first + self.joint_count]
 
     def gear_angle(self, params: Any, x: Any) -> Any:
         """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half
         in contact.
         """
-        N = self.size
+        N = self.joint_count
         return x[:N] - x[N : 2 * N] + self.gear_number(params, "centre")
 
     def gap_widths(self, params: Any) -> tuple[Any, Any]:
@@ -115,7 +115,7 @@ class Geared(NamedTuple):
         the motors come last, with 0.
         """
         half, centre = self.gear_number(params, "half"), self.gear_number(params, "centre")
-        motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
+        motors = ca.DM.zeros(self.joint_count if self.measured == "both" else 0)
         return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
 
     def motor_friction_torque(self, params: Any, turning: Any) -> Any:
@@ -128,7 +128,7 @@ class Geared(NamedTuple):
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
         `motion`.
         """
-        N, half, xi = self.size, self.gear_number(params, "half"), self.gear_angle(params, x)
+        N, half, xi = self.joint_count, self.gear_number(params, "half"), self.gear_angle(params, x)
         frequency = self.gear_number(params, "contact")
         if contact is None:
             closed = ca.fabs(xi) > half
@@ -153,7 +153,7 @@ class Geared(NamedTuple):
                 both ways, tau = K (xi - mode half) + D (theta' - q'), linear in x and half.
             load: further torque at the links (N).
         """
-        N = self.size
+        N = self.joint_count
         q, turning, v = x[N : 2 * N], x[2 * N : 3 * N], x[3 * N :]
         tau = self.gear_torque(params, x, contact)
         spun = (u - self.motor_friction_torque(params, turning) - tau) / self.gear_number(
@@ -166,7 +166,7 @@ class Geared(NamedTuple):
         """Return the motor angles that hold links still at q (N) [rad], on the flanks that
         carry the load.
         """
-        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.size))
+        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.joint_count))
         K = self.stiffness * self.gear_number(params, "contact") ** 2
         flank = ca.sign(tau) * self.gear_number(params, "half")
         return q - self.gear_number(params, "centre") + flank + tau / K
@@ -192,17 +192,17 @@ def build_geared_arm(
         InputError: or a subclass, that names the key.
     """
     body = build_arm(chain, rest)
-    table = _require_gear_numbers(gears, body.size, f"{key}.arm.gears")
+    table = _require_gear_numbers(gears, body.joint_count, f"{key}.arm.gears")
     names = body.names
     for name in table:
-        names += tuple(f"{name}{i + 1}" for i in range(body.size))
+        names += tuple(f"{name}{i + 1}" for i in range(body.joint_count))
     values = change_arm_numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
     damping = require_number(f"{key}.arm.gears.damping", gears.damping, least=0.0)
     first = names.index("inertia1")
     rotors = require_positive(
-        f"{key}.parameters.inertia", values[first : first + body.size], body.size
+        f"{key}.parameters.inertia", values[first : first + body.joint_count], body.joint_count
     )
-    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.size))))
+    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.joint_count))))
     reduced = rotors * links / (rotors + links)
     return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
 
