@@ -109,10 +109,9 @@ class Commands(click.Group):
         self.format_help_text(ctx, formatter)
         first = BLOCKS["Start"]
         self._format_block(ctx, formatter, "Start", [n for n in first if self._is_usable(ctx, n)])
-        others = [name for names in BLOCKS.values() for name in names if name not in first]
-        registered = sorted(set(_list_registered_commands()).difference(first))
+        others = [name for name in self.list_commands(ctx) if name not in first]
         with formatter.section("More, by undeadzone --help"):
-            formatter.write_text(", ".join([*others, *registered]))
+            formatter.write_text(", ".join(others))
         return formatter.getvalue().rstrip("\n")
 
     def _format_block(
