@@ -30,10 +30,21 @@ PROJECT = (
     "fuzz/RESULTS.md",
     "mutants/RESULTS.md",
 )
+HOW_TO = (
+    "record_a_log",
+    "columns_and_units",
+    "read_the_answer",
+    "undecided",
+    "narrow_an_interval",
+    "compensate",
+    "live_samples",
+    "many_runs",
+)
 CHAPTERS = {
     "Start": ["index.md", "try.md", "install.md", "gallery.md"],
     "Tutorials": ["tour.md"],
     "How-to": [
+        *(f"howto/{name}.md" for name in HOW_TO),
         "which.md",
         "compare.md",
         "faq.md",

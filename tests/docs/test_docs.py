@@ -155,3 +155,16 @@ def test_every_doi_of_the_code_is_in_the_references() -> None:
     cited = {doi for text in sources for doi in re.findall(r"\bdoi:(\S+)", text)}
     assert len(cited) > 30
     assert cited <= listed
+
+
+HOW_TO = sorted((ROOT / "docs" / "howto").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
+def test_a_how_to_is_short_listed_and_runs(page: Path) -> None:
+    """It has at most 60 lines, code that a test above runs, and a place in the list of pages."""
+    text = page.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
+    assert re.search(r"^```(python|console)$", text, re.MULTILINE)
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    assert f"(howto/{page.name})" in index
