@@ -4,7 +4,7 @@ Looking back is fixed-interval smoothing of a filter: what a whole log says of e
 The filter runs forward; adjoint variables run backward through its stored moments (modified
 Bryson-Frazier form: Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J.
 Control 18). It gives what the equations of Rauch, Tung and Striebel (1965) give, but inverts no
-motion. docs/filters.md, "Looking back", says what is exact and what is not.
+motion. docs/filter_equations.md, "Smoothing", says what is exact and what is not.
 
 References:
     H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166

@@ -2,7 +2,7 @@
 
 Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
 estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
-in docs/filters.md.
+in docs/innovation_tests.md.
 """
 
 from __future__ import annotations

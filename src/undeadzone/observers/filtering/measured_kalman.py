@@ -1,7 +1,7 @@
 """Kalman filter on the measured branch for [x; d_r; d_l] and further unknowns.
 
 What comes out of silence beyond how far z can move from one reading to the next is wrong. The
-mathematics is in docs/filters.md, of the latter in "Readings that are wrong".
+mathematics is in docs/filter_equations.md, "Outliers".
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Measurement update for a known branch and for censored samples.
 
 A reading at a limit of its range only bounds what the sensor reads; near it, noise selects what is
-read. The mathematics is in docs/filters.md.
+read. The mathematics is in docs/filter_equations.md.
 """
 
 from __future__ import annotations

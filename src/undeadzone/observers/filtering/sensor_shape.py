@@ -7,8 +7,8 @@ v in a sample, is
 
 rho is an unknown constant of the filter. gamma and tau are not, nor is rho of a filter that shall
 stay small: a column S = d mean / d b of each such doubt b says how far the mean would move if the
-sensor were a little other, and what is shown counts var(b) S S' besides (docs/filters.md, "The
-sensor's shape").
+sensor were a little other, and what is shown counts var(b) S S' besides (docs/filter_equations.md,
+"Sensor shape").
 """
 
 from __future__ import annotations
