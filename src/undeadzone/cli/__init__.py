@@ -1,4 +1,4 @@
-"""Command line: a file per command; a command imports its needs when it runs."""
+"""Command line: a file per command. A command imports its needs when it runs."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Return the result of a command; a broken pipe is reported here, as click has its
+        """Return the result of a command. A broken pipe is reported here, as click has its
         own exit code.
         """
         try:
@@ -84,7 +84,7 @@ class Commands(click.Group):
         return [*super().list_commands(ctx), *_list_registered_commands()]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return a command by its name; None for an unknown name."""
+        """Return a command by its name, or None for an unknown name."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
@@ -106,7 +106,7 @@ class Commands(click.Group):
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
 
     def _is_usable(self, ctx: click.Context, name: str) -> bool:
-        """Return whether a command can be imported; where not, say so on stderr."""
+        """Return whether a command can be imported. If not, print why on stderr."""
         try:
             return self.get_command(ctx, name) is not None
         except InputError as error:
@@ -134,7 +134,7 @@ def _load_command(name: str, place: str) -> click.Command:
 def _list_registered_commands() -> dict[str, str]:
     """Return where commands are that installed packages register, by name.
 
-    `--help` asks for each; what is installed is read once, as a process is one command.
+    `--help` needs each of them. The installed packages are read once, as a process is one command.
     """
     return list_registered_places("undeadzone.commands")
 
@@ -177,7 +177,7 @@ def _retain_freed_memory() -> None:
 
 
 def main() -> None:
-    """Run a command; an error becomes one line on stderr and an exit code.
+    """Run a command, an error becomes one line on stderr and an exit code.
 
     Entry point of the tool.
     """

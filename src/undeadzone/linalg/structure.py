@@ -60,7 +60,7 @@ def require_structure(linear: Matrices, key: str) -> None:
         key: named in errors.
 
     Raises:
-        StructureError: (A, C) is unobservable or (A, B) uncontrollable; it names the mode.
+        StructureError: (A, C) is unobservable or (A, B) uncontrollable. It names the mode.
     """
     modes = unobservable_modes(linear.A, linear.C)
     if modes:
