@@ -19,15 +19,15 @@ class Reading(NamedTuple):
     """Reading of the sensor at a sample.
 
     Attributes:
-        y: reading (p), NaN where it is missing, infinite where it cannot be: beyond its range.
-        side: measured side (p): +1 right, -1 left, 0 silent or missing; +2, -2 at the upper, lower
-            limit of the range, where y only bounds what the sensor reads.
-        x: true state (n), which only a simulation has, for the reference line `full_state`;
-            None elsewhere.
+        y: reading (p), NaN if it is missing, infinite beyond its range.
+        side: measured side (p): +1 right, -1 left, 0 silent or missing, +2, -2 at the upper, lower
+            limit of the range, at which y only bounds the sensor's output.
+        x: true state (n), which only a simulation has, for the reference line `full_state` (None
+            elsewhere).
         level: reading from which silence is measured (p): 0 of a dead zone, y itself of a play.
-        rms: of what y is off by (p) [y], where the reading itself tells it; None: the sensor's.
-        motion: contact of a play ahead of a dead zone in which y moves (p): +1 right, -1 left, 0
-            where it holds; None: there is none.
+        rms: of the error of y (p) [y], if the reading itself contains it (None: the sensor's).
+        motion: contact of a play ahead of a dead zone in which y moves (p): +1 right, -1 left, 0 if
+            it holds (None: there is none).
     """
 
     y: Any
@@ -41,12 +41,12 @@ class Reading(NamedTuple):
 def to_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     """Return a reading from outside as a `Reading` (p).
 
-    A value that is no number counts as missing.
+    A value that is not a number counts as missing.
 
     Args:
         y: reading (p) [y], a CasADi expression.
         threshold: |y| that counts as silent (p) [y].
-        limits: of the range; None: there are none.
+        limits: of the range (None: there are none).
     """
     seen = ca.if_else(present(y), y, np.nan)
     if limits is None:
@@ -60,8 +60,8 @@ def sample_branch(reading: Reading, estimate: Any) -> Any:
     """Return the branch of a sample (p): by the observer for a backlash, or by the reading.
 
     Args:
-        reading: what was read.
-        estimate: what the observer made of it.
+        reading: the reading.
+        estimate: the observer's estimate.
     """
     return estimate.contact if estimate.contact.shape[0] else reading.side
 
@@ -78,7 +78,7 @@ def drop_limit_readings(reading: Reading, limits: Limits | None) -> Reading:
 def clip_expected_reading(expected: Any, y: Any, side: Any) -> Any:
     """Return the expected reading, clipped at a reading at a limit of its range [y].
 
-    What lies beyond a limit does not contradict the reading there.
+    An expected value beyond a limit does not contradict a reading at the limit.
 
     Args:
         expected: reading that was expected [y].
@@ -97,11 +97,11 @@ class Quantity(NamedTuple):
 
     Attributes:
         meaning: in words.
-        unit: whose it has: that of an output, input or state, of a state's rate; 1 has none.
-        signal: of a run that holds it, in turn with the others of the same signal; empty: none.
-        final: how its last value stands in a summary: as one number each, as their sum, as whether
-            all of them hold; None: not at all.
-        column: what columns of a table call it; empty: as the field.
+        unit: quantity whose unit it has: an output, input or state, or a state's rate (1: no unit).
+        signal: of a run that holds it, in turn with the others of the same signal (empty: none).
+        final: form of its last value in a summary: as one number each, as their sum, as whether all
+            of them hold (None: not at all).
+        column: its name in columns of a table (empty: as the field).
     """
 
     meaning: str
@@ -124,17 +124,17 @@ class Estimate(NamedTuple):
         z: output z^ = C x^ (p).
         right, left: widths d_r^, d_l^ (p).
         z_inverse: dead-zone inverse y + chi_bar d^ of (26) (p).
-        innovation: what the reading adds to the prediction (p).
+        innovation: the reading less its prediction (p).
         x_std: standard deviation of x^ (n).
         right_std, left_std: standard deviations of d_r^, d_l^ (p).
         width_std: standard deviation of d_r^ + d_l^ (p).
         innovation_std: standard deviation of the innovation (p).
-        w: what the model leaves out (n), x' = f(x, u) + w.
+        w: effects that the model leaves out (n), x' = f(x, u) + w.
         theta: parameters of the model that the observer estimates.
         theta_std: standard deviations of theta.
-        consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
-        claims: bits of the `ASSUMPTION_CHECKS` that the readings of late refute (1).
-        suspect: number of the one that is likeliest false, from 1 on; 0: none is (1).
+        consistent: 1 if recent readings fit the observer's assumptions, else 0 (1).
+        claims: bits of the `ASSUMPTION_CHECKS` that recent readings reject (1).
+        suspect: number of the most suspect one, from 1 on, 0 if all hold (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
         contact: the side of a play that the observer made out itself (p).
@@ -229,10 +229,10 @@ class AssumptionCheck(NamedTuple):
     """Words for an assumption of an observer that the readings reject.
 
     Attributes:
-        words: what the readings then do.
+        words: description of the readings.
         look: what to look at, if there is anything besides keys to change.
         change: what to do with the keys.
-        keys: of a scenario; a method takes some of those of its observer.
+        keys: of a scenario. A method takes some of those of its observer.
     """
 
     words: str
@@ -307,7 +307,7 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
 
     Args:
         names: of the rejected assumptions, the likeliest first.
-        options: names of the keys that the method takes; empty: all of them.
+        options: names of the keys that the method takes (empty: all of them).
     """
     further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
     first = [ASSUMPTION_CHECKS[name] for name in names[:1]]

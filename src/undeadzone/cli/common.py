@@ -75,8 +75,7 @@ def value_option(
 
 
 def flag_option(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
-    """Return an option without a value (into: its argument, if renamed, more: keywords of click).
-    """
+    """Return an option without a value (into: its argument, if renamed, more: keywords of click)."""
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 

@@ -127,8 +127,7 @@ class ColdPaths:
         return [self._cold_function_text(part, declared) for part in range(len(self._results))]
 
     def _cold_function_text(self, part: int, declared: dict[str, str]) -> str:
-        """Return the text of a part: states if the flag is set, a new flag, then the next part.
-        """
+        """Return the text of a part: states if the flag is set, a new flag, then the next part."""
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
         have: dict[Node, str] = {}

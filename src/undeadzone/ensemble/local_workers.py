@@ -169,8 +169,7 @@ def _discard_worker(crew: _Crew, worker: subprocess.Popen[bytes]) -> None:
 
 
 def _stop_workers(crew: _Crew, threads: int) -> None:
-    """Stop all workers and start no more. At most `threads` threads wait for a worker.
-    """
+    """Stop all workers and start no more. At most `threads` threads wait for a worker."""
     with crew.lock:
         crew.closed.set()
         for worker in crew.every:

@@ -57,8 +57,7 @@ class Ensemble:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of the diverged runs, which all statistics except their share leave out.
-        """
+        """Return a mask of the diverged runs, which all statistics except their share leave out."""
         return self.metrics["diverged"] != 0
 
     @property

@@ -152,8 +152,7 @@ def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Float
 
 
 def _closes(path: Exosystem, period: float | None, end: float) -> bool:
-    """Return whether the joints are back at their start after a period [s], known up to `end` [s].
-    """
+    """Return whether the joints are back at their start after a period [s], known up to `end` [s]."""
     if period is None or period > end:
         return False
     both_ends = path.output_at(np.array([0.0, period]))

@@ -140,8 +140,7 @@ def _shift_inputs(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
 
 
 def _evaluate_polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
-    """Evaluate terms[0] + terms[1] c + ... by Horner's rule (at c = 1, the smallest term first).
-    """
+    """Evaluate terms[0] + terms[1] c + ... by Horner's rule (at c = 1, the smallest term first)."""
     at_end = isinstance(c, float) and c == 1.0
     total = terms[-1]
     for term in terms[-2::-1]:

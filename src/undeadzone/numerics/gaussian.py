@@ -38,8 +38,7 @@ def to_upper_entries(cov: Any, entries: ca.Sparsity) -> Any:
 
 
 def from_upper_entries(column: Any, entries: ca.Sparsity) -> Any:
-    """Return the symmetric matrix with the given `to_upper_entries`, 0 elsewhere.
-    """
+    """Return the symmetric matrix with the given `to_upper_entries`, 0 elsewhere."""
     return ca.triu2symm(ca.SX(entries, column))
 
 

@@ -139,8 +139,7 @@ def scalar_costs(values: Floats, least: Floats, greatest: Floats, weights: Float
 
 
 def is_undominated(values: Floats) -> np.ndarray:
-    """Return a mask of b points, given by their costs (b, k), that are not dominated (b).
-    """
+    """Return a mask of b points, given by their costs (b, k), that are not dominated (b)."""
     no_better = (values[:, None] >= values).all(axis=2)
     worse = no_better & (values[:, None] > values).any(axis=2)
     return ~np.any(worse, axis=1)

@@ -296,8 +296,7 @@ def count_frames(run: Run) -> int:
 
 
 def _build_arms(run: Run, rival: Run | None) -> list[Arm]:
-    """Return the arms on display, each until it diverged, the run's own last, above the rival's.
-    """
+    """Return the arms on display, each until it diverged, the run's own last, above the rival's."""
     own = _build_arm(run, ink.ESTIMATE)
     return [own] if rival is None else [_build_arm(rival, ink.PRINTED), own]
 

@@ -31,8 +31,7 @@ class Signal(NamedTuple):
 
 
 def _build_estimated_signals() -> dict[str, Signal]:
-    """Return the signals that observers estimate. A run's b has the name actuator in an estimate.
-    """
+    """Return the signals that observers estimate. A run's b has the name actuator in an estimate."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
@@ -185,8 +184,7 @@ def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
 
 
 def final_rejections(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
-    """Return the names of the assumptions that the last readings reject, or empty without a filter.
-    """
+    """Return the names of the assumptions that the last readings reject, or empty without a filter."""
     if "claims" not in signals:
         return {}
     return {

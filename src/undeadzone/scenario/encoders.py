@@ -46,8 +46,7 @@ def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> 
 
 
 def with_gaps(zone: Zone, system: System) -> Zone:
-    """Return the sensor with the gaps of a plant's gears as widths, unchanged without gears.
-    """
+    """Return the sensor with the gaps of a plant's gears as widths, unchanged without gears."""
     if system.gears is None:
         return zone
     right, left = (np.asarray(each).ravel() for each in system.gears.gap_widths(system.params))

@@ -69,7 +69,7 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             varied entries plus 2).
         seed: seed of the random numbers (default: that of [simulation]).
         tolerance: share of the largest |r| within which z - r has settled [1].
-        entries: the distributions, by address; a key with a dot directly in [ensemble] is one of
+        entries: the distributions, by address. A key with a dot directly in [ensemble] is one of
             them.
     """
 

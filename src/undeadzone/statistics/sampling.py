@@ -69,7 +69,7 @@ def _stratify_column(u: Floats, seed: int, first: int, column: int, runs: int) -
 def permute_indices(index: Any, size: int, keys: Any) -> Any:
     """Return the image of each index under a permutation of 0 .. size - 1: a Feistel cipher.
 
-    The cipher permutes the numbers of an even count of bits; it is repeated until the result is
+    The cipher permutes the numbers of an even count of bits. It is repeated until the result is
     below `size`.
 
     Args:
