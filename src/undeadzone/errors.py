@@ -67,9 +67,7 @@ class ClusterError(InputError):
 
 
 class EarlierMeaning(DeprecationWarning):
-    """A file with words that had another meaning in an earlier version. A command prints one
-    line.
-    """
+    """A file with words of another meaning in an earlier version. A command prints one line."""
 
 
 class DamagedPackage(UserWarning):

@@ -241,10 +241,10 @@ class AssumptionCheck(NamedTuple):
     keys: tuple[str, ...] = ()
 
     def cure(self, options: Collection[str] = ()) -> str:
-        """Return what to tell a method, or to look at.
+        """Return the remedy: the keys to give to a method, or to check.
 
         Args:
-            options: names of the keys that the method takes; empty: all of them.
+            options: names of the keys that the method takes (empty: all of them).
         """
         taken = []
         for key in self.keys:
@@ -319,11 +319,11 @@ UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of 
 
 
 def describe_unknowns(options: Collection[str]) -> str:
-    """Describe the effects that a filter cannot allow for; empty if it allows for all.
+    """Describe the effects that a filter cannot allow for, or empty if it allows for all.
 
     Args:
-        options: names of the keys that the method takes. A method without `disturbance` claims
-            nothing, and one with `uncertain` knows errors of its model.
+        options: names of the keys that the method takes. A method without `disturbance` makes no
+            assumption about it, and one with `uncertain` knows errors of its model.
     """
     if "disturbance" not in options:
         return ""
@@ -348,10 +348,10 @@ class Traits(NamedTuple):
     """Properties of an observer for checks, certificates and figures.
 
     Attributes:
-        L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it
-            varies.
-        gamma: gain of the innovation in the widths (p), per step when the model is sampled; None:
-            it varies, or no width is adapted.
+        L: gain of the innovation in x^ (n x p), per step when the model is sampled (None: it
+            varies).
+        gamma: gain of the innovation in the widths (p), per step when the model is sampled (None:
+            it varies, or no width is adapted).
         constant: whether x^' = f(x^, u) + L e, d_r^' = -gamma e on the right, d_l^' = gamma e on
             the left is all that it does, so that (30) can prove it.
         rate: fastest rate of its own that a step must resolve [1/s], beside those of L and gamma.
@@ -359,12 +359,12 @@ class Traits(NamedTuple):
         adapts: whether it estimates the widths.
         told: whether it begins with the sensor's true widths.
         uncertain: names of the model's parameters that it estimates, as theta.
-        start_std: standard deviation of x(0) about the claimed start (n); None: no start is
-            claimed.
-        centre_std: standard deviation of each claimed (d_r - d_l)/2 (p), infinite where none is
-            claimed; None: nowhere.
-        ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z]; None: only that they are
-            not negative.
+        start_std: standard deviation of x(0) about the assumed start (n) (None: no start is
+            assumed).
+        centre_std: standard deviation of each assumed (d_r - d_l)/2 (p), infinite without an
+            assumption (None: none).
+        ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z] (None: only that they are
+            not negative).
     """
 
     L: Floats | None = None
@@ -381,7 +381,7 @@ class Traits(NamedTuple):
 
     @property
     def ranges_in_turn(self) -> list[list[float]]:
-        """Return the declared [lo, hi] of d_r and d_l of each output in turn; empty: none."""
+        """Return the declared [lo, hi] of d_r and d_l of each output in turn, empty without any."""
         if self.ranges is None:
             return []
         right, left = np.split(self.ranges, 2)
@@ -389,7 +389,7 @@ class Traits(NamedTuple):
 
 
 class PythonObserver(NamedTuple):
-    """Functions of an observer that computes in Python; sampled time only.
+    """Functions of an observer that computes in Python (sampled time only).
 
     No graph of fixed size exists for the observer.
 
@@ -413,14 +413,14 @@ class Observer(NamedTuple):
         params: tree of NumPy arrays.
         init: init(params) is the state at t = 0, a tree of NumPy arrays.
         step: step(params, state, u, reading) is (the state's derivative, or its next value when
-            the model is sampled; the `Estimate`, which must not depend on u).
-        project: project(params, state) is the nearest admissible state; init gives one, and so
-            does step when the model is sampled.
-        traits: what checks, certificates and figures ask.
-        smoothing: what a smoother of a whole log asks, `observers.parts.smoothing.Smoothing`; None:
-            nothing smooths it.
-        python: of an observer that computes in Python, how; its graph only hands on the estimate,
-            which is its state there. None: the graph is the observer.
+            the model is sampled, the `Estimate`, which must not depend on u).
+        project: project(params, state) is the nearest admissible state (init gives one, and so does
+            step when the model is sampled).
+        traits: properties for checks, certificates and figures.
+        smoothing: data for smoothing of a whole log, of type `Smoothing` (None: it has no
+            smoother).
+        python: functions of an observer that computes in Python (its graph only passes the estimate
+            on, which is its state there). None: the graph is the observer.
     """
 
     params: Any
@@ -452,11 +452,11 @@ class Controller(NamedTuple):
 
     Attributes:
         params: tree of NumPy arrays.
-        init: init(params) is the state at t = 0; None: no state.
+        init: init(params) is the state at t = 0 (None: no state).
         step: step(params, state, estimate, target) is (the state's derivative, or its next value
-            when the model is sampled; u).
-        plan: what it computes ahead of a run, if anything.
-        K: constant state feedback u = -K x^ + ... (m x n); None: there is none.
+            when the model is sampled, u).
+        plan: function that it computes ahead of a run, if any.
+        K: constant state feedback u = -K x^ + ... (m x n) (None: there is none).
         rate: fastest rate of its own that a step must resolve [1/s].
     """
 
@@ -478,7 +478,7 @@ class Compensator(NamedTuple):
 
     Attributes:
         params: tree of NumPy arrays.
-        init: init(params) is the state at t = 0; None: no state.
+        init: init(params) is the state at t = 0 (None: no state).
         step: step(params, state, v, estimate, reading) is (the state at the next sample, the
             command u (m)), v what should enter the plant (m).
     """
@@ -491,16 +491,16 @@ class Compensator(NamedTuple):
 def build_estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
-    """Return an `Estimate` with its dead-zone inverse; the inverse of a missing sample is z^.
+    """Return an `Estimate` with its dead-zone inverse. The inverse of a missing sample is z^.
 
     Args:
         x: state x^ (n).
         z: output z^ (p).
         right, left: widths d_r^, d_l^ (p).
-        reading: what was read.
+        reading: the reading.
         slope: slope m of the sensor (p).
         kind: kind of the sensor.
-        innovation: what the reading adds to the prediction (p).
+        innovation: the reading less its prediction (p).
     """
     inverted = inverse(reading.y, reading.side, right, left, slope, kind)
     return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
@@ -510,9 +510,9 @@ def build_python_observer(how: PythonObserver, p: int, traits: Traits) -> Observ
     """Return the observer of functions that compute in Python, sample by sample.
 
     Args:
-        how: what it computes.
+        how: its functions.
         p: number of outputs.
-        traits: what checks, certificates and figures ask.
+        traits: properties for checks, certificates and figures.
     """
     missing = Reading(np.full(p, np.nan), np.zeros(p))
     _, first = how.correct(how.start(0), missing)

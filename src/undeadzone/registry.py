@@ -205,7 +205,7 @@ def decode_field(kind: type, value: Any) -> Any:
     """Return options of methods or arrays from tables of a scenario (the decode hook of msgspec).
 
     Raises:
-        ValueError: the error of a value (msgspec adds its place).
+        ValueError: an impossible value (msgspec adds its place).
         InputError: the package that registered a method cannot be imported.
     """
     catalogue = REGISTRIES.get(kind)

@@ -115,7 +115,7 @@ def _build_undelayed(plant: Plant, key: str) -> System:
 
 
 def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
-    """Return x(0) (n), zeros by default; for gears also from a state of the links alone.
+    """Return x(0) (n), zeros by default, for gears also from a state of the links alone.
 
     Raises ShapeError.
     """
@@ -167,8 +167,8 @@ def _require_given_matrices(plant: Plant, key: str) -> Matrices:
 
 
 def _reshape_single(value: Any, shape: tuple[int, int]) -> Any:
-    """Return B for a single input, or C for a single output, from a plain list of n numbers;
-    else unchanged.
+    """Return B for a single input, or C for a single output, from a plain list of n numbers, else
+    unchanged.
     """
     return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
 
@@ -313,10 +313,10 @@ class _Formula(NamedTuple):
 
 
 def evaluate_formula(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Return the value of a formula; only arithmetic and elementary functions.
+    """Return the value of a formula of arithmetic and elementary functions.
 
     Args:
-        key: where the formula stands, for messages.
+        key: key of the formula, for messages.
         text: the formula.
         names: numbers or CasADi expressions, by name.
 
@@ -377,7 +377,7 @@ def _evaluate_node(formula: _Formula, node: ast.expr) -> Any:
 
 
 def _lookup_name(formula: _Formula, name: str) -> Any:
-    """Return the value of a name; the plant's own names hide the constants."""
+    """Return the value of a name. The plant's own names hide the constants."""
     if name in formula.names:
         return formula.names[name]
     if name in _CONSTANTS:

@@ -189,9 +189,7 @@ class Online:
 
     @property
     def digest(self) -> str:
-        """Return a digest of the observer's graph and numbers, which does not depend on the
-        samples.
-        """
+        """Return a digest of the observer's graph and numbers, the same after any samples."""
         numbers = np.concatenate([self._graph.start, self._graph.numbers])
         graph = self._graph.step.serialize().encode()
         return hashlib.sha256(graph + numbers.tobytes()).hexdigest()

@@ -97,9 +97,7 @@ def simulate_scenario(
     engine: Engine = "auto",
     controller: live.ControlLaw | None = None,
 ) -> Simulated:
-    """Simulate a scenario and return the run with its problem and start, with the arguments of
-    `simulate`.
-    """
+    """Simulate a scenario with the arguments of `simulate`, and return the run and its problem."""
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     with notebook_progress(progress, "simulating", steps(scenario, check_step)) as advance:
@@ -239,9 +237,7 @@ def prepare(problem: Problem) -> Start:
 
 
 def close_problem(problem: Problem) -> Loop:
-    """Return the closed loop of a problem. Raises InputError for an observer that is not a
-    graph.
-    """
+    """Return the closed loop of a problem. Raises InputError if the observer is not a graph."""
     return close(problem._replace(observer=require_graph(problem.observer)))
 
 

@@ -23,7 +23,7 @@ class Interval(NamedTuple):
 
     Attributes:
         value: the estimate.
-        low, high: the ends of the interval (infinite where the runs do not bound it).
+        low, high: the ends of the interval (infinite if the runs do not bound it).
     """
 
     value: float

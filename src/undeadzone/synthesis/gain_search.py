@@ -73,7 +73,7 @@ class Synthesis(NamedTuple):
     Attributes:
         best: the chosen gains.
         certificate: their proof.
-        front: the trade, by falling rate. The choice alone if no front was computed.
+        front: the trade-off, by falling rate, the choice alone if no front was computed.
         remarks: what could not be had.
     """
 

@@ -35,9 +35,7 @@ def compute_shape_costs(problem: Problem) -> tuple[dict[str, float], ...]:
 
 
 def _final_variances(problem: Problem, told: dict[str, Any]) -> Floats:
-    """Return the variance of each width at the end of a run with other assumptions on the sensor
-    (p).
-    """
+    """Return the variance of each width at the end of a run with another assumed sensor (p)."""
     scenario = problem.scenario
     sensor = msgspec.structs.replace(scenario.sensor, **told)
     run: Run = simulate(msgspec.structs.replace(scenario, sensor=sensor), check_step=False)
