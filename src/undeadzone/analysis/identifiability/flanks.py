@@ -1,8 +1,8 @@
 """Contact sides of a joint's gears along a path, and the motion that would visit both.
 
-A gap shows when the load crosses it: when the torque tau = M(q) a + h(q, v) that a link needs
-changes sign. A joint that gravity holds on one flank is offset by half a gap, which no reading
-distinguishes from its centre (docs/robots.md).
+A gap shows where the load crosses it: where the torque tau = M(q) a + h(q, v) that a link needs
+changes sign. A joint that gravity holds on one flank is offset by half a gap that no reading tells
+from its centre (docs/robots.md).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def flank_visits(tau: Floats, step: float, unheard: Floats) -> list[FlankVisits]
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
         step: between two rows [s].
-        unheard: of each joint, largest load that no reading shows (joints) [N m].
+        unheard: of each joint, up to which no reading tells a load (joints) [N m].
     """
     least = np.maximum(SHARE * np.abs(tau).max(axis=0, initial=0.0), unheard)
     told = []
@@ -91,7 +91,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
         i: the joint.
 
     Returns:
-        The position within the joint's limits, or None if there is none.
+        The position within the joint's limits; None where there is none.
     """
     low, high = np.clip(body.chain.limits[i], q[i] - np.pi, q[i] + np.pi)
     places = np.linspace(low, high, POSTURES)
@@ -118,7 +118,7 @@ def gap_identifiability(
         params: its parameters.
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
-        friction: of the motors (0 if encoders read the links (joints) [N m]).
+        friction: of the motors; 0 where encoders read the links (joints) [N m].
     """
     mean, tau, unheard = (
         path[:, 0].mean(axis=0),
@@ -152,7 +152,7 @@ def _friction_reason(most: float, friction: float, slides: bool) -> str:
 def _gap_reasons(place: float | None, unit: str) -> str:
     """Describe why a gap is not identifiable, and the remedy.
 
-    place, unit: position without torque from gravity.
+    place, unit: where gravity asks the joint for no torque.
     """
     what = "held on one flank: its gap cannot be known"
     if place is None:
