@@ -207,7 +207,7 @@ def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]
         best = answer.next_log()
     except InputError as error:
         return None, {"no next log": str(error).removeprefix("next: ")}
-    return best, {"record next": best.describe}
+    return best, {"record next": best.description}
 
 
 def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:

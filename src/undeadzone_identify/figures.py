@@ -64,7 +64,9 @@ def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
     figure, panels = create_panels([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
-    finish_panel(panels["u"], further.describe, label_with_unit("u", unit), _time_label(found_log))
+    finish_panel(
+        panels["u"], further.description, label_with_unit("u", unit), _time_label(found_log)
+    )
     return figure
 
 

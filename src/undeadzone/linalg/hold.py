@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices, balance_states, change_state_units
 from undeadzone.util.arrays import Floats
 
@@ -34,6 +35,40 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     units = _balancing_units(block, n)
     both = change_state_units(expm(change_state_units(block, units)), 1 / units)
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
+
+
+def undo_zoh(sampled: Matrices, Ts: float) -> Matrices:
+    """Return the plant in continuous time whose zero-order hold is the given one.
+
+    Poles beyond the Nyquist frequency are mapped below it, as no sampled plant contains them.
+
+    Args:
+        sampled: Ad, Bd, C.
+        Ts: time for which u is held [s].
+
+    Raises:
+        InputError: a pole that no such plant has: at 0 (a delay), or negative and real.
+    """
+    from scipy.linalg import logm
+
+    n, m = sampled.B.shape
+    poles = np.linalg.eigvals(sampled.A)
+    is_real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)
+    if np.any(np.abs(poles) < 1e-6):
+        raise InputError(
+            "plant: a sampled pole lies at 0, a delay, which a plant in continuous time with these "
+            "states does not have"
+        )
+    negative = poles.real[is_real & (poles.real < 0)]
+    if negative.size:
+        raise InputError(
+            f"plant: a sampled pole lies at {negative[0]:.3g}, and no plant in continuous time has "
+            "a negative real one"
+        )
+    block = np.eye(n + m)
+    block[:n, :n], block[:n, n:] = sampled.A, sampled.B
+    both = np.real(logm(block)) / Ts
+    return Matrices(both[:n, :n], both[:n, n:], sampled.C)
 
 
 def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:

@@ -64,7 +64,7 @@ class NextLog(NamedTuple):
     heads: tuple[str, ...]
 
     @property
-    def describe(self) -> str:
+    def description(self) -> str:
         """Return the signal and its expected gain in words."""
         if self.left is None:
             gain = f"{self.what}: {self.nats:.3g} nats apart"
