@@ -319,7 +319,7 @@ UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of 
 
 
 def describe_unknowns(options: Collection[str]) -> str:
-    """Describe the effects that a filter cannot allow for, or empty if it allows for all.
+    """Describe the effects that a filter cannot allow for, empty if it allows for all.
 
     Args:
         options: names of the keys that the method takes. A method without `disturbance` makes no

@@ -108,7 +108,7 @@ class Registry(NamedTuple):
         is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
         if not is_struct or not hasattr(options, "build"):
             raise InputError(
-                f"{self.group}: {tag!r} is registered at {place}, which is no class of options. "
+                f"{self.group}: {tag!r} is registered at {place}, which is not a class of options. "
                 "Derive it from undeadzone.registry.Options, with a method build"
             )
         return options

@@ -201,7 +201,7 @@ def _can_store_results(folder: Path, writes: bool) -> bool:
 
 
 def _parse_method_names(methods: str) -> list[str]:
-    """Parse a list of names separated by commas. Raises BadParameter for an empty list.
+    """Parse a list of names separated by commas.
 
     Raises BadParameter if it is empty.
     """

@@ -243,8 +243,8 @@ def _of_answer(path: Path) -> Lost:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
         raise InputError(
-            f"{path}: the verdict is {verdict}, which no few lines compensate. Record longer, or "
-            "with larger and slower reversals, and identify again (--next says with which input)"
+            f"{path}: the verdict is {verdict}, which a short snippet cannot compensate. Record longer, or "
+            "with larger and slower reversals, and identify again (--next proposes an input)"
         )
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
@@ -295,7 +295,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         right, left = (_with_range(side, None) for side in sides)
         kind, unit = "actuator", units.input
     else:
-        raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
+        raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     width = (both[0], both[1], both[2])
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)

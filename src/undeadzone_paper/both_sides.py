@@ -249,7 +249,7 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
-    """Return y - y^ on the measured side (N), 0 where the sensor is silent."""
+    """Return y - y^ on the measured side (N), 0 inside the zone."""
     y_hat = q.z_hat - (q.mended_chi * q.d_hat).sum(axis=1)
     return np.where(q.side != 0, q.y - y_hat, 0.0)
 

@@ -251,7 +251,7 @@ def _affine_family(points: list[Inequality]) -> Family:
 
 
 def find_storage(inequality: Inequality) -> Floats | None:
-    """Return a candidate P (n x n) deep inside the inequality or near it, or None if none is found."""
+    """Return a candidate P (n x n) deep inside the inequality or near it, or None."""
     found = deepest_solution(lambda q: inequality, np.zeros(0))
     return None if found is None else found.P
 

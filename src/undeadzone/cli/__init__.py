@@ -126,7 +126,7 @@ def _load_command(name: str, place: str) -> click.Command:
     """Return the command that an installed package registers. Raises InputError."""
     command = load_object(f"command {name!r}", place)
     if not isinstance(command, click.Command):
-        raise InputError(f"command {name!r} is registered at {place}, which is no command of click")
+        raise InputError(f"command {name!r} is registered at {place}, which is not a click command")
     return command
 
 
@@ -168,7 +168,7 @@ def _retain_freed_memory() -> None:
     """Keep freed memory for later allocations.
 
     A fifth of the time of `identify` on 13,000 samples went into pages that were given back and
-    cleared again (glibc; elsewhere nothing is done).
+    cleared again (glibc, elsewhere nothing is done).
     """
     with suppress(OSError, AttributeError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt

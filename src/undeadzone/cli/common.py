@@ -75,7 +75,7 @@ def value_option(
 
 
 def flag_option(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
-    """Return an option without a value (into: its argument, if renamed, more: keywords of click)."""
+    """Return an option without a value (into: its argument if renamed, more: keywords of click)."""
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 
@@ -146,7 +146,9 @@ def add_untrusted(command: Command) -> Command:
         from undeadzone.cli.untrusted import restrict_process
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
-            raise InputError("--untrusted: say --out too, the only folder that is written")
+            raise InputError(
+                "--untrusted: --out is missing. Give it: it is the only folder that is written"
+            )
         _bind_process(untrusted, options)
         with ExitStack() as ending:
             for word in restrict_process(untrusted, _output_folder(options), ending):

@@ -248,5 +248,5 @@ def _changes_for_export(scenario: uz.Scenario) -> str:
 
 
 def files_line(written: Sequence[Path]) -> dict[str, Any]:
-    """Return the line that names the written files, for `print_blocks`, or empty without files."""
+    """Return the line that names the written files, for `print_blocks`, empty without files."""
     return {"written": ", ".join(map(str, written))} if written else {}

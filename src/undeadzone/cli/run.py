@@ -152,7 +152,7 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
         )
     scenario = uz.read(path, confine)
     if animated and scenario.plant.arm is None:
-        raise InputError("animation: this plant is no arm. Leave the option out")
+        raise InputError("animation: this plant is not an arm. Leave the option out")
     return scenario
 
 

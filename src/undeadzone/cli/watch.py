@@ -50,7 +50,7 @@ def _check_seconds(
 ) -> float | None:
     """Return a time that can be waited for [s]. Raises BadParameter."""
     if seconds is not None and math.isnan(seconds):
-        raise click.BadParameter("nan is no time [s]", ctx, param)
+        raise click.BadParameter("nan is not a time [s]", ctx, param)
     return seconds
 
 

@@ -161,7 +161,9 @@ else:
             raise PermissionError
 
     def _make(folder: Path) -> None:
-        """Make the folder, for this user alone; one of this user's is closed to readers."""
+        """Make the folder for this user alone. An existing one of this user is closed to
+        readers.
+        """
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             os.mkdir(folder, 0o700)

@@ -53,7 +53,7 @@ class OutlinedStep:
         return last | {node: len(self._orders) for node in results if node in self._made}
 
     def _assign_places(self) -> int:
-        """Assign a place in the frame to each value that needs it, and return the number of places."""
+        """Assign a place in the frame to each value that needs it. Return the number of places."""
         begin: dict[int, list[Node]] = defaultdict(list)
         end: dict[int, list[Node]] = defaultdict(list)
         for node, last in self._last.items():

@@ -448,8 +448,8 @@ def _is_steady(number: Node) -> bool:
 
 
 def _split_steady_factor(number: Node) -> tuple[Node | None, Node]:
-    """Return the steady factor and the rest of a product. None and the number if a steady
-    factor is absent.
+    """Return the steady factor and the rest of a product, None and the number without such a
+    factor.
     """
     if not _is_steady(number) and number.op == "mul" and _is_steady(number.args[0]):
         return number.args[0], number.args[1]

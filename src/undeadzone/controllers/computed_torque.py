@@ -6,8 +6,8 @@ M a_ref + h, payload included. When that changes sign the link needs no torque: 
 led across (`feedforward.flank_path`). A link that needs hardly any torque floats in its gap, off
 its path. So a_ref contains a term that brings it back from its estimated position once the gap is
 crossed, with half of the motors' bandwidth, if it is off by more than a quarter of its gap (less
-may be the estimate's own noise). Gap, friction and payload are those of the model, or what the
-observer makes of them.
+may be the estimate's own noise). Gap, friction and payload are those of the model, or the
+observer's estimates of them.
 """
 
 from __future__ import annotations

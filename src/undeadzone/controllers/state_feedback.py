@@ -101,8 +101,6 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         """Return Q (n x n) after checking that at most one design option is set.
 
         Raises InputError, ShapeError.
-
-        Raises InputError, ShapeError.
         """
         chosen = [name for name in CHOICES if getattr(self, name) is not None]
         if len(chosen) > 1:

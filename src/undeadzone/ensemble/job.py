@@ -138,7 +138,7 @@ def compute_blocks(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]
 def _wait_for_batch(pool: Pool, finished: SimpleQueue[Any]) -> Any:
     """Return the next finished batch.
 
-    Raises ClusterError where none comes and nobody is at work.
+    Raises ClusterError if no batch comes and no worker runs.
     """
     while True:
         try:

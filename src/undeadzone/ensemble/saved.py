@@ -36,9 +36,9 @@ _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspe
 
 
 def require_ensemble_path(path: Name) -> Path:
-    """Return the path. Raises InputError for another suffix than .npz or .parquet.
+    """Return the path if a table can be written to it.
 
-    Raises InputError if no table can be written: its suffix, or no pyarrow.
+    Raises InputError for another suffix than .npz or .parquet, and without pyarrow for the latter.
     """
     path = to_path(path)
     if path.suffix not in (".npz", ".parquet"):

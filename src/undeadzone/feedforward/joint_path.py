@@ -152,7 +152,7 @@ def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Float
 
 
 def _closes(path: Exosystem, period: float | None, end: float) -> bool:
-    """Return whether the joints are back at their start after a period [s], known up to `end` [s]."""
+    """Return whether the joints return to their start after a period [s], known up to `end` [s]."""
     if period is None or period > end:
         return False
     both_ends = path.output_at(np.array([0.0, period]))
@@ -304,7 +304,7 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     _, J = evaluate_at_inputs(_with_jacobian(q, place), start[None])
     if singular(J).any():
         raise TrackingError(
-            f"reference: the arm is singular where the path starts from, "
+            f"reference: the arm is singular at the start of the path, "
             f"q = {list_numbers(start)}: "
             "its tip cannot move in every direction there. "
             "Let it start from another configuration (plant.x0)"

@@ -294,7 +294,7 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
-    """Return the Riccati gain of A shifted right by speed / 2 (n x p), or 0 if no solution exists."""
+    """Return the Riccati gain of A shifted right by speed / 2 (n x p), or 0 if none exists."""
     n, p = A.shape[0], C.shape[0]
     noise = 1e-8 * np.eye(n)
     with warnings.catch_warnings():

@@ -84,8 +84,6 @@ def _load_design_gains(path: str, model: System) -> tuple[Floats, Floats]:
     """Return (L, gamma) of a design with a valid proof for the model.
 
     Raises FileError, ProofError.
-
-    Raises FileError, ProofError.
     """
     from undeadzone.analysis.certificate.design_file import Design
 

@@ -111,7 +111,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError(
                 "observer.silence: readings of a jump sensor only bound its widths, so that "
-                "without silence nothing tells of them"
+                "no information on them remains without silence"
             )
         prior = self._filter_prior(model, sensor)
         Ts = model.Ts
@@ -227,8 +227,8 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
     variance = flow.B[N:] ** 2 @ rms**2
     if not variance.all():
         raise InputError(
-            "observer.disturbance: must be positive for separate joints: it stands for what a "
-            "joint does not know of the others"
+            "observer.disturbance: must be positive for separate joints: it stands for the effect "
+            "of the other joints"
         )
     joints = Joints(rate, N, Ts)
     return Augmentation(

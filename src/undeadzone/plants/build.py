@@ -129,7 +129,7 @@ def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
 def _require_one_form(plant: Plant, key: str) -> str:
     """Return the leading key of the plant's form.
 
-    Raises InputError where keys of another are given.
+    Raises InputError if keys of another form are given.
     """
     forms = [form for form in _FORMS if getattr(plant, form) is not None]
     if len(forms) != 1:
@@ -343,8 +343,6 @@ def _finite_value(formula: _Formula, node: ast.expr) -> Any:
     """Return the value of a part of a formula.
 
     Raises OverflowError if it is not finite and real.
-
-    Raises OverflowError where that number is not finite.
     """
     value = _evaluate_node(formula, node)
     if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):

@@ -151,7 +151,7 @@ def write_movie(
     """
     require_movie(path)
     if run.poses is None:
-        raise InputError("animation: this plant is no arm. Leave the option out")
+        raise InputError("animation: this plant is not an arm. Leave the option out")
     stage = _build_stage(run, _build_arms(run, rival))
     _draw_frame(stage, 0)
     stage.figure.draw_without_rendering()

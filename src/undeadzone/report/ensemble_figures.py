@@ -347,7 +347,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
 
 
 def _runs_to_mark(result: Ensemble, values: Floats) -> MarkedRuns:
-    """Return the runs to be shown and marked (values: of the main metric, nan for a diverged run)."""
+    """Return the runs to mark (values: of the main metric, nan for a diverged run)."""
     return MarkedRuns(
         shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),

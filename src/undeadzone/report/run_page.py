@@ -154,9 +154,7 @@ def _widths_table(run: Run) -> html.Html:
 def further_tables(
     outputs: Sequence[str], driven: Sequence[Sequence[Row]], ahead: Sequence[Sequence[Row]]
 ) -> list[html.Html]:
-    """Return the widths of each actuator and the gaps ahead of dead zones, or empty if not
-    estimated.
-    """
+    """Return the estimated widths of actuators and gaps ahead of dead zones as tables."""
     inputs = [f"u[{j}]" for j in range(len(driven))]
     said = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
     return [html.estimates_table(*each) for each in said if each[2]]

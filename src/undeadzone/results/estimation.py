@@ -222,12 +222,12 @@ def log_width_rows(info: LogInfo) -> list[list[Row]]:
 
 
 def log_gap_rows(info: LogInfo) -> list[list[Row]]:
-    """Return the final gaps of the play ahead of each dead zone, or empty if not estimated."""
+    """Return the final gaps of the play ahead of each dead zone, empty if not estimated."""
     return sheet.build_width_rows(info.further, "gap", info.units.output)
 
 
 def log_actuator_rows(info: LogInfo) -> list[list[Row]]:
-    """Return the final widths of each actuator, or empty if not estimated."""
+    """Return the final widths of each actuator, empty if not estimated."""
     return sheet.build_width_rows(info.further, "b", info.units.input)
 
 

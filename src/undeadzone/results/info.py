@@ -54,7 +54,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), if constant (in
             sampled time L and gamma are those of one step).
         listens: share of an error of the model that z^ follows, of each output, None if unknown,
-            empty if not measured (`simulation.listening`).
+            empty if not measured (`simulation.feedback`).
         sensor: its kind.
         actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
         gaps: true [c_r, c_l] of the play ahead of each dead zone, if they are estimated (2p) [z].

@@ -365,12 +365,12 @@ def final_width_rows(run: Run) -> list[list[Row]]:
 
 
 def final_actuator_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each actuator, or empty if not estimated."""
+    """Return the widths of each actuator, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "b", run.info.units.input, run.info.actuator)
 
 
 def final_gap_rows(run: Run) -> list[list[Row]]:
-    """Return the gaps of the play ahead of each dead zone, or empty if not estimated."""
+    """Return the gaps of the play ahead of each dead zone, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 

@@ -114,8 +114,7 @@ def build_width_rows(
     true: Sequence[float] | None = None,
     ranges: Sequence[Sequence[float]] = (),
 ) -> list[list[Row]]:
-    """Return the rows of each output's zone or play, or of each actuator, or empty if not
-    estimated.
+    """Return the rows of each output's zone or play, or of each actuator, empty if not estimated.
 
     Args:
         final: last values by name, a number or one each: of right and left, of their deviations

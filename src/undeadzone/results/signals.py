@@ -31,7 +31,7 @@ class Signal(NamedTuple):
 
 
 def _build_estimated_signals() -> dict[str, Signal]:
-    """Return the signals that observers estimate. A run's b has the name actuator in an estimate."""
+    """Return the signals that observers estimate. A run's b is called actuator in an estimate."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
@@ -121,7 +121,7 @@ class Signals:
             raise TypeError(f"{min(missing)} is missing")
         strange = given.keys() - {*layout.names}
         if strange:
-            raise TypeError(f"{min(strange)} is no signal of such a result")
+            raise TypeError(f"{min(strange)} is not a signal of such a result")
         self.arrays: dict[str, Floats] = {}
         for name in layout.names:
             value = given.get(name)
@@ -141,8 +141,7 @@ class Signals:
         return columns
 
     def parameters(self, names: Iterable[str]) -> dict[str, dict[str, float]]:
-        """Return the last estimates of parameters with their deviations, or empty without
-        estimates.
+        """Return the last estimates of parameters with their deviations, empty without estimates.
 
         Args:
             names: of the parameters.
@@ -184,7 +183,7 @@ def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
 
 
 def final_rejections(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
-    """Return the names of the assumptions that the last readings reject, or empty without a filter."""
+    """Return the names of the assumptions that the last readings reject, empty without a filter."""
     if "claims" not in signals:
         return {}
     return {

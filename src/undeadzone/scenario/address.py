@@ -49,7 +49,7 @@ def stem(address: str) -> str:
 
 
 def index_of(address: str) -> str:
-    """Return the index of an address with its brackets, or empty if it has none."""
+    """Return the index of an address with its brackets, empty if it has none."""
     return address[len(stem(address)) :]
 
 
@@ -112,7 +112,9 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
     try:
         array[place] = value
     except (IndexError, ValueError, TypeError):
-        raise InputError(f"{key}[{listed}]: no such entry, or {value!r:.40} is no number") from None
+        raise InputError(
+            f"{key}[{listed}]: no such entry, or {value!r:.40} is not a number"
+        ) from None
     return array
 
 

@@ -39,7 +39,7 @@ def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> 
         raise InputError(
             f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, which have "
             "no zone. The gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
-            "leave out what else belongs to a zone"
+            "leave out all other keys of a zone"
         )
     always = msgspec.structs.replace(sensor, threshold=0.0)
     return with_gaps(resolve(always, system.p, step, rate), system)

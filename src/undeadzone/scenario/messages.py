@@ -268,7 +268,7 @@ def _chosen_variants(root: type[msgspec.Struct], key: str, data: dict[str, Any])
 
 
 def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
-    """Return keys known at a dotted key, of the variant that the data choose if there are several."""
+    """Return keys known at a dotted key, of the variant that the data choose if it has several."""
     names: list[str] = []
     choosers: list[str] = []
     for struct in _chosen_variants(root, key, data):

@@ -113,7 +113,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
         for width in ("right", "left"):
             if width not in sensor and method in _TOLD_THE_WIDTHS:
                 raise InputError(
-                    f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
+                    f"sensor.{width}: missing; observer.method {method!r} needs the true widths"
                 )
         if observer is None and "right" not in sensor and "declared" not in data:
             raise InputError(

@@ -109,7 +109,7 @@ def sample_within_limits(key: str, system: System, step: float, substeps: int) -
         needed = int(np.ceil(fastest * step / STABLE))
         raise StepError(
             f"simulation.step: {step:g} s in {substeps} Runge-Kutta steps is too coarse: the {key} "
-            f"has a mode at {fastest:.4g} 1/s where it is linearised (an arm's Coulomb friction is "
+            f"has a mode at {fastest:.4g} 1/s in its linearisation (an arm's Coulomb friction is "
             f"steep near rest). Use simulation.substeps = {needed} or more"
         )
     result = sample_plant(system, step, substeps)

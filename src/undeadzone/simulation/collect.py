@@ -303,7 +303,7 @@ def _info(
 
 
 def _text(scenario: Scenario) -> str:
-    """Return the scenario as TOML, or empty if it holds a function of Python."""
+    """Return the scenario as TOML, empty if it contains a function of Python."""
     try:
         return toml.to_toml(scenario)
     except InputError:

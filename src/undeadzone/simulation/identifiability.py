@@ -281,7 +281,7 @@ def _with_false_gaps(
 
 
 def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> WidthIdentifiability:
-    """Return the verdict on an output. Its widths are unknown behind a wrong actuator of [model]."""
+    """Return the verdict on an output, whose widths a wrong actuator of [model] hides."""
     actuator, belief = problem.actuator, problem.belief
     if actuator is None or belief is None:
         return verdict
@@ -294,7 +294,7 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
 
 
 def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
-    """Return whether true [right, left] (2 x each) equal the assumed ones or lie in their ranges."""
+    """Return whether true [right, left] (2 x each) equal assumed ones or lie in their ranges."""
     low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true
     return np.asarray((low - slack <= true) & (true <= high + slack))

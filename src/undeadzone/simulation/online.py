@@ -223,8 +223,8 @@ class Online:
             u: input (m) that acts from this sample to the next (not finite: as before).
 
         Returns:
-            The estimate from this reading and all before it, as NumPy arrays, or empty if the
-            observer estimates nothing.
+            The estimate from this reading and all before it, as NumPy arrays, empty if the observer
+            estimates nothing.
         """
         self.update_into(y, u)
         out = self._out.copy()

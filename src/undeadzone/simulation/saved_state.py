@@ -104,7 +104,7 @@ def _inner(name: str, value: Any) -> dict[str, Any]:
 def _like(value: Any, array: Any, name: str) -> Any:
     """Return an array as a value of the same kind, of another shape only if the value is empty.
 
-    Raises ValueError for what does not fit.
+    Raises ValueError for an array that does not fit.
     """
     known = np.asarray(value)
     grows = known.ndim == 1 and not known.size

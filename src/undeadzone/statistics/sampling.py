@@ -118,7 +118,7 @@ def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
         )
     if first + count > 2 ** (BITS - 1):
         raise InputError(
-            f"runs: [ensemble] or [tune] asks for {first + count}, Sobol points are "
+            f"runs: [ensemble] or [tune] needs {first + count}, Sobol points are "
             f"2^{BITS - 1}. Use random"
         )
     design = qmc.Sobol(entries, bits=BITS, rng=seed)

@@ -81,7 +81,7 @@ def sensitivities_of_runs(X: Floats, y: Floats) -> list[Sensitivity]:
         y: the metric (runs).
 
     Returns:
-        One per entry. None for fewer than LEAST runs, or if all of y are alike.
+        One per entry, none for fewer than LEAST runs, or if all of y are alike.
     """
     n, d = X.shape
     if n < max(LEAST, d + 4) or np.ptp(y) == 0:

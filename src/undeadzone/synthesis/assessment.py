@@ -111,7 +111,7 @@ class Assessment(NamedTuple):
         schedule: of its sides.
         known: identifiability of each output.
         gains: of a linear plant, if they are constant.
-        listens: how strongly readings move each z^ (`simulation.listening`) (empty: not measured).
+        listens: how strongly readings move each z^ (`simulation.feedback`, empty: not measured).
     """
 
     problem: Problem
@@ -303,7 +303,7 @@ def find_joint_remedies(problem: Problem, schedule: Schedule) -> list[Remedy]:
 
 
 def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
-    """Return a mask of the states that the readings along a schedule determine (n), or empty if
+    """Return a mask of the states that the readings along a schedule determine (n), empty if
     nonlinear.
     """
     model, jump = problem.model, problem.sensor.kind == "jump"

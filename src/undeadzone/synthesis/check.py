@@ -83,7 +83,7 @@ class Check:
 
     Attributes:
         scenario: whose gains were checked, as they stand.
-        certified: whether one V proves convergence for every sequence of sides. None if the method
+        certified: whether one V proves convergence for every sequence of sides, None if the method
             has no constant gains. A nonlinear model is certified on the scenario's region.
         margin: of the proof (None without one).
         frequency: of that margin [rad/s] (None if there is no single one).
@@ -241,7 +241,7 @@ def check_assessment(assessment: Assessment) -> Check:
 
 
 def _overrun_of_outputs(problem: Problem) -> tuple[float | None, ...]:
-    """Return the overrun number of each output, or empty without an inertia."""
+    """Return the overrun number of each output, empty without an inertia."""
     step = problem.scenario.simulation.step
     parts = problem.reference, problem.tracked, problem.steps * step, step
     return tuple(overrun_numbers(problem.sensor, *parts) or ())

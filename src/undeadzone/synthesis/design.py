@@ -116,7 +116,7 @@ def count_design_rounds(maximise: Aim) -> int:
 
 
 def why_not_certifiable(flow: System) -> str:
-    """Return the reason why no gains can be certified for a linear model, or empty if some can.
+    """Return the reason why no gains can be certified for a linear model, empty if some can.
 
     Args:
         flow: the model in continuous time.

@@ -109,7 +109,7 @@ def build_task(problem: Problem, margin: float) -> Task:
     if not schedule.sides.any():
         cure = find_remedies(model.linear, schedule)[0].text
         raise InputError(
-            f"reference: it never leaves the dead zone, so that the sensor says nothing; {cure}"
+            f"reference: it never leaves the dead zone, so that all samples are censored; {cure}"
         )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
     S, model_errors, source = _build_storage_inputs(problem, flow, units)
@@ -393,8 +393,8 @@ def search_box(task: Task) -> tuple[Floats, Floats]:
 
 
 def list_gains_at_limit(task: Task, point: Floats) -> str:
-    """Return the names of gains at a point (d) that are the largest that the step allows, or empty
-    if none.
+    """Return the names of gains at a point (d) that are the largest that the step allows, empty if
+    none.
     """
     _, greatest = search_box(task)
     size = task.n * task.p

@@ -158,7 +158,7 @@ def prepare_test_runs(
     for column in bind_ensemble(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
-                f"tune: [ensemble] varies {column.name}, which what is tuned decides. "
+                f"tune: [ensemble] varies {column.name}, which the tuned numbers determine. "
                 "Keep one of them"
             )
     none_yet = TestRuns(prepare_batch(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
@@ -370,7 +370,7 @@ def _require_metric(metric: str, problem: Problem) -> None:
     for i in range(problem.plant.p):
         known += [f"d_{edge}_error[{i}]" for edge in EDGES]
     if metric not in known:
-        raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")
+        raise InputError(f"tune.metric: expected one of {', '.join(known)}, found {metric!r}")
 
 
 def loss_statistic(name: str, lost: Floats) -> Floats:

@@ -44,8 +44,8 @@ class WaitingFile(io.FileIO):
 def let_streams_wait() -> None:
     """Put streams that wait in the place of stdin, stdout and stderr, where these are descriptors.
 
-    A stream that a caller has replaced stays, as does every stream on Windows, where all streams
-    block.
+    A stream that a caller has replaced stays, as does every stream on Windows, as all streams block
+    there.
     """
     if sys.platform == "win32":
         return

@@ -27,7 +27,7 @@ def drop_last_field(tree: Any, kind: Any) -> Any:
 
 
 def iterate_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every leaf in order with its dotted name. None has no leaves.
+    """Yield every leaf in order with its dotted name (None has no leaves).
 
     Args:
         tree: the tree.

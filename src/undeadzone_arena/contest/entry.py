@@ -138,8 +138,8 @@ def _part_options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[
     for field in msgspec.structs.fields(kind):
         if field.required and field.name not in chosen:
             raise InputError(
-                f"{prefix}{field.name}: {kind.__struct_config__.tag!r} needs it, and nothing that "
-                "is declared of a dead zone says it"
+                f"{prefix}{field.name}: {kind.__struct_config__.tag!r} needs it, but the "
+                "declarations of the dead zone do not contain it"
             )
     return kind(**chosen)
 

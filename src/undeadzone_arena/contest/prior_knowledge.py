@@ -134,9 +134,9 @@ class Setting(NamedTuple):
 
 
 def build_settings(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
-    """Build the setting of each scenario, by title. Raises InputError with the title.
+    """Build the setting of each scenario, by title.
 
-    Raises InputError, which names one.
+    Raises InputError with the title.
     """
     found = {}
     for title, scenario in scenarios.items():

@@ -38,7 +38,7 @@ STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise 
 
 
 class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_filter"):
-    """Bootstrap filter of Gordon, Salmond, Smith (1993) on `[x; d_r; d_l]`; sampled time.
+    """Bootstrap filter of Gordon, Salmond, Smith (1993) on `[x; d_r; d_l]`, sampled time.
 
     Systematic resampling of Kitagawa (1996), when fewer than half of the particles count,
     1 / sum w^2. Widths are drawn evenly from their range and stay in it. By default noise is at

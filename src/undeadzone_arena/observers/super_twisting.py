@@ -97,8 +97,6 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         """Return `lipschitz` as given, or its default (p) [z/s^r].
 
         Raises InputError, ShapeError.
-
-        Raises InputError, ShapeError.
         """
         default = (5 * fastest_pole(model)) ** np.array(orders, float)
         chosen = default if self.lipschitz is None else self.lipschitz

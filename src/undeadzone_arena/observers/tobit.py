@@ -46,7 +46,7 @@ class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
         """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
+                "observer.method: 'tobit' takes a reading for the excess over an edge, but a jump "
                 "sensor reads z itself. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)

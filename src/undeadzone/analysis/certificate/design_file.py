@@ -233,7 +233,7 @@ def _recompute_design(design: Design, path: str) -> Design:
     margin, frequency = margin_of_dynamics(errors, require_vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
-            f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}. "
+            f"{path}: margin: {design.margin:.6g} in the file, its gains have {margin:.6g}. "
             "The file was changed, design again"
         )
     _require_sizes(design, n, p)

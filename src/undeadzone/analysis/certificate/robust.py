@@ -128,7 +128,7 @@ def closed_loop(
     plant.
 
     x~ is x - x^ of the model. `passivity.certify_dynamics` of it proves convergence for every plant
-    between the vertices, also a varying one, when x_ref = 0; a reference drives both errors by (A_k
+    between the vertices, also a varying one, when x_ref = 0. A reference drives both errors by (A_k
     - A) x_ref + (B_k - B) u_ff, a disturbance for `l2_gain` and `ultimate_bound`. Sampled, model
     and plants are sampled ones: all between sampled vertices are covered.
 

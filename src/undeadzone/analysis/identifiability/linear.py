@@ -40,7 +40,7 @@ class Remedy(NamedTuple):
 
 
 def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
-    """Describe why edges of output i are not visited, or empty if all are.
+    """Describe why edges of output i are not visited, empty if all are.
 
     Args:
         schedule: of the sides.

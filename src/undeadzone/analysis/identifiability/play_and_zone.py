@@ -210,7 +210,7 @@ def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> l
 def _describe_asymmetries(
     zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool
 ) -> list[str]:
-    """Describe which asymmetries are identifiable, or empty if every width is."""
+    """Describe which asymmetries are identifiable, empty if every width is."""
     if (zone["right"] and zone["left"]) or gaps_known:
         return []
     if not (zone["width"] and gap["width"]):

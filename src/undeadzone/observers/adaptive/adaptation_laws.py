@@ -29,8 +29,6 @@ from undeadzone.util.arrays import (
 def to_width_pairs(key: str, value: Array, p: int) -> Floats:
     """Return [right, left] per output (p x 2) from a number, a pair, or a pair per output.
 
-    Raises ShapeError with the key's name.
-
     Raises ShapeError that names the key.
     """
     numbers = require_array(key, value)

@@ -307,7 +307,7 @@ def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
 def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> Estimate:
     """Return the estimate of a Gaussian, without innovations.
 
-    Here wide: covariance that the sensor's shape adds (N x N), or empty.
+    Here wide: covariance that the sensor's shape adds (N x N), empty.
     """
     shown, _ = clip_belief(setup, q, belief)
     if wide.shape[0]:
@@ -481,7 +481,7 @@ def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) 
 
 
 class Pace(NamedTuple):
-    """Running record of the motion of z, or empty if unused.
+    """Running record of the motion of z, empty if unused.
 
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].

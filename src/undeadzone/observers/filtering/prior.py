@@ -188,8 +188,8 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     least, most = (ranges[:p, 0] - ranges[p:, 1]) / 2, (ranges[:p, 1] - ranges[p:, 0]) / 2
     if (low > high).any() or (high < least).any() or (low > most).any():
         raise InputError(
-            "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and meet what "
-            f"the ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}, found "
+            "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and overlap "
+            f"the range of those of d_r and d_l, {least.tolist()} to {most.tolist()}, found "
             f"{value.tolist()}"
         )
     low, high = 2 * low, 2 * high

@@ -306,8 +306,6 @@ def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     """Return the tolerance of named parameters of a nonlinear plant, with absolute deviations.
 
     Raises InputError.
-
-    Raises InputError.
     """
     std = {}
     for name, value in stds.items():

@@ -264,7 +264,7 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
     )
     if not np.isfinite(chain.limits).any():
         raise InputError(
-            f"{key}.arm.stops: they stand where the joints' limits are, and these have none. "
+            f"{key}.arm.stops: they stand at the joints' limits, and these joints have none. "
             f"Give {key}.arm.limits"
         )
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)

@@ -87,7 +87,7 @@ def _pose_in_base(way: list[Joint]) -> tuple[Floats, Floats]:
 
 
 def _anchor_points(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
-    """Return the point of each axis nearest to the anchor before (N x 3). A sliding joint keeps it."""
+    """Return the point of each axis nearest to the previous anchor (N x 3), or that of a slider."""
     anchors, anchor = [], np.zeros(3)
     for joint, axis, origin in zip(moving, axes, origins, strict=True):
         if joint.kind != "prismatic":

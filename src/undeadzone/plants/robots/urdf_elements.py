@@ -138,12 +138,12 @@ def _parse_limits(
     if not lower < upper and kind != "fixed":
         raise ValueError(
             f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}. "
-            "Remove both where there is no limit"
+            "Remove both if there is no limit"
         )
     if not min(effort, velocity) > 0 and kind != "fixed":
         raise ValueError(
             f"{where}: limit effort and velocity must be positive, "
-            f"found {effort:g} and {velocity:g}. Remove them where there is no limit"
+            f"found {effort:g} and {velocity:g}. Remove them if there is no limit"
         )
     return (lower, upper), effort, velocity
 
