@@ -412,8 +412,8 @@ class Observer(NamedTuple):
     Attributes:
         params: tree of NumPy arrays.
         init: init(params) is the state at t = 0, a tree of NumPy arrays.
-        step: step(params, state, u, reading) is (the state's derivative, or its next value when
-            the model is sampled, the `Estimate`, which must not depend on u).
+        step: step(params, state, u, reading) is (the state's derivative, or its next value when the
+            model is sampled, and the `Estimate`, which must not depend on u).
         project: project(params, state) is the nearest admissible state (init gives one, and so does
             step when the model is sampled).
         traits: properties for checks, certificates and figures.
@@ -454,7 +454,7 @@ class Controller(NamedTuple):
         params: tree of NumPy arrays.
         init: init(params) is the state at t = 0 (None: no state).
         step: step(params, state, estimate, target) is (the state's derivative, or its next value
-            when the model is sampled, u).
+            when the model is sampled, and u).
         plan: function that it computes ahead of a run, if any.
         K: constant state feedback u = -K x^ + ... (m x n) (None: there is none).
         rate: fastest rate of its own that a step must resolve [1/s].

@@ -83,7 +83,7 @@ def export(
         scenario: a scenario with simulation.time = "sampled".
         to: "c", "arduino" for a library of the Arduino IDE, "st" for Structured Text of IEC
             61131-3, "fmu2" or "fmu3" for an FMU for co-simulation, "python" for a module that needs
-            no undeadzone. "page" for one HTML file in which the scenario's loop runs.
+            no undeadzone, or "page" for one HTML file in which the scenario's loop runs.
         out: folder for the files, or the HTML file (replaced if it is an earlier export). Other
             files in the folder stay.
         precision: "single" for float, or "double" (default: double but for "c", "arduino" and

@@ -243,8 +243,9 @@ def _of_answer(path: Path) -> Lost:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
         raise InputError(
-            f"{path}: the verdict is {verdict}, which a short snippet cannot compensate. Record longer, or "
-            "with larger and slower reversals, and identify again (--next proposes an input)"
+            f"{path}: the verdict is {verdict}, which a snippet cannot compensate. Record "
+            "longer, or with larger and slower reversals, and identify again (--next proposes an "
+            "input)"
         )
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))

@@ -121,7 +121,7 @@ class Evidence(NamedTuple):
         at_input, at_output: `kalman` with noise on y, and an unknown zone at the input, the output
         mismatch: with widths held at d, and 20 % off, as printed from x1 = 5 and repaired
         theorem: the outcomes of every reading of Theorem 4.1
-        law: the run of Theorem 4.1 from x1 = 5, d - d^ given (and estimated)
+        law: the run of Theorem 4.1 from x1 = 5, d - d^ given, and estimated
         arm: errors of a one-link arm behind gears
     """
 

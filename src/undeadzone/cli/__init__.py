@@ -142,8 +142,8 @@ def _list_registered_commands() -> dict[str, str]:
 @click.group(
     cls=Commands,
     invoke_without_command=True,
-    epilog="Exit codes: 0 done. 1 finished, and the answer is no (diverged, not certified, not "
-    "identifiable). 2 bad input. 70 an error of undeadzone itself. 130 Ctrl-C. 143 terminated.",
+    epilog="Exit codes: 0 done. 1 finished, and the answer is negative (diverged, not certified, "
+    "not identifiable). 2 bad input. 70 an error of undeadzone itself. 130 Ctrl-C. 143 terminated.",
     context_settings={
         "help_option_names": ["-h", "--help"],
         "max_content_width": 100,
@@ -177,7 +177,7 @@ def _retain_freed_memory() -> None:
 
 
 def main() -> None:
-    """Run a command, an error becomes one line on stderr and an exit code.
+    """Run a command. An error becomes one line on stderr and an exit code.
 
     Entry point of the tool.
     """

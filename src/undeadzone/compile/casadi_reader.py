@@ -127,7 +127,7 @@ def build_nodes(function: ca.Function, rules: Rules) -> Results:
         rules: what makes the nodes.
 
     Raises:
-        InputError: an instruction that cannot be compiled. It names it.
+        InputError: names an instruction that cannot be compiled.
     """
     lines = read_program(function)
     for line in lines.lines:

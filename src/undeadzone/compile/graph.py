@@ -63,7 +63,7 @@ class Nodes:
         self._known: dict[tuple[object, ...], Node] = {}
 
     def intern(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
-        """Return the node for an instruction, equal instructions share a node.
+        """Return the node for an instruction. Equal instructions share a node.
 
         Args:
             op, args, text: as of `Node`.

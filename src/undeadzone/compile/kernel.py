@@ -70,9 +70,7 @@ class _Table:
         self._every_use = every_use
 
     def place_of_use(self, node: Node) -> int:
-        """Return the index of the entry that a use of a value reads, add the entry if
-        needed.
-        """
+        """Return the index of the entry that a use of a value reads, after adding it if needed."""
         if self._every_use or node not in self._places:
             self._places[node] = len(self.entries)
             self.entries.append(node)

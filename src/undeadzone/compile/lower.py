@@ -56,7 +56,7 @@ def lower_function(
         granted: promises that are taken for granted, which fused lanes do (grows).
 
     Raises:
-        InputError: an instruction that the engine lacks. It names it.
+        InputError: names an instruction that the engine lacks.
     """
     fused = arithmetic.fused
     rules = FusedRules(Nodes(), granted) if fused else ExactRules(Nodes())
@@ -87,7 +87,7 @@ def build_portable_nodes(function: ca.Function, kind: str) -> Results:
         kind: NumPy's name of the type of numbers: float32 or float64.
 
     Raises:
-        InputError: an instruction that no code can be made of. It names it.
+        InputError: names an instruction that no code can be made of.
     """
     return build_nodes(function, PortableRules(Nodes(), kind))
 

@@ -38,7 +38,7 @@ _SCALE: Final = 2.0**120
 
 
 def st_literal(value: float, kind: str) -> str:
-    """Return a number with its type for an expressionthat represents exactly these bits.
+    """Return a number with its type for an expression that represents exactly these bits.
 
     Of infinity, and of NaN, it is the largest number.
     """

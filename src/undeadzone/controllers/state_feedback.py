@@ -45,7 +45,7 @@ class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
     """Feedback u = u_ff - K (x^ - x_ref) with at most one of:
 
-    K, poles, alpha and Q of (34), speed.
+    K, poles, alpha and Q of (34), or speed.
 
     With alpha, K = alpha B'P with A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of A - L
     C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and Moore

@@ -76,8 +76,8 @@ def _load_npz(file: BinaryIO) -> tuple[str, Columns, Columns]:
 
 
 def _map_member(file: BinaryIO, offset: int) -> Any:
-    """Return the array of an uncompressed member of a zip file, as a map, offset: of its local
-    header.
+    """Return the array of an uncompressed member of a zip file, as a map (offset: of its local
+    header).
     """
     file.seek(offset + ZIP_SIZES)
     name_size, extra_size = struct.unpack("<HH", file.read(4))
@@ -94,7 +94,7 @@ def _select_arrays(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns) -> None:
-    """Write the columns as Parquet, header and other arrays become its metadata."""
+    """Write the columns as Parquet, with header and other arrays as its metadata."""
     arrow = _require_arrow()
     import pyarrow.parquet as parquet
 
@@ -204,7 +204,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def unit_of_column(name: str, units: Units) -> str:
-    """Return the unit of a column, or 1 if it is not known, units: of output and input."""
+    """Return the unit of a column, or 1 if it is not known (units: of output and input)."""
     if name.endswith("(relative)"):
         return "1"
     stem = name.partition("[")[0]

@@ -37,8 +37,8 @@ def chance_beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
 
 
 def arrival_shares(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
-    """Return the shares of the not yet arrived that reach each edge in a sample, their sum is
-    <= 1.
+    """Return the shares of the not yet arrived that reach each edge in a sample (their sum is <=
+    1).
 
     Args:
         before, now: chances beyond each edge under the uncut belief, a sample ago and now.

@@ -57,7 +57,7 @@ class Products(NamedTuple):
     entry.
 
     Attributes:
-        G: its first rows (the others are 0 (at most N x M)).
+        G: its first rows (at most N x M), the others are 0.
         Z: which products each of the M rows sums up (M x C).
         left, right: l and r.
     """

@@ -368,7 +368,7 @@ def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
 
 
 def _hazard(alpha: float) -> float:
-    """Return phi(alpha) / Phi(alpha) of the standard normal distribution. Far below 0 by its
+    """Return phi(alpha) / Phi(alpha) of the standard normal distribution, far below 0 by its
     series.
     """
     if alpha > -DEEP:

@@ -17,7 +17,7 @@ from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_v
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):
-    """Measured-branch adaptive observerthat replaces (16)-(25).
+    """Measured-branch adaptive observer that replaces (16)-(25).
 
     Gains are continuous-time ones in either time.
 

@@ -85,7 +85,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         silence: use that a censored sample bounds z, and that widths lie in their ranges.
         blind: take every reading for z, as if there were no dead zone.
         joints: "separate" keeps one covariance per joint of an arm `[q; q']` whose positions are
-            measured, to which the disturbance is an acceleration and the effect of the other
+            measured, to which the disturbance is an acceleration, as is the effect of the other
             joints: much cheaper, with weaker assumptions.
     """
 

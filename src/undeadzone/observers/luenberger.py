@@ -70,7 +70,7 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
 
 
 class Params(NamedTuple):
-    """Parameters of the observer, L (n x p) is per step if the model is sampled."""
+    """Parameters of the observer. L (n x p) is per step if the model is sampled."""
 
     model: Any
     L: Floats

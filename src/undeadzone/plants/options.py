@@ -123,8 +123,8 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Plant in exactly one form.
 
-    The forms are: A, B, C, second_order, companion, integrators, transfer_function, f, h, or arm.
-    A plant has n states, m inputs, p outputs.
+    The forms are (A, B, C), second_order, companion, integrators, transfer_function, (f, h), and
+    arm. A plant has n states, m inputs, p outputs.
 
     Example:
         >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])

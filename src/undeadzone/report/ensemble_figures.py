@@ -104,9 +104,7 @@ def distribution(axes: Axes, result: Ensemble) -> None:
 
 
 def _metrics_to_show(result: Ensemble) -> list[str]:
-    """Return the metrics to be shown as distributions. Settling times only if some run
-    settled.
-    """
+    """Return the metrics to be shown as distributions, settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
         if name in result.metrics:

@@ -173,7 +173,7 @@ def _metric_row(
 
 
 def _bounded_cell(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
-    """Return the cell of a value, for a settling time without a bound, a word."""
+    """Return the cell of a value, or a word for a settling time without a bound."""
     if name == "settling_time" and value["value"] is None:
         return "never"
     return cell

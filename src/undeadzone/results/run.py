@@ -462,8 +462,8 @@ def _describe_proof(run: Run) -> dict[str, Any]:
 
 
 def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
-    """Return the identifiability of a single output's widths, for several outputs, the reasons
-    against.
+    """Return the identifiability of a single output's widths, or the reasons against it for several
+    outputs.
     """
     if len(outputs) == 1:
         verdict = info.identifiable[0]

@@ -53,8 +53,7 @@ def plant_scales(problem: Problem) -> Scales:
 def largest_scaled_signals(
     scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats
 ) -> Floats:
-    """Return the largest signal of each sample in its scale (N) [1]. Not below `LIMIT`: at the
-    limit it has diverged.
+    """Return the largest signal of each sample in its scale (N) [1] (`LIMIT` or more: diverged).
 
     Args:
         scales: of the plant.

@@ -204,7 +204,7 @@ def list_summary_signals(kind: type, but: Iterable[str] = ()) -> list[str]:
     """Return the estimated signals whose last rows appear in a summary in a given form.
 
     Args:
-        kind: float: a number each, int: their sum (bool: whether they hold).
+        kind: float (a number each), int (their sum) or bool (whether they hold).
         but: names to be left out.
     """
     return [name for name in ESTIMATED if ESTIMATED[name].final is kind and name not in but]

@@ -64,8 +64,8 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes:
         runs: number of runs.
-        sampling: random, latin_hypercube, which depends on the number of runs, sobol, best with a
-            power of 2 (saltelli, the design for Sobol indices, whose runs are a multiple of the
+        sampling: random, latin_hypercube (it depends on the number of runs), sobol (best with a
+            power of 2), or saltelli (the design for Sobol indices, whose runs are a multiple of the
             varied entries plus 2).
         seed: seed of the random numbers (default: that of [simulation]).
         tolerance: share of the largest |r| within which z - r has settled [1].

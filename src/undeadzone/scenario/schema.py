@@ -196,8 +196,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         plant: the plant.
         sensor: the sensor at its output, with a dead zone.
         reference: the signal that its tracked outputs should follow.
-        observer: the method that estimates state and widths, default `auto` with the assumptions of
-            [declared], or with widths between 0 and three times the largest (`contact` likewise for
+        observer: the method that estimates state and widths (default `auto` with the assumptions of
+            [declared], or with widths between 0 and three times the largest, likewise `contact` for
             an arm with gears).
         controller: the method that computes the input (default `state_feedback`, for rigid arms
             `computed_torque`, for an elastic joint in sampled time `lqr`).

@@ -79,8 +79,8 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         normal: normal of the plane in three coordinates (3) (default: z). Seen from its tip the
             path turns anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a
             vertical normal in the direction x.
-        ramp: the path starts from rest, its speed rising as a quintic for this time [s], default: a
-            quarter of the period (0: at full speed).
+        ramp: the path starts from rest, its speed rising as a quintic for this time [s] (default: a
+            quarter of the period, 0: at full speed).
         space: task: coordinates of an arm's tip [m], or joint.
         swing: motion that an arm's joints make first, for a path of its tip (default: nothing).
     """

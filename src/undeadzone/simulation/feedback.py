@@ -1,7 +1,7 @@
 """Feedback strength of z^: the remaining share of a model error that all readings show.
 
 The same scenario runs once more with a plant whose z is 5 % larger than the model's. An observer
-that follows its model alone keeps the whole error. With strong feedback it follows
+that follows its model alone keeps the whole error. One with strong feedback follows
 (docs/observer.md).
 """
 

@@ -239,7 +239,7 @@ class Scores(NamedTuple):
 def score_gains(
     task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bool = True
 ) -> Scores:
-    """Return the scores of b candidates. Nan for scores that are not requested.
+    """Return the scores of b candidates, nan for scores that are not requested.
 
     Args:
         task: the design task.

@@ -382,8 +382,8 @@ def loss_statistic(name: str, lost: Floats) -> Floats:
 
 
 def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
-    """Return the size of a metric. Above LIMIT, but finite, for runs that diverged: the
-    faster, the more.
+    """Return the size of a metric, finite but above LIMIT for runs that diverged, the more the
+    faster.
 
     Args:
         metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`

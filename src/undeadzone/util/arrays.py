@@ -36,7 +36,7 @@ def decode_array(kind: type, value: Any) -> Floats:
 
 
 def to_float_array(value: Any) -> Floats:
-    """Return a float array from numbers, nested lists, or MATLAB's text "`[0 1; -1 -2]`".
+    """Return a float array from numbers, nested lists, or MATLAB's text `"[0 1; -1 -2]"`.
 
     Raises:
         ValueError: other text, booleans, ragged lists, non-finite or huge entries.
@@ -70,7 +70,7 @@ def fill_masked(value: Any) -> Any:
 
 
 def parse_matlab_matrix(text: str) -> list[list[float]]:
-    """Return the rows of a matrix in MATLAB's notation: "`[0 1; -1 -2]`".
+    """Return the rows of a matrix in MATLAB's notation: `"[0 1; -1 -2]"`.
 
     Raises:
         ValueError: another text.

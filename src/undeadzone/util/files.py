@@ -94,7 +94,7 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
 
 @contextmanager
 def open_plain(path: Name, largest: int | None = None) -> Iterator[BinaryIO]:
-    """Provide a user's file, open for reading, unless it is not a plain file.
+    """Provide a user's plain file, open for reading.
 
     Args:
         path: the file.

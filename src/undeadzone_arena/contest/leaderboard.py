@@ -204,8 +204,8 @@ def regret_intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]
 
     The intervals are from the bootstrap.
 
-    Seeds are drawn anew within every scenario. For the median scenarios are too. The worst is that
-    of these very scenarios: resampled ones could only leave it out.
+    Seeds are drawn anew within every scenario, and for the median the scenarios too. The worst is
+    that of these very scenarios: resampled ones could only leave it out.
 
     Args:
         regret: (scenarios x seeds).

@@ -56,7 +56,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: the slope of a jump sensor's reading does not depend on its widths, "
+                "observer.method: the slope of a jump sensor's reading contains no width, "
                 "so that 'ekf' cannot find them. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)

@@ -49,7 +49,7 @@ NODES = 40  # of a horizon, if the period is not given
 
 
 class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_horizon"):
-    """Moving horizon estimation of `[x; d_r; d_l]`, Rao, Rawlings, Mayne (2003) (sampled time).
+    """Moving horizon estimation of `[x; d_r; d_l]`, Rao, Rawlings, Mayne (2003), sampled time.
 
     The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
     and drift 0.5 % of the largest width. It runs in Python: in single runs only.

@@ -35,8 +35,8 @@ DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
-    """Tobit Kalman filter on `[x; d_r; d_l]` (Allik, Miller, Piovoso, Zurakowski 2016) (sampled
-    time).
+    """Tobit Kalman filter on `[x; d_r; d_l]` (Allik, Miller, Piovoso, Zurakowski 2016), sampled
+    time.
 
     Here for the two edges of a dead zone that are not known, with the spread of the prediction in
     the chances of the branches. Defaults as those of `ekf`.

@@ -24,7 +24,7 @@ TOLERANCE = 1e-11  # of the response's size: how far the least value may lie bel
 
 
 class OutputWeights(NamedTuple):
-    """Weights W (p), their margin and the its frequency [rad/s]."""
+    """Weights W (p), their margin and its frequency [rad/s]."""
 
     W: Floats
     margin: float

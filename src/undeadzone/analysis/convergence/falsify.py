@@ -136,9 +136,7 @@ def falsify(
 
 
 def _start_errors(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
-    """Return errors of length 1 (groups x size x N), a map raises the first of each group
-    most.
-    """
+    """Return errors of length 1 (groups x size x N). A map raises the first of each group most."""
     shape = (GROUPS, size, maps.shape[-1])
     states = rng.normal(size=shape) * 10 ** rng.uniform(-1, 1, shape)
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(maps), size=GROUPS), 0]

@@ -116,7 +116,7 @@ def _multipliers_and_modes(
     """Return the multipliers of the monodromy matrix M e^size, eigenvectors, unidentifiable
     names.
 
-    hidden: changes that no reading shows. Part: the unknowns that M maps.
+    hidden: changes that no reading shows. part: the unknowns that M maps.
 
     Returns:
         Logarithms of the multipliers, complex, but for those that unidentifiable directions keep on

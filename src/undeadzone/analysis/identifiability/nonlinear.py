@@ -201,7 +201,7 @@ def _describe_state_shift(
 ) -> str:
     """Describe the shift of the state that hides an edge (`lost`) of output i.
 
-    what: name of the lost quantity. Rest: quantities that are identifiable nevertheless.
+    what: name of the lost quantity. rest: quantities that are identifiable nevertheless.
     """
     hidden = known.hidden
     own = hidden.restrict_to_part(np.arange(hidden.scale.size) // 2 == i)

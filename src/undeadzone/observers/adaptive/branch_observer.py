@@ -1,6 +1,6 @@
 """Observer with the innovation formed on the measured branch.
 
-`certified` adapts the widths, with gamma = 0 and the true widths it is `oracle`.
+`certified` adapts the widths. With gamma = 0 and the true widths it is `oracle`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Params(NamedTuple):
-    """Parameters of the observer, L and gamma are per step if the model is sampled.
+    """Parameters of the observer. L and gamma are per step if the model is sampled.
 
     Attributes:
         model: numbers of the model.

@@ -110,8 +110,8 @@ def build_output_error_observer(
 
     The widths obey d_r^' = -gamma e on the right and d_l^' = gamma e on the left.
 
-    The widths stay within [0, d_M]. `e = y / m - Dz(C x^; d^)` (p), 0 if the reading is missing.
-    With d^ = 0 it is y / m - C x^.
+    The widths stay within [0, d_M]. e = y / m - Dz(C x^, d^) (p), 0 if the reading is missing. With
+    d^ = 0 it is y / m - C x^.
 
     Args:
         model: the model, continuous or sampled.

@@ -307,7 +307,7 @@ def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
 def estimate_of_belief(setup: Setup, q: Params, belief: Gaussian, wide: Any) -> Estimate:
     """Return the estimate of a Gaussian, without innovations.
 
-    Here wide: covariance that the sensor's shape adds (N x N), empty.
+    Here wide: covariance that the sensor's shape adds (N x N), or empty.
     """
     shown, _ = clip_belief(setup, q, belief)
     if wide.shape[0]:
@@ -486,7 +486,7 @@ class Pace(NamedTuple):
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].
         variance: of that (p) [z^2].
-        since: steps since z was last inside of an edge, right edges, then left ones (2p). 0 if it
+        since: steps since z was last inside of an edge, right edges, then left ones (2p), 0 if it
             was beyond it at the last reading that was used (empty without a pace test).
     """
 

@@ -236,7 +236,7 @@ def load_urdf_chain(
     """Return the serial arm in a URDF file, on a fixed base.
 
     Parameters [kg]: m1, ... mN: mass of the links that move with a joint up to the next, its
-    inertia in proportion. Payload: a point at the tip. The dynamics are those of adam-robotics
+    inertia in proportion, payload: a point at the tip. The dynamics are those of adam-robotics
     (composite rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install
     'undeadzone[robots]' brings.
 

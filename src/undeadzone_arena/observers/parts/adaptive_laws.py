@@ -22,7 +22,7 @@ class AdaptiveLaw(NamedTuple):
         numbers: run-time numbers.
         spread0: its own state at first (N p x N p, or nothing).
         move: move(numbers, W, spread, zeta, e, used) is the increment of W and of the spread, each
-            per second, or per step when sampled, used (p): whether an output contains information.
+            per second, or per step when sampled (used (p): whether an output contains information).
         rate: largest rate of the fastest weight [1/s].
     """
 
