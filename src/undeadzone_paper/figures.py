@@ -101,7 +101,7 @@ def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
 
 
 def plot_tracking(runs: RunTrio, reference: str) -> Figure:
-    """Plot z beside the desired trajectory, of which the text of figures 3 and 4 speaks."""
+    """Plot z beside the desired trajectory, as in the text of figures 3 and 4."""
     title = f"Output z and desired trajectory, {reference}"
     return _plot_pair(title, _TRACKING, runs, _TRACKING[1])
 

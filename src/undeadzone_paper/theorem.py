@@ -2,7 +2,7 @@
 
 A reading picks the plant, L, the observer with or without B u, the sign of chi_l, the start, d^(0),
 the sign of (29), and whether d - d^ is given, as the proof has it, or estimated. For either of the
-last the loop's graph is built once; plant, gains and signs are its run-time parameters.
+last the loop's graph is built once. Plant, gains and signs are its run-time parameters.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ class TheoremOutcome(NamedTuple):
 
     Attributes:
         reading: which one
-        width_error: largest |d^ - d|, last 2 s; None: diverged
-        state_error: largest |x^ - x|, last 2 s; None: diverged
-        diverged_at: when a signal leaves its limit [s]; None: never
+        width_error: largest |d^ - d|, last 2 s (None: diverged)
+        state_error: largest |x^ - x|, last 2 s (None: diverged)
+        diverged_at: when a signal leaves its limit [s] (None: never)
     """
 
     reading: TheoremReading

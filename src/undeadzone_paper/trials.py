@@ -71,8 +71,8 @@ class ClaimNumbers(NamedTuple):
     """Numbers measured for a claim.
 
     Attributes:
-        printed: its quantity as printed, by case; empty: no equation has it
-        repaired: its quantity as repaired; None: there is nothing to repair
+        printed: its quantity as printed, by case (empty: no equation has it)
+        repaired: its quantity as repaired (None: there is nothing to repair)
         named: numbers that its reason names
     """
 

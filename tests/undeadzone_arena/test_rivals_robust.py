@@ -618,7 +618,7 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
         float(ca.evalf(ca.SX(part[0])))
         for part in (estimate.x, estimate.z, estimate.right, estimate.left, estimate.z_inverse)
     ] == [2, 2, 1.3, 0.6, 2]
-    with pytest.raises(InputError, match="'full_state' is told the true state"):
+    with pytest.raises(InputError, match="'full_state' needs the true state"):
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
 
@@ -730,7 +730,7 @@ def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
 
 def test_outputs_that_tell_the_same_are_refused() -> None:
     plant = linear(PAPER_PLANT.linear.A, PAPER_PLANT.linear.B, [[1.0, 0.0], [2.0, 0.0]])
-    with pytest.raises(StructureError, match="one of 2 outputs tells nothing new"):
+    with pytest.raises(StructureError, match="one of 2 outputs is redundant"):
         HighGain().build(plant, zone(2))
 
 

@@ -72,7 +72,7 @@ class ColdPaths:
         """Print the call for groups in which a flag is set.
 
         Args:
-            text: where it is printed.
+            text: destination of the output.
             following: the names of the states after the step, for each group.
             flags: the names of conditions, for each group.
 
@@ -99,7 +99,7 @@ class ColdPaths:
         return came, merged
 
     def _print_group_call(self, text: Text, u: int, following: list[str], flag: str) -> list[str]:
-        """Print the call for a single group; return the names of the states that the call
+        """Print the call for a single group. Return the names of the states that the call
         writes.
         """
         for i, place in enumerate(self._read):
@@ -127,9 +127,7 @@ class ColdPaths:
         return [self._cold_function_text(part, declared) for part in range(len(self._results))]
 
     def _cold_function_text(self, part: int, declared: dict[str, str]) -> str:
-        """Return the text of a part: states where the flag is set, a new flag, then the
-        next part.
-        """
+        """Return the text of a part: states if the flag is set, a new flag, then the next part."""
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
         have: dict[Node, str] = {}
@@ -184,7 +182,7 @@ class ColdPaths:
 
 
 def _order_part(results: list[Node], form: Form) -> list[Node]:
-    """Return the instructions of a part in order; a group goes alone and has all registers."""
+    """Return the instructions of a part in order. A group goes alone and has all registers."""
     small = len(lane_instructions(results)) <= LARGE
     order = order_instructions(results, form.registers * form.streams if small else 0)
     return [*per_call_nodes(order, results), *order]

@@ -1,12 +1,12 @@
 """Elementary functions as plain arithmetic: a single text for fused lanes and for exported code.
 
-There is no branch in them and no loop, so that LLVM vectorises them over lanes; exported code calls
+They have no branches and no loops, so that LLVM vectorises them over lanes. Exported code calls
 them. Every operation rounds once by IEEE 754, so that all processors and lane widths give the same
-bits. In lanes a b + c is rounded once, which no chip without such an instruction, nor WebAssembly,
-can do at a bearable price: exported code rounds the product, too, and gives other last bits.
+bits. In lanes a b + c is rounded once, which chips without such an instruction and WebAssembly
+cannot do at a bearable price: exported code rounds the product, too, and gives other last bits.
 
-Of fused lanes errors stay below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and
-subnormal numbers mean what they mean in C. Docstrings are the comments of the exported C.
+Errors of fused lanes stay below 1 ulp (erf 1.5, tanh 3). NaN, infinities, zeros of either sign and
+subnormal numbers mean the same as in C. Docstrings are the comments of the exported C.
 """
 
 from __future__ import annotations
@@ -163,8 +163,8 @@ def ceil(m: Maths, x: Any) -> Any:
 
 
 def exp(m: Maths, x: Any) -> Any:
-    """Return exponential; 2^n in two factors, so that the largest numbers and subnormal ones come
-    out.
+    """Return exponential, with 2^n in two factors, so that the largest numbers and subnormal ones
+    come out.
     """
     n, shifted, part = reduce_exponent(m, clip_exponent(m, x))
     half = m.fma(n, 0.5, m.c.shift)
@@ -194,7 +194,7 @@ def split_mantissa(m: Maths, x: Any) -> Any:
 
 
 def log(m: Maths, x: Any) -> Any:
-    """Return natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+    """Return natural logarithm n log 2 + log(1 + f), -infinity of 0, NaN of negative numbers."""
     c = m.c
     n, f = split_mantissa(m, x)
     s = f / (2.0 + f)
@@ -224,21 +224,21 @@ def erf(m: Maths, x: Any) -> Any:
 
 
 def sin(m: Maths, x: Any) -> Any:
-    """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return sine, 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, cosine, sine)
     return m.from_bits(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
 
 
 def cos(m: Maths, x: Any) -> Any:
-    """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return cosine, 1 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, sine, cosine)
     return m.from_bits(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
 
 
 def tan(m: Maths, x: Any) -> Any:
-    """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return tangent, 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     odd = (n & 1) != 0
     value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)

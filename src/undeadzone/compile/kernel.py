@@ -1,7 +1,7 @@
 """Text of a kernel: a step for many lanes as LLVM instructions.
 
-Groups of lanes are outermost and time is inside, so that a group's states stay in registers. What
-all lanes share is computed once: what is steady once a call, what is new in each step for a chunk
+Groups of lanes are outermost and time is inside, so that a group's states stay in registers. Values
+that all lanes share are computed once: steady values once a call, values of each step for a chunk
 of steps ahead. Both stand in tables of plain numbers, small enough for the nearest cache.
 """
 
@@ -61,7 +61,7 @@ class _Table:
 
     Args:
         every_use: each use has an entry for itself. LLVM then makes it an operand of the
-            instruction that uses it, where one entry would stand in a register, or be spilled.
+            instruction that uses it, whereas a shared entry would occupy a register, or be spilled.
     """
 
     def __init__(self, every_use: bool) -> None:
@@ -70,9 +70,7 @@ class _Table:
         self._every_use = every_use
 
     def place_of_use(self, node: Node) -> int:
-        """Return the index of the entry that a use of a value reads; add the entry if
-        needed.
-        """
+        """Return the index of the entry that a use of a value reads, after adding it if needed."""
         if self._every_use or node not in self._places:
             self._places[node] = len(self.entries)
             self.entries.append(node)
@@ -175,7 +173,7 @@ class KernelPrinter:
         print_once(text, wanted, self.have, entry_source(text, "params"))
 
     def _print_tables(self, text: Text, steps: int) -> int:
-        """Print the addresses of the tables and fill the steady tables; return the total
+        """Print the addresses of the tables and fill the steady tables. Return the total
         size [numbers].
         """
         lanes, streams = self.form.lanes, self.form.streams
@@ -404,9 +402,9 @@ class KernelText(NamedTuple):
     """Text of a kernel.
 
     Attributes:
-        text: LLVM's; it defines `block`.
+        text: LLVM text, which defines `block`.
         form: how lanes are computed.
-        promises: what it takes for granted of params.
+        promises: its assumptions about params.
     """
 
     text: str
@@ -437,8 +435,8 @@ def build_graphs(
 
     Args:
         step, rare: as for `lanes.build`.
-        shape: what it is compiled for.
-        w, p: what is known of these inputs.
+        shape: sizes for which it is compiled.
+        w, p: known values of these inputs.
     """
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
     inputs = [columns[0], _substitute_known(columns[1], w), _substitute_known(columns[2], p)]
@@ -460,12 +458,12 @@ def print_kernel(
     """Return the text of a kernel.
 
     Args:
-        functions: what it computes.
-        shape: what it is compiled for.
+        functions: functions that it computes.
+        shape: sizes for which it is compiled.
         machine: for which form is chosen.
         arithmetic: how it rounds.
         width: lanes of a block, at most.
-        form: how lanes are computed; default: as suits machine, graph and width.
+        form: arrangement of the lanes (default: as suits machine, graph and width).
         name: of the function that the text defines.
     """
     nodes = Nodes()

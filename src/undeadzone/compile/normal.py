@@ -53,8 +53,8 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
     """Convert white noise to first-order coloured noise, in place.
 
     Args:
-        numbers: as `fill` left them (steps x channels x lanes); at least one step.
-        state: the last numbers (channels x lanes), overwritten; at step 0 it is not read.
+        numbers: as `fill` left them (steps x channels x lanes) (at least one step).
+        state: the last numbers (channels x lanes), overwritten (at step 0 it is not read).
         first: number of the first step.
         memory, drive: `noise.colour`.
 
@@ -112,7 +112,7 @@ def _module_text(text: Text) -> str:
 
 
 def _print_run_loops(text: Text, group: int) -> Iterator[str]:
-    """Print loops over whole groups of runs and over the remaining runs; yield their counts."""
+    """Print loops over whole groups of runs and over the remaining runs. Yield their counts."""
     for name, wide, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
         text.lanes = wide
         with text.print_loop(name, begin, end, wide) as loop:
@@ -168,7 +168,7 @@ def _normal_nodes() -> list[Node]:
 
 
 def _print_row_start(text: Text, counter: str, i: int, last: str, row: str) -> tuple[str, str]:
-    """Print whether the i-th step of a counter is requested and the index of its first number;
+    """Print whether the i-th step of a counter is requested and the index of its first number, and
     return both.
     """
     k = text.add(f"add i64 {text.add(f'mul i64 {counter}, 4')}, {i}")

@@ -40,14 +40,14 @@ def _influence_of_entry(one: Sensitivity) -> float:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Many runs of a scenario as columns by name, one number a run; columns may be maps of
+    """Many runs of a scenario as columns by name, one number a run. Columns may be maps of
     files.
 
     Attributes:
         varied: the values of the varied entries
         metrics: what came of each run, with `diverged`, 0 or 1
-        info: what is known besides the columns
-        bands: quantiles over time of the recorded runs; None where none were recorded
+        info: metadata besides the columns
+        bands: quantiles over time of the recorded runs (None where none were recorded)
     """
 
     varied: dict[str, Floats]
@@ -57,9 +57,7 @@ class Ensemble:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of the diverged runs; all statistics except their share leave them
-        out.
-        """
+        """Return a mask of the diverged runs, which all statistics except their share leave out."""
         return self.metrics["diverged"] != 0
 
     @property
@@ -122,7 +120,7 @@ class Ensemble:
             name: as of `column`
 
         Returns:
-            Its numbers in these runs; the settling time of a run that did not settle is infinite.
+            Its numbers in these runs. The settling time of a run that did not settle is infinite.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -150,7 +148,7 @@ class Ensemble:
             name: as of `column`
 
         Returns:
-            The unit; 1 also where it is not known.
+            The unit, 1 also if it is unknown.
         """
         return unit_of_column(name, self.info.units)
 
@@ -182,7 +180,7 @@ class Ensemble:
             metric: as of `column`
 
         Returns:
-            The run; None if all diverged, or the median is infinite.
+            The run, or None if all diverged, or the median is infinite.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -202,7 +200,7 @@ class Ensemble:
             metric: as of `column`
 
         Returns:
-            Sensitivities by entry, the most influential first; none for too few runs.
+            Sensitivities by entry, the most influential first, none for too few runs.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -247,7 +245,7 @@ class Ensemble:
         """Return all statistics, ready for JSON.
 
         Returns:
-            Shares, distributions, sensitivities and worst runs; null where the runs give no bound.
+            Shares, distributions, sensitivities and worst runs (null if the runs give no bound).
         """
         diverged = self.diverged[self.independent]
         settled = self.settled[self.independent]
@@ -268,8 +266,8 @@ class Ensemble:
         return to_json_value(summary)
 
     def blocks(self, summary: dict[str, Any] | None = None) -> list[Block]:
-        """Return the tables that `undeadzone ensemble` prints; summary: its own, if
-        already computed.
+        """Return the tables that `undeadzone ensemble` prints (summary: its own, if already
+        computed).
         """
         numbers = self.summary() if summary is None else summary
         return describe_ensemble(self.info, numbers, int(self.diverged.sum()))
@@ -290,7 +288,7 @@ class Ensemble:
             The path.
 
         Raises:
-            FileError: where it cannot be written
+            FileError: if it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
         return saved.save_ensemble_file(path, self.varied, self.metrics, self.info, self.bands)
@@ -303,10 +301,10 @@ class Ensemble:
             path: of the file
 
         Returns:
-            The ensemble; the columns of an `.npz` stay on disk and are read as they are used.
+            The ensemble. The columns of an `.npz` stay on disk and are read as they are used.
 
         Raises:
-            FileError: where it cannot be read or is no ensemble
+            FileError: if it cannot be read or is not an ensemble
             InputError: where pyarrow is missing
         """
         return cls(*saved.read_ensemble(path))

@@ -1,8 +1,8 @@
 """Exact discretisation: zero-order hold, its derivatives, and the noise of a step.
 
 Matrices are balanced first: a plant in an odd unit of time has entries that are far apart, and the
-exponential of such a matrix loses digits, its derivative all of them. Of many plants at once each
-gets the same bits whatever the others are.
+exponential of such a matrix loses digits, its derivative all of them. In a batch of plants, the
+bits of each do not depend on the others.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def discretise_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
 
 
 def _augment_inputs(A: Floats, B: Floats) -> Floats:
-    """Return [[A, B], [0, 0]], the dynamics of [x; u] with constant u."""
+    """Return [[A, B], [0, 0]], the dynamics of `[x; u]` with constant u."""
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
@@ -137,7 +137,7 @@ def _augment_inputs(A: Floats, B: Floats) -> Floats:
 
 
 def _balancing_units(block: Floats, n: int) -> Floats:
-    """Return the units of [x; u] that balance `_augment_inputs`.
+    """Return the units of `[x; u]` that balance `_augment_inputs`.
 
     A unit of u moves x as much as x itself.
     """
@@ -149,7 +149,7 @@ def _balancing_units(block: Floats, n: int) -> Floats:
 
 
 def _size_ratio(M: Floats, A: Floats) -> float:
-    """Return |M| / |A| as a power of two; 1 if either is 0."""
+    """Return |M| / |A| as a power of two, or 1 if either is 0."""
     sizes = np.abs(M).max(initial=0.0), np.abs(A).max(initial=0.0)
     if not all(0 < size < np.inf for size in sizes):
         return 1.0

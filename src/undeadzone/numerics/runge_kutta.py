@@ -31,7 +31,7 @@ def rk4_change(rate: Callable[[Any, float], Any], x: Any, h: Any, k1: Any = None
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
-    """Return the cubic through two points with given slopes, at the fraction c; error O(h^4).
+    """Return the cubic through two points with given slopes, at the fraction c, with error O(h^4).
 
     Args:
         x0, x1: values at the beginning and at the end.

@@ -19,7 +19,7 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     Args:
         system: state space (any object with A, B, C, D) or transfer function, with D = 0. A
             system in discrete time is the zero-order hold of the plant, and needs its sample time.
-        x0: initial state (n); default: 0.
+        x0: initial state (n) (default: 0).
 
     Returns:
         The plant, given by its matrices A, B, C.

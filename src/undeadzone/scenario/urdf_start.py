@@ -31,7 +31,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     """Return a scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
 
     Args:
-        found: what the file says.
+        found: contents of the file.
         path: of the file, relative to the scenario's.
         gears: whether the arm has gears with a gap in place of dead zones.
     """
@@ -69,7 +69,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
 
 
 def _gears(found: Survey, widths: Floats) -> dict[str, str]:
-    """Return gears that might be the arm's: motors as heavy as what they move."""
+    """Return gears that might be the arm's: motors as heavy as the links that they move."""
     torque = found.body.chain.torque
     friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
     guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
@@ -82,7 +82,7 @@ def _links(found: Survey) -> Floats:
 
 
 def _swing(joint: Joint, q: float) -> float:
-    """How far a joint swings to each side of a position [rad or m]. Raises InputError."""
+    """Return the travel of a joint to each side of a position [rad or m]. Raises InputError."""
     low, high = joint.limits
     if not low < q < high:
         raise InputError(
@@ -116,7 +116,7 @@ def _texts(many: Sequence[str]) -> str:
 
 
 def _range(width: float) -> str:
-    """Return a range that is claimed of a width."""
+    """Return a range assumed for a width."""
     return f"[0.0, {3 * width:.3g}]"
 
 

@@ -43,12 +43,13 @@ from undeadzone.util.earlier import SCHEMA
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What a run's readings tell of each output's widths.
+    """Return the identifiability of each output's widths from a run's readings.
 
-    Of a nonlinear plant they are judged along the run, given what the observer claims of its start.
+    For a nonlinear plant they are determined along the run, given the observer's prior of its
+    start.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.gears is not None:
@@ -68,7 +69,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
 
 
 def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiability]:
-    """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
+    """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
     from undeadzone.analysis.identifiability.flanks import gap_identifiability
 
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
@@ -84,9 +85,9 @@ def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiabilit
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
-    """What a run's readings tell of the sensor's widths where the actuator's are not known.
+    """Return the identifiability of the sensor's widths in a run with unknown actuator widths.
 
-    The deviations are those that the filter claims in the end.
+    The deviations are the final ones of the filter.
     """
     outputs = widths_with_unknown_actuator(problem, signal, schedule)
     e = signal.estimate
@@ -100,7 +101,7 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Wi
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
+    """Return the identifiability along a run of a nonlinear plant, given the prior of its start."""
     from undeadzone.analysis.identifiability.nonlinear import width_identifiability_along
 
     scenario, traits = problem.scenario, problem.observer.traits
@@ -132,10 +133,10 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's tip is, is believed to be, and should be [m]; nothing without an arm.
+    """Return true, estimated and reference position of an arm's tip [m], empty without an arm.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         x, x_hat: state and its estimate (N x n).
         t: times (N) [s].
 
@@ -160,7 +161,7 @@ def _along(f: ca.Function, system: System, x: Floats) -> Floats:
 
 
 def behind_play(problem: Problem, z: Floats) -> Floats | None:
-    """What is behind a play along a run (N x p) [z]; None without one, or where its gaps drift."""
+    """Return the level of a play (N x p) [z], None without a play or if its gaps drift."""
     sensor = problem.sensor
     if sensor.kind != "play" or sensor.drift.any():
         return None
@@ -168,7 +169,7 @@ def behind_play(problem: Problem, z: Floats) -> Floats | None:
 
 
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
+    """Return the positions of an arm's base, joints and tip over time, empty without an arm."""
     body = problem.plant.arm
     if body is None:
         return {}
@@ -177,7 +178,7 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
 
 
 def certificate(problem: Problem) -> Certificate | None:
-    """Return the proof that V never rises, for constant gains L, gamma on a linear model; else
+    """Return the proof that V never rises, for constant gains L, gamma on a linear model, else
     None.
     """
     gains = constant_gains(problem.observer, problem.model)
@@ -190,9 +191,9 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     """Return the run whose signals these are.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
-        error: of the integration; None: not measured.
+        error: of the integration (None: not measured).
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
@@ -217,9 +218,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
 
 
 def _true_actuator(problem: Problem) -> list[float]:
-    """Return true [right, left] of each actuator; nothing where they are known, or there is
-    none.
-    """
+    """Return true [right, left] of each actuator, or nothing if they are known or absent."""
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
@@ -227,7 +226,7 @@ def _true_actuator(problem: Problem) -> list[float]:
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
-    """Return true [c_r, c_l] of each output; nothing where they are known, or there is no play."""
+    """Return true [c_r, c_l] of each output, or nothing if they are known or absent."""
     if not signal.estimate.gap_std.shape[1]:
         return []
     play = problem.sensor.play
@@ -243,7 +242,7 @@ def _in_turn(right: Floats, left: Floats) -> list[float]:
 def _storage(
     problem: Problem, proof: Certificate | None, x_error: Floats, d_hat: Floats
 ) -> Floats | None:
-    """Return V along a run (N); None without a proof.
+    """Return V along a run (N), or None without a proof.
 
     A width that is wrong and not adapted disturbs for ever: no V. The widths of a jump sensor do
     not enter.
@@ -269,7 +268,7 @@ def _info(
     error: IntegrationError | None,
     began: float,
 ) -> Info:
-    """What a run knows besides its signals."""
+    """Return the facts about a run besides its signals."""
     scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
     verdicts, scales = verdicts_of_run(problem, signal), plant_scales(problem)
     return Info(
@@ -304,7 +303,7 @@ def _info(
 
 
 def _text(scenario: Scenario) -> str:
-    """Return the scenario as TOML; empty where it holds a function of Python."""
+    """Return the scenario as TOML, empty if it contains a function of Python."""
     try:
         return toml.to_toml(scenario)
     except InputError:

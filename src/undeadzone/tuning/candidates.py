@@ -142,7 +142,7 @@ def prepare_test_runs(
         scenario: the first candidate
         probes: other candidates
         runs: how many
-        seed: of what the runs draw
+        seed: of the numbers that the runs draw
 
     Raises:
         InputError or a subclass
@@ -158,7 +158,7 @@ def prepare_test_runs(
     for column in bind_ensemble(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
-                f"tune: [ensemble] varies {column.name}, which what is tuned decides. "
+                f"tune: [ensemble] varies {column.name}, which the tuned numbers determine. "
                 "Keep one of them"
             )
     none_yet = TestRuns(prepare_batch(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
@@ -190,9 +190,7 @@ class OneByOne(NamedTuple):
     def simulate_candidates(
         self, candidates: Sequence[Problem], threads: int | None = None
     ) -> Floats:
-        """Return the metrics (candidates x runs x columns) of candidates; threads: not
-        used.
-        """
+        """Return the metrics (candidates x runs x columns) of candidates (threads: not used)."""
         return np.stack([self._simulate_candidate(candidate) for candidate in candidates])
 
     def _simulate_candidate(self, candidate: Problem) -> Floats:
@@ -247,7 +245,7 @@ class Objective(NamedTuple):
         names: addresses of the numbers of a candidate
         scenarios: as they are, without a candidate's numbers
         frames: of each scenario
-        threads: on which to compute; None: one per processor
+        threads: number of threads (None: one per processor)
         test_runs: of each scenario
     """
 
@@ -262,7 +260,8 @@ class Objective(NamedTuple):
         """Return the objective on the first runs of a seed.
 
         Args:
-            probes: candidates (rows) that move whatever others will move; the first one is possible
+            probes: candidates (rows) that move all numbers that others will move. The first one
+                must be possible
             seed: of the runs
 
         Raises:
@@ -319,7 +318,7 @@ class Objective(NamedTuple):
     def candidate_margins(self, candidates: Sequence[Problems | None]) -> Floats:
         """Return the least margin of each candidate's certificates.
 
-        It is inf if no certificate is asked for, -inf for a candidate that is refused.
+        It is inf if no certificate is required, -inf for a candidate that is refused.
         """
         margins = np.full(len(candidates), np.inf)
         for k, problems in enumerate(candidates):
@@ -371,7 +370,7 @@ def _require_metric(metric: str, problem: Problem) -> None:
     for i in range(problem.plant.p):
         known += [f"d_{edge}_error[{i}]" for edge in EDGES]
     if metric not in known:
-        raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")
+        raise InputError(f"tune.metric: expected one of {', '.join(known)}, found {metric!r}")
 
 
 def loss_statistic(name: str, lost: Floats) -> Floats:
@@ -383,8 +382,8 @@ def loss_statistic(name: str, lost: Floats) -> Floats:
 
 
 def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
-    """Return the size of a metric; above LIMIT, but finite, for runs that diverged: the
-    faster, the more.
+    """Return the size of a metric, finite but above LIMIT for runs that diverged, the more the
+    faster.
 
     Args:
         metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
@@ -417,7 +416,7 @@ def _divergence_rate(columns: Mapping[str, Floats], step: float) -> Floats:
 
 
 def certificate_margin(problem: Problem) -> float:
-    """Return the margin of the certificate; below 0 for gains without a certificate.
+    """Return the margin of the certificate, below 0 for gains without a certificate.
 
     Raises InputError.
     """

@@ -94,10 +94,10 @@ def write_arena(
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
-        contest: what is shown
+        contest: contest to show
         runs: of some methods, as `traces.traced` gives them
-        folder: where the files go; created if needed
-        origin: what it takes to get the same again; None: nobody can
+        folder: folder of the files (created if needed)
+        origin: data to compute the same again (None: unknown)
 
     Returns:
         The paths of the files.

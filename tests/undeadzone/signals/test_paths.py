@@ -509,7 +509,7 @@ def test_unreachable_points_are_said_with_their_distance(
 
 def test_singular_configurations() -> None:
     with pytest.raises(
-        TrackingError, match=r"singular where the path starts from, q = 0.3, 0: .*plant.x0"
+        TrackingError, match=r"singular at the start of the path, q = 0.3, 0: .*plant.x0"
     ):
         joints(TWO_LINK, tip_path(CIRCLE), [0.3, 0.0])
     touch = Quintic(points=[[0.3, 0.0], [0.7, 0.0], [0.3, 0.2]], times=[0.0, 2.0, 4.0])

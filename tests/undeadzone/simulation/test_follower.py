@@ -42,7 +42,7 @@ def test_a_time_that_is_no_number_is_refused(option: str, lever: Path) -> None:
     """Of nan seconds a heartbeat said 83,000 lines a second."""
     done = watch(lever, option, "nan", stdin=b"")
     assert (done.returncode, done.stdout) == (2, b"")
-    assert b"nan is no time" in done.stderr
+    assert b"nan is not a time" in done.stderr
 
 
 # --- What a line is

@@ -1,8 +1,8 @@
 """Controllers with the observer's estimates of an arm's gears in place of the model's parameters.
 
-Gaps, friction and payload stand among the parameters of the model; what the observer estimates of
-them takes the place of the model's, sample by sample (certainty equivalence): the gaps are its
-widths, right = half + centre and left = half - centre, the others its theta.
+Gaps, friction and payload stand among the parameters of the model. The observer's estimates of them
+take the place of the model's, sample by sample (certainty equivalence): the gaps are its widths,
+right = half + centre and left = half - centre, the others its theta.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 theta is a motor's angle at the joint's side of its gears, q the link's, a half of the gap:
 
     xi = theta - q + c
-    tau = K Dz(xi; a) + D (theta' - q')  where |xi| > a, else 0
+    tau = K Dz(xi, a) + D (theta' - q')  where |xi| > a, else 0
     J theta'' + b_m theta' + f_m sat(theta') = u - tau
     M(q) q'' + h(q, q') + friction = tau
 
@@ -36,20 +36,19 @@ from undeadzone.util.arrays import (
 
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gears with a gap between motors and links; each array is a number or a value per joint
-    (N).
+    """Gears with a gap between motors and links, each array a number or a value per joint (N).
 
     Attributes:
         half: half of the gap, as the link can turn to either side while the motor is held [rad].
         inertia: of the motor as felt at the joint, gear ratio squared times the rotor's [kg m^2].
-        centre: c, by which the motor's encoder reads less than the link's angle where the link
-            stands in the middle of the gap [rad].
+        centre: c, by which the motor's encoder reads less than the link's angle if the link stands
+            in the middle of the gap [rad].
         contact: natural frequency of motor against link in contact, all joints at 0, no payload
             [rad/s].
         damping: ratio of damping in contact.
         friction: Coulomb friction of the motor [N m].
         viscous: viscous friction of the motor [N m s/rad].
-        measured: where the encoder sits: at the motor, at the link, or one at both.
+        measured: place of the encoder: at the motor, at the link, or one at both.
     """
 
     half: Array
@@ -65,17 +64,17 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Geared(NamedTuple):
     """Arm with gears, as pure functions of expressions.
 
-    The state is x = [theta; q; theta'; q'] (4 N). The parameters stand in a column in the order of
-    `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
+    The state is x = `[theta; q; theta'; q']` (4 N). The parameters stand in a column in the order
+    of `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
 
     Attributes:
-        arm: the links, with payload and friction; its parameters come first in the column.
+        arm: the links, with payload and friction. Its parameters come first in the column.
         names: names of the parameters: those of the arm, then half1, half2, ..., centre1, ...
         values: their values.
         stiffness: of the contacts, by their squared frequency (N) [kg m^2].
         damping: of the contacts, by their frequency (N) [kg m^2].
         rest: speed below which the motors' Coulomb friction fades [rad/s].
-        measured: where the encoders sit.
+        measured: place of the encoders.
     """
 
     arm: Arm
@@ -101,8 +100,8 @@ class Geared(NamedTuple):
         return params[first : first + self.joint_count]
 
     def gear_angle(self, params: Any, x: Any) -> Any:
-        """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half
-        in contact.
+        """Return xi, by which the motors are ahead of their links (N) [rad] (|xi| > half in
+        contact).
         """
         N = self.joint_count
         return x[:N] - x[N : 2 * N] + self.gear_number(params, "centre")
@@ -111,7 +110,7 @@ class Geared(NamedTuple):
         """Return (right, left), the largest lead and lag of each link relative to its
         motor [rad].
 
-        right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
+        right = half + centre, left = half - centre. Of encoders at motors and links (2 N) those at
         the motors come last, with 0.
         """
         half, centre = self.gear_number(params, "half"), self.gear_number(params, "centre")

@@ -35,7 +35,7 @@ class Survey(NamedTuple):
         place: of the tip there (3) [m].
         holding: torques that hold the arm there (N) [N m or N].
         reach: greatest distance of the tip from the first joint's place at q = 0, within the limits
-            [m]; None where a sliding joint has no limits.
+            [m] (None if a sliding joint has no limits).
     """
 
     body: Arm
@@ -63,12 +63,11 @@ def survey_urdf(
         path: the file.
         joints: names of the joints that move (N), as in `plant.arm.joints`.
         tip: the link in which the arm ends, as in `plant.arm.tip`.
-        at: the posture (N) [rad or m]; default 0, or, where that is near a limit or beyond
-            it, the middle.
+        at: the posture (N) [rad or m] (default 0, or the middle if 0 is near a limit or beyond it).
 
     Raises:
         FileError: the file, or its contents.
-        InputError: joints, tip, at; or adam-robotics is missing.
+        InputError: joints, tip, at, or adam-robotics is missing.
     """
     body = build_arm(urdf.load_urdf_chain(path, joints, tip))
     robot = read_urdf(Path(path))
