@@ -1,6 +1,6 @@
 """Multiple-model filter: mixture of the estimates of filters with different assumptions.
 
-Each counts by how well it foretold the readings (docs/filters.md).
+Each counts by how well it foretold the readings (docs/filter_equations.md).
 """
 
 from __future__ import annotations
