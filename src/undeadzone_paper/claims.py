@@ -115,7 +115,7 @@ def verdict_counts_text(claims: Iterable[Claim]) -> str:
     working = Counter(claim.verdict for claim in claims if claim.text.works)
     counts = Counter(claim.verdict for claim in claims)
     hold = working["holds"]
-    first = "No claim" if hold == 0 else f"{hold} claim{'s' * (hold > 1)}"
+    first = "No statement" if hold == 0 else f"{hold} statement{'s' * (hold > 1)}"
     return (
         f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
         f"such, {working['holds after repair']} hold after repair, "

@@ -278,7 +278,7 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
     said = verdict_counts_text(paper.claims)
-    assert said.startswith("No claim that the design works holds as printed. ")
+    assert said.startswith("No statement that the design works holds as printed. ")
     assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in said
     works = [claim for claim in paper.claims if claim.text.works]
     mended = sum(claim.verdict == "holds after repair" for claim in works)
@@ -289,7 +289,7 @@ def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
     works = next(claim for claim in paper.claims if claim.text.works)
     holding = works._replace(printed={"": works.text.limit})
     said = verdict_counts_text([holding])
-    assert said.startswith("1 claim that the design works holds as printed. Of 1 such, 0 hold")
+    assert said.startswith("1 statement that the design works holds as printed. Of 1 such, 0 hold")
 
 
 def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:

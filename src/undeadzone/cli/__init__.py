@@ -97,13 +97,29 @@ class Commands(click.Group):
         others = set(known).difference(*BLOCKS.values())
         blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
-            with formatter.section(title):
-                formatter.write_dl(
-                    [self._command_usage(ctx, name) for name in names if name in known]
-                )
+            self._format_block(ctx, formatter, title, [name for name in names if name in known])
         with formatter.section("Options of most commands"):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
+
+    def get_first_help(self, ctx: click.Context) -> str:
+        """Return the help of a first call: four commands, and the names of the others."""
+        formatter = ctx.make_formatter()
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        first = BLOCKS["Start"]
+        self._format_block(ctx, formatter, "Start", [n for n in first if self._is_usable(ctx, n)])
+        others = [name for name in self.list_commands(ctx) if name not in first]
+        with formatter.section("More, by undeadzone --help"):
+            formatter.write_text(", ".join(others))
+        return formatter.getvalue().rstrip("\n")
+
+    def _format_block(
+        self, ctx: click.Context, formatter: click.HelpFormatter, title: str, names: list[str]
+    ) -> None:
+        """Write some commands below a title."""
+        with formatter.section(title):
+            formatter.write_dl([self._command_usage(ctx, name) for name in names])
 
     def _is_usable(self, ctx: click.Context, name: str) -> bool:
         """Return whether a command can be imported. If not, print why on stderr."""
@@ -155,7 +171,8 @@ def _list_registered_commands() -> dict[str, str]:
 def group(ctx: click.Context) -> int:
     """Estimate the true output and the width that a dead zone or backlash hides."""
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        assert isinstance(ctx.command, Commands)
+        click.echo(ctx.command.get_first_help(ctx))
     return 0
 
 

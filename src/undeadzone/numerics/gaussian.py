@@ -2,7 +2,7 @@
 bound.
 
 Readings that may be wrong, and silences that may be fake, are used by matching mean and covariance.
-docs/filters.md derives the formulas.
+docs/filter_equations.md derives the formulas.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ class Contest(NamedTuple):
     @property
     def drawn(self) -> tuple[str, str, str]:
         """Return module and functions that draw the contest for `uz.plot`."""
-        return "undeadzone_arena.contest.page", "first", "panel"
+        return "undeadzone_arena.contest.page", "plot_first_figure", "panel"
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON, with null for a missing number."""

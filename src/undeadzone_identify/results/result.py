@@ -282,7 +282,7 @@ class IdentifiedOutputs:
     __repr__ = shown.format_result
     _repr_html_ = shown.result_to_html
 
-    drawn = ("undeadzone_identify.figures", "of_outputs", "first")
+    drawn = ("undeadzone_identify.figures", "of_outputs", "plot_first_fit")
     plot = shown.plot
     """Draw it."""
 

@@ -2,7 +2,7 @@
 
 Sums of normalised innovations are too large if an effect lasts that is not among the assumptions.
 Beside its estimate such a filter returns its predictive density, for multiple-model filters and
-watches. The mathematics is in docs/filters.md.
+watches. The mathematics is in docs/innovation_tests.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Measurement update for a known branch and for censored samples.
 
 A reading at a limit of its range only bounds the sensor's output. Near the limit, noise selects the
-readings. The mathematics is in docs/filters.md.
+readings. The mathematics is in docs/filter_equations.md.
 """
 
 from __future__ import annotations

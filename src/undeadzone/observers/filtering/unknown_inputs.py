@@ -1,7 +1,7 @@
 """Filter states beside the widths: disturbance, bias and errors of the model.
 
 What of a model is uncertain, an entry or a parameter, is a constant unknown. The mathematics is in
-docs/filters.md.
+docs/filter_equations.md.
 """
 
 from __future__ import annotations
@@ -261,7 +261,7 @@ def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any
 def assume_small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
     """Return (the Gaussian under the hypothesis of a `SMALL` bias, its odds).
 
-    The hypothesis acts as a reading of the bias as 0 (docs/filters.md).
+    The hypothesis acts as a reading of the bias as 0 (docs/filter_equations.md).
 
     Returns:
         (belief, its odds).
