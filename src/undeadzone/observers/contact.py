@@ -64,8 +64,7 @@ from undeadzone.util.arrays import (
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
-RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
-STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
+RESOLVED = 0.8  # largest product of a step of integration and the frequency of contact
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
@@ -220,9 +219,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         for name in FRICTION:
             mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
-        stable = np.log(STABLE * drives[0].substeps / (Ts * told("contact")))
-        high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
-        low[of("firmness")] = -3 * std[of("firmness")]
+        high[of("firmness")] = 3 * std[of("firmness")]
+        low[of("firmness")] = -high[of("firmness")]
         mean[of("centre")] = told("centre")
         std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown

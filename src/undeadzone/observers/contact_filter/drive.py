@@ -20,9 +20,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.numerics.gaussian import Gaussian, linearise, mix_gaussians
-from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.numerics.rosenbrock import GAMMA, rosenbrock_change
 from undeadzone.observers.contact_filter.modes import (
     CONSTANTS,
+    LEAST,
     NONE,
     QUANTITIES,
     Contacts,
@@ -53,7 +54,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
     Args:
         gears: the arm.
         Ts: sample time [s].
-        substeps: Runge-Kutta steps in a sample.
+        substeps: steps of integration in a sample.
         apart: whether it is one joint of several.
     """
     N, layout = gears.size, Layout(gears.size)
@@ -67,6 +68,37 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
+    def implicit(params: Any, x: Any, contact: Contacts, g: Any) -> Any:
+        """Return the function that solves for a column (I - g A)^-1 times a column (entries).
+
+        The unknowns are reduced to the torques through the gears that are closed.
+        """
+        column = substitute_estimates(gears, params, x)
+        links, body, J = gears.link_params(column), gears.arm, gears.gear_number(column, "inertia")
+        K, D = gears.contact_stiffness(column)
+        turning, v = x[layout.slice_of("motor_speed")], x[layout.slice_of("link_speed")]
+        friction = linearise(lambda each: gears.motor_friction_torque(column, each), turning)[1]
+        rubbing = linearise(lambda each: body.friction(links, each), v)[1]
+        M = ca.densify(body.mass(links, x[layout.slice_of("link")]))
+        motors, heavier = J + g * ca.diag(friction), M + g * ca.diag(ca.diag(rubbing))
+        closed = [joint for joint, side in enumerate(contact) if side]
+        moved = solve_mass(heavier, ca.DM.eye(N)[:, closed])
+        softened = (g * K + D)[closed]
+        compliance = g * moved[closed, :] + ca.diag((g / motors)[closed] + 1 / softened)
+
+        def solve(b: Any) -> Any:
+            """Return (I - g A)^-1 b (entries)."""
+            theta, q, spin, speed, *rest = ca.vertsplit(b, [0, N, 2 * N, 3 * N, 4 * N, b.numel()])
+            spin, speed = J * spin / motors, solve_mass(heavier, M @ speed)
+            if closed:
+                wound = (K * (theta - q))[closed]
+                tau = solve_mass(compliance, wound / softened + (spin - speed)[closed])
+                spin[closed] -= g * tau / motors[closed]
+                speed += g * moved @ tau
+            return ca.vertcat(theta + g * spin, q + g * speed, spin, speed, *rest)
+
+        return solve
+
     def mobility(params: Any, x: Any) -> Any:
         """Return the change of [theta'; q'] (2N x N) by a unit impulse in each joint."""
         column = substitute_estimates(gears, params, x)
@@ -75,7 +107,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
 
     motors, links = tuple(range(N)), tuple(range(N, 2 * N))
     readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
-    return Drive(layout, rate, mobility, readings, Ts, substeps, apart)
+    return Drive(layout, rate, implicit, mobility, readings, Ts, substeps, apart)
 
 
 def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
@@ -251,7 +283,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
-        _solve_mass(mass, ca.DM.eye(gears.size)),
+        solve_mass(mass, ca.DM.eye(gears.size)),
     )
 
 
@@ -393,7 +425,7 @@ def _joint_parameters(gears: Geared, one: Geared, params: Any, joint: int) -> An
     return column
 
 
-def _solve_mass(M: Any, right: Any) -> Any:
+def solve_mass(M: Any, right: Any) -> Any:
     """Return M^-1 times a matrix."""
     return ca.ldl_solve(right, *ca.ldl(M))
 
@@ -409,7 +441,7 @@ def _link_mobility(arm: Posture, touching: Any) -> Any:
     for joint in range(N):
         turned = touching * inertia
         turned[joint] = 0.0
-        rows.append(_solve_mass(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
+        rows.append(solve_mass(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, joint]).T)
     return ca.vertcat(*rows)
 
 
@@ -420,24 +452,37 @@ def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
-    gears, N = arm.gears, arm.gears.size
-    frequency, inertia = (gears.gear_number(arm.params, name) for name in ("contact", "inertia"))
-    K, damping = gears.stiffness * frequency**2, gears.damping * frequency
+    gears, N, Ts = arm.gears, arm.gears.size, drive.Ts
+    inertia = gears.gear_number(arm.params, "inertia")
+    K, damping = gears.contact_stiffness(arm.params)
     own = ca.diag(arm.inverse)
     others = arm.inverse - ca.diag(own)
     first = now.mean / ca.fmax(now.chance, NONE)
 
-    def rate(x: Any, _: float) -> Any:
+    def rate(x: Any) -> Any:
         """Return the rate of gear twist, speed difference and impulse (3N)."""
         wound, faster = x[:N], x[N : 2 * N]
         tau = first + K * wound + damping * faster
         link = own * tau + others @ (now.chance * tau) - arm.inverse @ arm.needed
         return ca.vertcat(arm.closing + faster, (arm.push - tau) / inertia - link, tau)
 
+    h = Ts / drive.substeps
+    g, touching = GAMMA * h, ca.fmax(now.chance, LEAST)
+    softened = g * K + damping
+    compliance = ca.diag(touching * (1 / softened + g / inertia + g * own))
+    compliance += g * (touching @ touching.T) * others
+
+    def solve(b: Any) -> Any:
+        """Return (I - g A)^-1 b (3N), with A the Jacobian of the rate."""
+        wound, faster, impulse = b[:N], b[N : 2 * N], b[2 * N :]
+        tau = solve_mass(compliance, touching * (faster + K * wound / softened))
+        faster = (tau - K * wound) / softened
+        return ca.vertcat(wound + g * faster, faster, impulse + g * tau)
+
     total = ca.SX.zeros(3 * N)
     for _ in range(drive.substeps):
-        total += rk4_change(rate, total, drive.Ts / drive.substeps)
-    return now.chance * total[2 * N :] / drive.Ts
+        total += rosenbrock_change(rate, solve, total, h)
+    return now.chance * total[2 * N :] / Ts
 
 
 def _coupling_variance(

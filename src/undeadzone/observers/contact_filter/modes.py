@@ -36,7 +36,7 @@ from undeadzone.numerics.gaussian import (
     truncate_at_bounds,
     update_with_outliers,
 )
-from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.numerics.rosenbrock import GAMMA, rosenbrock_change
 from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -104,16 +104,19 @@ class Drive(NamedTuple):
         layout: where the quantities stand.
         rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
             locked.
+        implicit: (numbers, x, contact, g) -> function that returns (I - g A)^-1 times a column
+            (entries), with A the part of the Jacobian of `rate` that contacts and friction make.
         mobility: (numbers, x) -> change of [theta'; q'] (2N x N) by a unit impulse between motor
             and link of each joint, which takes from the motor.
         readings: entry of x that each reading gives (p).
         Ts: sample time [s].
-        substeps: Runge-Kutta steps in a sample.
+        substeps: steps of integration in a sample.
         apart: whether it is one joint of several, to which what the others do to its link is noise.
     """
 
     layout: Layout
     rate: Callable[[Any, Any, Any, Contacts], tuple[Any, Any]]
+    implicit: Callable[[Any, Any, Contacts, Any], Callable[[Any], Any]]
     mobility: Callable[[Any, Any], Any]
     readings: tuple[int, ...]
     Ts: float
@@ -391,7 +394,11 @@ def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Calla
         """Return the change of x over a sample (entries)."""
         total = ca.SX.zeros(drive.layout.entry_count)
         for _ in range(drive.substeps):
-            total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], x + total, h)
+            now = x + total
+            solve = drive.implicit(q.model, now, contact, GAMMA * h)
+            total += rosenbrock_change(
+                lambda z: drive.rate(q.model, z, u, contact)[0], solve, now, h
+            )
         return total
 
     return change

@@ -124,6 +124,11 @@ class Geared(NamedTuple):
         viscous = self.gear_number(params, "viscous") * turning
         return viscous + self.gear_number(params, "friction") * sliding
 
+    def contact_stiffness(self, params: Any) -> tuple[Any, Any]:
+        """Return K [N m/rad] and D [N m s/rad] of gears in contact (N each)."""
+        frequency = self.gear_number(params, "contact")
+        return self.stiffness * frequency**2, self.damping * frequency
+
     def gear_torque(self, params: Any, x: Any, contact: Any = None) -> Any:
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
         `motion`.
