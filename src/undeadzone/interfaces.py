@@ -365,6 +365,11 @@ class Traits(NamedTuple):
             claimed; None: nowhere.
         ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z]; None: only that they are
             not negative.
+        halves: of an arm with gears, declared [lo, hi] of half the gap at each output (p x 2);
+            None: the method estimates no gaps.
+        groups: of an arm with gears, joints that one filter holds; empty: all of them.
+        unknown: of an arm with gears, rms of the unknown torque of its motors (N) [N m]; None: the
+            method claims none.
     """
 
     L: Floats | None = None
@@ -378,6 +383,9 @@ class Traits(NamedTuple):
     start_std: Floats | None = None
     centre_std: Floats | None = None
     ranges: Floats | None = None
+    halves: Floats | None = None
+    groups: tuple[tuple[int, ...], ...] = ()
+    unknown: Floats | None = None
 
     @property
     def ranges_in_turn(self) -> list[list[float]]:

@@ -26,13 +26,14 @@ from undeadzone.observers.contact_filter.drive import (
     apply_gear_impulses,
     build_drive,
     contact_balance,
-    isolate_joint,
+    group_entries,
+    group_numbers,
+    group_readings,
+    isolate_joints,
     join_posteriors,
-    joint_entries,
-    joint_numbers,
     mean_posture,
     mix_posteriors,
-    update_joint_numbers,
+    update_group_numbers,
 )
 from undeadzone.observers.contact_filter.modes import (
     Drive,
@@ -108,6 +109,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             upper half (1 to 3).
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
+        groups: of separate joints, pairs of names that one filter holds, of 9 combinations each;
+            default: pairs that turn about nearly the same axis somewhere along the reference.
     """
 
     gears = True  # it knows them
@@ -124,6 +127,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     compliance: float = COMPLIANCE
     starts: int = len(STARTS)
     joints: Literal["coupled", "separate"] = "coupled"
+    groups: Sequence[Sequence[str]] | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the filter for the sampled model of an arm with gears.
@@ -145,23 +149,56 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
         fastest = float(np.max(np.asarray(gears.gear_number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
-        apart = range(gears.size) if self.joints == "separate" else ()
-        ones = tuple(isolate_joint(gears, joint) for joint in apart)
-        drives = tuple(build_drive(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
-        first, numbers = self._build_numbers(model, gears, drives, sensor)
+        groups = self._read_groups(gears)
+        ones: tuple[Geared, ...] = ()
+        if len(groups) > 1:
+            ones = tuple(isolate_joints(gears, group) for group in groups)
+        drives = tuple(build_drive(one, Ts, substeps, bool(ones)) for one in ones or (gears,))
+        first, numbers = self._build_numbers(model, gears, groups, drives, sensor)
         params = Params(
             first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
         )
         each = product(FRICTION, range(1, gears.size + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
-        traits = Traits(uncertain=uncertain, ranges=self._ranges_of_gaps(model, gears))
-        setup = Setup(drives, ones, model, gears, sensor.kind)
+        halves = _read_joint_ranges("observer.half", self.half, gears.size)
+        traits = Traits(
+            uncertain=uncertain,
+            ranges=self._ranges_of_gaps(model, gears),
+            halves=np.vstack([halves, np.zeros((model.p - gears.size, 2))]),
+            groups=groups,
+            unknown=numbers.torque / TURNING,
+        )
+        setup = Setup(groups, drives, ones, model, gears, sensor.kind)
         return Observer(
             params,
             partial(_start_contact_filter, setup),
             partial(_step_contact_filter, setup),
             traits=traits,
         )
+
+    def _read_groups(self, gears: Geared) -> Groups:
+        """Return the joints of each filter, by number. Raises InputError."""
+        names = list(gears.arm.chain.joints)
+        if self.joints == "coupled":
+            if self.groups:
+                raise InputError(
+                    'observer.groups: joints = "coupled" is one group. Use joints = "separate"'
+                )
+            return (tuple(range(gears.size)),)
+        found: list[tuple[int, ...]] = []
+        for group in self.groups or ():
+            known = all(name in names for name in group)
+            if not known or len({*group}) != len(group) or not 1 <= len(group) <= MOST_COUPLED:
+                raise InputError(
+                    f"observer.groups: expected one or {MOST_COUPLED} different names of "
+                    f"{', '.join(names)}, found {list(group)!r:.80}"
+                )
+            found.append(tuple(sorted(names.index(name) for name in group)))
+        taken = [joint for group in found for joint in group]
+        if len({*taken}) != len(taken):
+            raise InputError("observer.groups: a joint belongs to one group alone")
+        found += [(joint,) for joint in range(gears.size) if joint not in taken]
+        return tuple(sorted(found))
 
     def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
         """Return the declared [lo, hi] of all d_r, then of all d_l (2p x 2) [rad].
@@ -178,7 +215,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         return np.vstack([right, motors, left, motors])
 
     def _build_numbers(
-        self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
+        self,
+        model: System,
+        gears: Geared,
+        groups: Groups,
+        drives: tuple[Drive, ...],
+        sensor: Zone,
     ) -> tuple[tuple[tuple[Modes, ...], ...], Numbers]:
         """Return the initial modes and the parameters of the filter.
 
@@ -234,8 +276,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         rms = sensor.rms if self.noise is None else self.noise
         slack = require_number("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
-        for joint, drive in enumerate(drives):
-            here = joint_entries(layout, joint) if apart else slice(None)
+        for group, drive in zip(groups, drives, strict=True):
+            here = group_entries(layout, group)
             begins = []
             for middle, length in STARTS[: self.starts]:
                 mean[of("half")] = ranges @ [1 - middle, middle]
@@ -255,6 +297,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             rest=STICKING * Ts / told("inertia") ** 2,
             least=told("friction"),
         )
+
+
+Groups = tuple[tuple[int, ...], ...]  # joints of each filter, by number
 
 
 class Params(NamedTuple):
@@ -293,13 +338,15 @@ class Setup(NamedTuple):
     """Options shared by the functions of a filter.
 
     Attributes:
-        drives: the plant as the filter asks, of all joints or of each.
-        ones: each joint alone; none where they are coupled.
+        groups: joints of each filter.
+        drives: the plant as the filter asks, of each group.
+        ones: each group alone; none where there is one.
         model: the model.
         gears: of the model.
         kind: of the sensor.
     """
 
+    groups: Groups
     drives: tuple[Drive, ...]
     ones: tuple[Geared, ...]
     model: System
@@ -353,10 +400,10 @@ def _step_contact_filter(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the next state and the estimate for a sample: correct, estimate, predict."""
-    drives, y = setup.drives, reading.y / q.slope
-    count, layout = len(drives), Layout(setup.gears.size)
-    parts = [joint_numbers(q.modes, layout, joint, count) for joint in range(count)]
-    readings = [y[joint::count] for joint in range(count)]
+    groups, drives, y = setup.groups, setup.drives, reading.y / q.slope
+    layout = Layout(setup.gears.size)
+    parts = [group_numbers(q.modes, layout, group) for group in groups]
+    readings = [y[group_readings(group, layout.size, y.numel())] for group in groups]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
         before = [(part, one, read) for one in modes]
@@ -364,8 +411,10 @@ def _step_contact_filter(
     odds, shares = _weigh_filters(s.odds, each)
     each = list(map(replace_diverged, each))
     ones = list(map(mix_posteriors, each, shares))
-    whole = join_posteriors(layout, ones)
-    started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
+    whole = join_posteriors(layout, groups, ones)
+    started = ca.SX(y.numel(), 1)
+    for group, modes in zip(groups, s.modes, strict=True):
+        started[group_readings(group, layout.size, y.numel())] = modes[0].begun
     seen = ca.logic_and(present(y), started > 0.5)
     sums = accumulate_innovations(
         s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep
@@ -377,16 +426,18 @@ def _step_contact_filter(
     )
     if setup.ones:
         arm = mean_posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        heard = [apply_gear_impulses(told, whole.news, arm) for told in zip(*each, strict=True)]
+        heard = [
+            apply_gear_impulses(groups, told, whole.news, arm) for told in zip(*each, strict=True)
+        ]
         each = [list(told) for told in zip(*heard, strict=True)]
         ones = list(map(mix_posteriors, each, shares))
-        parts = update_joint_numbers(setup.ones, drives, parts, ones, arm)
+        parts = update_group_numbers(groups, setup.ones, drives, parts, ones, arm)
     after = []
-    for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
-        calls = [(part, one, u[joint::count]) for one in each[joint]]
+    for k, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
+        calls = [(part, one, u[list(groups[k])]) for one in each[k]]
         moved = share_step_graph(partial(predict_modes, drive), calls)
         pairs = zip(moved, modes, strict=True)
-        after.append(tuple(pack_modes(drive, *pair, readings[joint]) for pair in pairs))
+        after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
     return State(tuple(after), odds, sums), shown
 
 
@@ -436,7 +487,9 @@ def _to_contact_estimate(
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     var = partial(_row_variances, told.whole)
-    contact = ca.vertcat(*(contact_balance(*pair) for pair in zip(setup.drives, each, strict=True)))
+    contact = ca.SX(N, 1)
+    for group, drive, one in zip(setup.groups, setup.drives, each, strict=True):
+        contact[list(group)] = contact_balance(drive, one)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
     rows = ca.DM.eye(layout.entry_count)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))

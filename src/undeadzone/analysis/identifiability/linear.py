@@ -253,6 +253,7 @@ class WidthIdentifiability(NamedTuple):
             into account.
         second: another truth with these readings (`second_truth`); None: none far from it, or not
             looked for.
+        crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
     """
 
     right: bool
@@ -262,6 +263,7 @@ class WidthIdentifiability(NamedTuple):
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
+    crossings: int | None = None
 
     def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
         """Return the result with more reasons and with changed fields."""

@@ -16,7 +16,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -175,6 +175,65 @@ class Geared(NamedTuple):
         K = self.stiffness * self.gear_number(params, "contact") ** 2
         flank = ca.sign(tau) * self.gear_number(params, "half")
         return q - self.gear_number(params, "centre") + flank + tau / K
+
+
+class Coupling(NamedTuple):
+    """How strongly a joint is coupled to joints of other groups.
+
+    Attributes:
+        ratio: how many times heavier its group's links are with the others held than free; 1: they
+            know nothing of each other.
+        partner: the joint outside of its group that it is coupled to most.
+    """
+
+    ratio: float
+    partner: int
+
+
+def largest_couplings(
+    body: Arm, links: Floats, postures: Floats, groups: Sequence[Sequence[int]]
+) -> list[Coupling]:
+    """Return the largest coupling of each joint to other groups, over postures (N).
+
+    Args:
+        body: the links.
+        links: their parameters.
+        postures: angles of the joints (K x N).
+        groups: joints that belong together.
+    """
+    masses = [np.asarray(body.mass(links, q)) for q in postures]
+    found = [Coupling(1.0, joint) for joint in range(body.size)]
+    for M in masses:
+        inverse = np.linalg.inv(M)
+        shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+        for group in map(list, groups):
+            here = np.ix_(group, group)
+            ratio = float(np.abs(np.linalg.eigvals(M[here] @ inverse[here])).max())
+            others = [joint for joint in range(body.size) if joint not in group]
+            for joint in group:
+                if others and ratio > found[joint].ratio:
+                    partner = others[int(np.argmax(shares[joint, others]))]
+                    found[joint] = Coupling(ratio, partner)
+    return found
+
+
+def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
+    """Return the fastest mode of an arm with all its gears in contact, over postures [1/s].
+
+    Args:
+        gears: the arm.
+        params: its parameters.
+        postures: angles of the joints (K x N).
+    """
+    N, inertia = gears.size, np.ravel(gears.gear_number(params, "inertia"))
+    K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
+    fastest = 0.0
+    for q in postures:
+        M = np.asarray(gears.arm.mass(gears.link_params(params), q))
+        B = np.diag(1 / inertia) + np.linalg.inv(M)
+        A = np.block([[np.zeros((N, N)), np.eye(N)], [-B @ K, -B @ D]])
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
+    return fastest
 
 
 def build_geared_arm(
