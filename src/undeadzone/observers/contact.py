@@ -36,6 +36,7 @@ from undeadzone.observers.contact_filter.drive import (
     update_group_numbers,
 )
 from undeadzone.observers.contact_filter.modes import (
+    NONE,
     Drive,
     Layout,
     Modes,
@@ -64,6 +65,9 @@ from undeadzone.util.arrays import (
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
+OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
+LOADED = 0.1  # of a payload, over its claimed range [1 / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
 RESOLVED = 0.8  # largest product of a step of integration and the frequency of contact
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
@@ -88,9 +92,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
     Attributes:
         half: claimed range [lo, hi] of half the gap, or one per joint [rad].
-        payload: claimed range [lo, hi] of the payload [kg]; default: as the model says.
+        payload: claimed range [lo, hi] of the payload [kg], within which it may change by a random
+            walk of 0.1 of the range per sqrt(s); default: as the model says.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
-            [rad].
+            [rad]: of an encoder's zero, and of its eccentricity, for which the centre walks by 5e-4
+            rad/sqrt(s); 0: the zero was found at the link.
         friction: standard deviation of Coulomb friction of motors and links, as a share of the
             model's.
         contact: factor by which the frequency of the contacts is off the model's, in one standard
@@ -117,7 +123,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
     half: Array
     payload: Array | None = None
-    centre: Array = 0.0
+    centre: Array = 0.005
     friction: float = 0.6
     contact: float = 2.0
     noise: Array | None = None
@@ -273,6 +279,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("push")] = 2 * Ts / FADING * unknown**2
         drift = DRIFT[apart] if self.drift is None else self.drift
         Q[of("half")] = require_number("observer.drift", drift, least=0.0) ** 2 * Ts
+        Q[of("centre")] = Ts * np.where(std[of("centre")] > 0, WANDERING, 0.0) ** 2
+        Q[of("payload")] = Ts * (LOADED * (high - low)[of("payload")]) ** 2
+        most = np.maximum(std**2, NONE)
+        most[of("half")] = np.maximum((OPEN * np.ptp(ranges, axis=1)) ** 2, NONE)
         rms = sensor.rms if self.noise is None else self.noise
         slack = require_number("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
@@ -290,6 +300,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             R=require_positive("observer.noise", rms, model.p, "one per encoder") ** 2,
             low=low,
             high=high,
+            most=most,
             slack=np.asarray(slack),
             torque=TURNING * unknown,
             leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),

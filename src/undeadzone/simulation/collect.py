@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -83,7 +84,9 @@ def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]
     unknown = traits.unknown
     if unknown is None:
         unknown = unknown_torques(problem.model, gears, 0.0)[0]
-    told = Listener(traits.groups or [range(N)], unknown, FADING, JERK, problem.sensor.rms[-N:])
+    crossing = getattr(problem.scenario.controller, "crossing", math.inf)
+    noise = problem.sensor.rms[-N:]
+    told = Listener(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
     verdicts = gap_identifiability(gears, plant.params, x, along, step, told)
     return verdicts * (plant.p // N)
 

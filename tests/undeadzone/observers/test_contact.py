@@ -18,6 +18,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
+from undeadzone.observers.contact import OPEN
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     apply_gear_impulses,
@@ -27,7 +28,6 @@ from undeadzone.observers.contact_filter.drive import (
 )
 from undeadzone.observers.contact_filter.modes import (
     LOST,
-    OPEN,
     Layout,
     Mode,
     Posterior,
@@ -261,7 +261,7 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     arm = mean_posture(gears, gears.values, mean, ca.DM.zeros(2))
     news, impulse = ca.SX(21, 1), 0.2
     news[5] = -impulse / 0.03  # the second motor, slower than was foretold
-    first, second = apply_gear_impulses([told, told], news, arm)
+    first, second = apply_gear_impulses([(0,), (1,)], [told, told], news, arm)
     right, free, left = (float(one.mean[3]) for one in first.beliefs)
     answer = np.asarray(ca.evalf(build_drive(gears, 1e-3, 1).mobility(gears.values, mean)))
     assert free == pytest.approx(PASSED * impulse * answer[2, 1])
@@ -362,8 +362,7 @@ def test_a_half_gap_drifts_up_to_a_share_of_its_claim(spread: float, part: float
         Q=Q,
         rest=np.zeros(2),
         least=np.zeros(2),
-        low=np.zeros(entries),
-        high=np.full(entries, claim),
+        most=np.full(entries, (OPEN * claim) ** 2),
     )
     belief = Gaussian(ca.SX(ca.DM.zeros(entries)), cov)
     after = _move_mode(drive, q, (0, 0), Mode(ca.SX(1.0), belief), ca.DM.zeros(2)).belief.cov

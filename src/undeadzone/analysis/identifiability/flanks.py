@@ -123,6 +123,7 @@ class Listener(NamedTuple):
         lasting: correlation time of that torque [s].
         jerk: variance that the speed of a motor gains in a second besides [rad^2 / s^3].
         noise: rms of the readings of the motors (joints) [rad].
+        crossing: w, of the way on which motors are led across a gap [1/s].
     """
 
     groups: Sequence[Sequence[int]]
@@ -130,6 +131,7 @@ class Listener(NamedTuple):
     lasting: float
     jerk: float
     noise: Floats
+    crossing: float
 
 
 class Crossings(NamedTuple):
@@ -203,6 +205,9 @@ def gap_identifiability(
 ) -> list[WidthIdentifiability]:
     """Return the identifiability of each joint's gap from the readings of a run.
 
+    A motor that crosses a gap faster than planned is driven by a belief in a wider one: it counts
+    as fast as planned, with both poles at -w and a top speed of 2 half w / e.
+
     Args:
         gears: the arm.
         params: its parameters.
@@ -216,11 +221,15 @@ def gap_identifiability(
         torques_along_path(body, links, path),
         np.ravel(gears.gear_number(params, "inertia")),
     )
+    half = np.ravel(gears.gear_number(params, "half"))
     few = np.unique(np.linspace(0, len(path) - 1, PLACES).astype(int))
     coupling = largest_couplings(body, links, path[few, 0], told.groups)
     visits, verdicts = flank_visits(tau, step), []
     for i, found in enumerate(list_crossings(gears, params, x)):
-        strikes = _strikes(gears, params, x, i, found)
+        planned = 2 * half[i] * told.crossing / np.e
+        strikes = _strikes(
+            gears, params, x, i, found._replace(speeds=np.fmin(found.speeds, planned))
+        )
         if gears.measured == "motor":
             unit = strike_response(inertia[i], told.torque[i], told.noise[i], told, step)
         else:  # an encoder at the link tells where it is

@@ -209,6 +209,7 @@ def group_numbers(q: Numbers, layout: Layout, group: Sequence[int]) -> Numbers:
         R=q.R[group_readings(group, layout.size, q.R.shape[0])],
         low=q.low[here],
         high=q.high[here],
+        most=q.most[here],
         torque=q.torque[joints],
         rest=q.rest[joints],
         least=q.least[joints],

@@ -55,7 +55,7 @@ AWAY = 1000.0  # by which the log of a density is less where a filter ran away
 MOST = 60.0  # largest difference of logs of chances
 LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
 SURE = 3.0  # deviations from a flank beyond which it cuts nothing
-OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+WALKING = ("half", "centre", "payload")  # what changes slowly, up to a largest deviation
 RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
 
 
@@ -132,6 +132,7 @@ class Numbers(NamedTuple):
         Q: variance that x gains in a step (entries).
         R: variance of a reading (p).
         low, high: between which x is known to lie (entries).
+        most: largest variance to which x drifts (entries).
         slack: variance of where a flank is: its compliance is not known (1) [rad^2].
         torque: deviation of the torque through the gears (N) [N m].
         leaving: chance per sample that a link leaves a flank which pulls.
@@ -145,6 +146,7 @@ class Numbers(NamedTuple):
     R: Floats
     low: Floats
     high: Floats
+    most: Floats
     slack: Any
     torque: Floats
     leaving: Any
@@ -470,11 +472,12 @@ def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: An
 def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """Return a mode a sample later, with the contacts unchanged."""
     layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
-    motors, halves = layout.slice_of("motor_speed"), layout.slice_of("half")
+    motors = layout.slice_of("motor_speed")
     friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
     Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])  # which takes whatever there is
-    most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
-    Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
+    for name in WALKING:
+        here = layout.slice_of(name)
+        Q[here] *= ca.fmax(1 - ca.diag(cov[here, here]) / q.most[here], 0.0)
     return Mode(
         one.chance,
         predict_first_order(one.belief, _sample_motion(drive, q, contact, u), ca.diag(Q)),
