@@ -123,7 +123,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
     half: Array
     payload: Array | None = None
-    centre: Array = 0.005
+    centre: Array = 0.003
     friction: float = 0.6
     contact: float = 2.0
     noise: Array | None = None

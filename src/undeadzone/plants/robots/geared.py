@@ -34,6 +34,8 @@ from undeadzone.util.arrays import (
     require_vector,
 )
 
+TINY = 1e-3  # speed at which friction is linear, over that at which it fades
+
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Gears with a gap between motors and links; each array is a number or a value per joint
@@ -218,20 +220,25 @@ def largest_couplings(
 
 
 def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
-    """Return the fastest mode of an arm with all its gears in contact, over postures [1/s].
+    """Return the fastest mode of an arm at rest with all its gears in contact [1/s].
 
     Args:
         gears: the arm.
         params: its parameters.
-        postures: angles of the joints (K x N).
+        postures: angles of the joints, of which the fastest counts (K x N).
     """
-    N, inertia = gears.size, np.ravel(gears.gear_number(params, "inertia"))
+    N, body, links = gears.size, gears.arm, gears.link_params(params)
+    inertia = np.ravel(gears.gear_number(params, "inertia"))
     K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
-    fastest = 0.0
+    slow, fastest = np.full(N, TINY * gears.rest), 0.0
+    rubbing = np.diag(np.ravel(np.asarray(ca.DM(body.friction(links, slow)))) / slow)
+    friction = np.ravel(np.asarray(ca.DM(gears.motor_friction_torque(params, slow)))) / slow
+    turned = np.hstack([np.zeros((2 * N, 2 * N)), np.eye(2 * N)])
     for q in postures:
-        M = np.asarray(gears.arm.mass(gears.link_params(params), q))
-        B = np.diag(1 / inertia) + np.linalg.inv(M)
-        A = np.block([[np.zeros((N, N)), np.eye(N)], [-B @ K, -B @ D]])
+        W = np.linalg.inv(np.asarray(body.mass(links, q)))
+        motors = np.hstack([-K, K, -D - np.diag(friction), D]) / inertia[:, None]
+        moved = W @ np.hstack([K, -K, D, -D - rubbing])
+        A = np.vstack([turned, motors, moved])
         fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
     return fastest
 
