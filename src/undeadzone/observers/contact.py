@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -200,7 +200,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                     f"{', '.join(names)}, found {list(group)!r:.80}"
                 )
             found.append(tuple(sorted(names.index(name) for name in group)))
-        taken = [joint for group in found for joint in group]
+        taken = [*chain.from_iterable(found)]
         if len({*taken}) != len(taken):
             raise InputError("observer.groups: a joint belongs to one group alone")
         found += [(joint,) for joint in range(gears.size) if joint not in taken]

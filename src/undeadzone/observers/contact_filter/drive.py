@@ -196,7 +196,7 @@ def group_readings(group: Sequence[int], size: int, readings: int) -> list[int]:
         size: number of joints of the arm.
         readings: number of its readings.
     """
-    return [first + joint for first in range(0, readings, size) for joint in group]
+    return [first + joint for first, joint in itertools.product(range(0, readings, size), group)]
 
 
 def group_numbers(q: Numbers, layout: Layout, group: Sequence[int]) -> Numbers:
