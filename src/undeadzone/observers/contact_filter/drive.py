@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from undeadzone.numerics.gaussian import Gaussian, linearise, mix_gaussians
-from undeadzone.numerics.rosenbrock import GAMMA, rosenbrock_change
+from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
 from undeadzone.observers.contact_filter.modes import (
     CONSTANTS,
     LEAST,

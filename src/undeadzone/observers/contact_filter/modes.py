@@ -36,7 +36,7 @@ from undeadzone.numerics.gaussian import (
     truncate_at_bounds,
     update_with_outliers,
 )
-from undeadzone.numerics.rosenbrock import GAMMA, rosenbrock_change
+from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
 from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from undeadzone.numerics.rosenbrock import GAMMA, rosenbrock_change
+from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
 from undeadzone.util.arrays import Floats
 
 TURN = np.array([[0.0, 1.0], [-4.0, -0.3]])
