@@ -203,7 +203,8 @@ def test_gap_payload_and_friction_are_found_on_the_way(run: uz.Run) -> None:
 
 def test_a_contact_that_is_told_far_too_slow_is_found_firm() -> None:
     """Wind-up that is not there would put the link elsewhere: 1.7 mrad where firmness is known."""
-    told = uz.simulate(servo(model={"parameters": {"payload": 0.0, "contact1": 60.0}}))
+    slow = {"parameters": {"payload": 0.0, "contact1": 60.0}}
+    told = uz.simulate(servo(model=slow, observer={"centre": 0.0}))
     half, std = float(told.d_hat[-1].ravel()[0]), float(told.d_std[-1].ravel()[0])
     assert abs(half / 0.03 - 1) < 0.05
     assert abs(half - 0.03) < 2 * std
@@ -276,8 +277,9 @@ def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
     row = next(row for row in gears.rows() if row.label == "servo, horizontal")
     seed = 14079
     arm = row.draw(np.random.default_rng(seed))
-    one = gears.outcome(gears.bench(gears.changed(row.scenario, observer={"starts": 1})), arm, seed)
-    three = gears.outcome(gears.bench(row.scenario), arm, seed)
+    told = gears.changed(row.scenario, observer={"centre": 0.0})
+    one = gears.outcome(gears.bench(gears.changed(told, observer={"starts": 1})), arm, seed)
+    three = gears.outcome(gears.bench(told), arm, seed)
     assert not one.warned
     assert abs(one.score[0]) > 50
     assert abs(three.score[0]) < 3
