@@ -135,14 +135,14 @@ END_FUNCTION_BLOCK
 
 
 class Lost(NamedTuple):
-    """What a snippet compensates.
+    """Widths that a snippet compensates.
 
     Attributes:
         kind: sensor, actuator or backlash.
-        right, left, width: each as (value, low, high); of a gap the width counts alone.
+        right, left, width: each as (value, low, high) (of a gap the width counts alone).
         unit: of them.
-        source: where they came from, for people.
-        silent: |y| up to which a sensor's reading says nothing.
+        source: description of their source.
+        silent: |y| up to which a sensor's sample is censored.
     """
 
     kind: str
@@ -162,9 +162,9 @@ def write_snippet(
     Args:
         source: a scenario, or the identify.json of `undeadzone identify`.
         out: the folder.
-        name: of the function; None: a usual one.
+        name: of the function (None: a usual one).
         force: whether files that someone edited are replaced.
-        confine: a folder outside of which a scenario may name no file; None: any.
+        confine: a folder outside of which a scenario may name no file (None: any).
 
     Raises:
         InputError: there is nothing that a few lines can compensate, and why.
@@ -186,7 +186,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """Return the three texts by the names of their files.
 
     Args:
-        lost: what they compensate.
+        lost: widths that they compensate.
         name: of the function.
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
@@ -231,7 +231,7 @@ def _literal(value: float) -> str:
 
 
 def _of_answer(path: Path) -> Lost:
-    """Return what an answer of `identify` found. Raises InputError where nothing is certain."""
+    """Return the widths in an answer of `identify`. Raises InputError if no width is certain."""
     try:
         found = json.loads(read_text(path))
         verdict = found["verdict"]
@@ -243,8 +243,9 @@ def _of_answer(path: Path) -> Lost:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
         raise InputError(
-            f"{path}: the verdict is {verdict}, which no few lines compensate. Record longer, or "
-            "with larger and slower reversals, and identify again (--next says with which input)"
+            f"{path}: the verdict is {verdict}, which a snippet cannot compensate. Record "
+            "longer, or with larger and slower reversals, and identify again (--next proposes an "
+            "input)"
         )
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
@@ -266,12 +267,12 @@ def _of_answer(path: Path) -> Lost:
 
 
 def _side(values: Any) -> tuple[float, float, float]:
-    """Return (value, low, high) of a side; of a gap the width alone may be known, and it counts."""
+    """Return (value, low, high) of a side, for a gap of the width, if that alone is known."""
     return (0.0, 0.0, 0.0) if values is None else _triple(values)
 
 
 def _triple(values: Any) -> tuple[float, float, float]:
-    """Return (value, low, high). Raises ValueError where one of them is no finite number."""
+    """Return (value, low, high). Raises ValueError if a number is not finite."""
     value, low, high = (float(number) for number in values)
     if not all(map(math.isfinite, (value, low, high))):
         raise ValueError
@@ -295,7 +296,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         right, left = (_with_range(side, None) for side in sides)
         kind, unit = "actuator", units.input
     else:
-        raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
+        raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     width = (both[0], both[1], both[2])
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
@@ -303,19 +304,19 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
 
 
 def _numbers(value: Any) -> list[float]:
-    """Return one width or several as a list; what does not exist is no width."""
+    """Return one width or several as a list, empty for a missing width."""
     return [] if value is None else np.ravel(np.asarray(value, float)).tolist()
 
 
 def _single(values: list[float], path: Path) -> float:
-    """Return the only width of a side. Raises InputError where there are several, or none ends."""
+    """Return the only width of a side. Raises InputError if there are several, or none ends."""
     if len({*values}) > 1 or not math.isfinite(values[0]):
         raise InputError(f"{path}: expected one finite width on each side, found {values}")
     return values[0]
 
 
 def _with_range(value: float, told: Any) -> tuple[float, float, float]:
-    """Return a width with the range that the observer is told, if it holds the width."""
+    """Return a width with the observer's assumed range, if the range contains the width."""
     pair = [value, value] if told is None else _numbers(told)
     is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
     return (value, pair[0], pair[1]) if is_held else (value, value, value)

@@ -64,7 +64,9 @@ def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
     figure, panels = create_panels([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
-    finish_panel(panels["u"], further.words, label_with_unit("u", unit), _time_label(found_log))
+    finish_panel(
+        panels["u"], further.description, label_with_unit("u", unit), _time_label(found_log)
+    )
     return figure
 
 
@@ -164,7 +166,7 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
     return figure
 
 
-def first(axes: Axes, result: IdentifiedOutputs) -> None:
+def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
     """Plot the log and the fit of the first output."""
     signals(axes, result.outputs[0])
 
@@ -289,9 +291,9 @@ def _plot_profiles(found_log: Identified) -> Figure:
     for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
         interval = getattr(found_log, name)
         axes = panels[name]
-        if interval is not None and interval.half > 0:
+        if interval is not None and interval.half_width > 0:
             own = answer.fit.right if name == "right" else answer.fit.left
-            reach = 1.5 * interval.half / answer.scale
+            reach = 1.5 * interval.half_width / answer.scale
             values = own + np.linspace(-reach, reach, POINTS)
             fall = profile_likelihood(answer.fit, name, values)
             axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
@@ -363,7 +365,7 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         axes = panels[name]
         if width is not None:
             axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
-            reach = max(reach, width.half)
+            reach = max(reach, width.half_width)
         for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
             own = columns["side"] == side
             axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)

@@ -348,7 +348,7 @@ def _fit_of_raw_readings(prepared: PreparedLog, fit: ZoneFit) -> ZoneFit:
 def _has_unread_edges(case: Case) -> bool:
     """Return whether the edges of a jump sensor can be read off but were not."""
     asked = case.options.kind == "auto" and case.jump_edges is None
-    return asked and case.data.silent_zeros and not case.options.integrators
+    return asked and case.record_data.silent_zeros and not case.options.integrators
 
 
 # --- What is asked, one after the other
@@ -362,7 +362,9 @@ def _has_no_jump(case: Case, found: Findings) -> bool:
 def _has_zone_with_zeros(case: Case, found: Findings) -> bool:
     """Return whether the sensor has a zone with exact zeros inside, so that (L3) applies."""
     has_zone = found.verdict.word == ("jump" if case.jump_edges else "dead_zone")
-    return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+    return (
+        has_zone and case.record_data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+    )
 
 
 def _add_kalman_fit(case: Case, found: Findings) -> Findings:

@@ -135,7 +135,7 @@ def test_a_noisy_log_that_a_converter_rounds_ends_in_a_scenario(element: str, st
     answer = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert answer.verdict == WORDS[element]
     assert answer.width.low <= RIGHT + LEFT <= answer.width.high
-    assert answer.width.half < 0.02
+    assert answer.width.half_width < 0.02
     scenario = parse(answer.scenario())
     assert scenario.sensor.quantum == pytest.approx(step)
     if (

@@ -56,7 +56,7 @@ def rosenbrock_change(
 
 
 def hermite(x0: Any, dx0: Any, x1: Any, dx1: Any, h: Any, c: Any) -> Any:
-    """Return the cubic through two points with given slopes, at the fraction c; error O(h^4).
+    """Return the cubic through two points with given slopes, at the fraction c, with error O(h^4).
 
     Args:
         x0, x1: values at the beginning and at the end.

@@ -146,10 +146,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 "observer.method: 'contact' is for an arm with gears in sampled time. Give "
                 "plant.arm.gears, or use 'extended'"
             )
-        if gears.size > MOST_COUPLED and self.joints == "coupled":
+        if gears.joint_count > MOST_COUPLED and self.joints == "coupled":
             raise InputError(
-                f"observer.joints: {gears.size} joints have {3**gears.size} combinations of "
-                f'contacts, each a filter of its own. Use joints = "separate" beyond {MOST_COUPLED}'
+                f"observer.joints: {gears.joint_count} joints have {3**gears.joint_count} "
+                "combinations of contacts, each a filter of its own. "
+                f'Use joints = "separate" beyond {MOST_COUPLED}'
             )
         if not 1 <= self.starts <= len(STARTS):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
@@ -164,7 +165,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         params = Params(
             first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
         )
-        each = product(FRICTION, range(1, gears.size + 1))
+        each = product(FRICTION, range(1, gears.joint_count + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
         halves = _read_joint_ranges("observer.half", self.half, gears.size)
         traits = Traits(
@@ -212,7 +213,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         They are half of the gap, moved by the gears' centre, which may be off by three deviations.
         Encoders of motors, which hide nothing, come last.
         """
-        N = gears.size
+        N = gears.joint_count
         half = _read_joint_ranges("observer.half", self.half, N)
         middle = np.ravel(np.asarray(gears.gear_number(model.params, "centre"), float))[:, None]
         off = 3 * require_nonnegative("observer.centre", self.centre, N, "one per joint")[:, None]
@@ -234,10 +235,10 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
         Raises InputError, ShapeError.
         """
-        N, layout, Ts = gears.size, Layout(gears.size), drives[0].Ts
+        N, layout, Ts = gears.joint_count, Layout(gears.joint_count), drives[0].Ts
         of, values = layout.slice_of, model.params
 
-        def told(name: str) -> Floats:
+        def gear_parameter(name: str) -> Floats:
             """Return a parameter of the gears in the model, per joint (N)."""
             return np.asarray(gears.gear_number(values, name), float).ravel()
 
@@ -265,7 +266,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             loads = require_nonnegative("observer.load", self.load, N, "one per joint")
         share = require_number("observer.friction", self.friction, least=0.0)
         for name in FRICTION:
-            mean[of(name)], std[of(name)], low[of(name)] = told(name), share * told(name), 0.0
+            mean[of(name)], std[of(name)], low[of(name)] = (
+                gear_parameter(name),
+                share * gear_parameter(name),
+                0.0,
+            )
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
         high[of("firmness")] = 3 * std[of("firmness")]
         low[of("firmness")] = -high[of("firmness")]
@@ -305,8 +310,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             torque=TURNING * unknown,
             leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),
             impact=np.asarray(RESTITUTION),
-            rest=STICKING * Ts / told("inertia") ** 2,
-            least=told("friction"),
+            rest=STICKING * Ts / gear_parameter("inertia") ** 2,
+            least=gear_parameter("friction"),
         )
 
 
@@ -388,7 +393,7 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
         gears: of the model.
         payload: as it is taken for [kg].
     """
-    N, links, names = gears.size, gears.link_params(model.params).copy(), gears.arm.names
+    N, links, names = gears.joint_count, gears.link_params(model.params).copy(), gears.arm.names
     links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
@@ -487,7 +492,7 @@ def _to_contact_estimate(
     setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
 ) -> Estimate:
     """Return the estimate from the posterior of each filter and of all joints."""
-    layout, mean = Layout(setup.gears.size), told.whole.mean
+    layout, mean = Layout(setup.gears.joint_count), told.whole.mean
     N, of = layout.size, layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
     half, centre = mean[of("half")], mean[of("centre")]

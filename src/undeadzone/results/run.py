@@ -49,12 +49,12 @@ INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is 
 class Run:
     """Signals of a run, one row per sample.
 
-    Each signal is an attribute, None where the method does not estimate it or the plant does not
-    have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
+    Each signal is an attribute, None if the method does not estimate it or the plant does not have
+    it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
 
     Args:
-        info: what is known besides the signals.
-        signals: by name; None: those that are given alone.
+        info: facts besides the signals.
+        signals: by name (None: those given as keywords).
         given: signals in their place, or besides them.
 
     Attributes:
@@ -70,18 +70,19 @@ class Run:
         innovation: the observer's (N x p).
         u: input (N x m).
         r: reference of the tracked outputs (N x tracked).
-        V: storage function (N), where a certificate exists.
-        info: what is known besides the signals.
+        V: storage function (N), if a certificate exists.
+        info: facts besides the signals.
         signals: all of them by name.
         x_std: standard deviation of x_hat (N x n).
         d_std: standard deviation of d_hat (N x 2p) [z].
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
         innovation_std: standard deviation of the innovation (N x p).
-        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        w_hat: estimated effects that the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
         theta_std: standard deviations of theta_hat.
-        consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
-        claims, suspect: bits of the claims that they refute, and number of the likeliest (N x 1).
+        consistent: 1 if recent readings fit the observer's assumptions, else 0 (N x 1).
+        claims, suspect: bits of the assumptions that they reject, and number of the most probable
+            (N x 1).
         refused: readings that the observer took for wrong so far (N x p).
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
@@ -89,11 +90,11 @@ class Run:
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
-        level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
-        tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
+        level: level behind a play, y / m without noise (N x p) [z] (absent if its gaps drift).
+        tip, tip_hat, tip_r: true, estimated and reference position of an arm's tip (N x 2 or 3)
             [m].
-        poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
-            (F x K x 3) [m]; in `.npz` files only.
+        poses: positions of an arm's base, joints and tip at FRAMES instants per second, from t = 0
+            on (F x K x 3) [m] (in `.npz` files only).
 
     Example:
         >>> run.z.shape == run.y.shape
@@ -171,7 +172,7 @@ class Run:
     def name(self) -> str:
         """Return the observer's name in figures.
 
-        This is the method, or what tells it from the one that it is compared with.
+        This is the method, or the label that distinguishes it from the compared one.
         """
         return self.info.label or self.info.method
 
@@ -189,7 +190,7 @@ class Run:
 
     @property
     def rms_behind_play(self) -> float | None:
-        """Return the root mean square of y / m - r over the last 2 s [z]; None without a play.
+        """Return the root mean square of y / m - r over the last 2 s [z], or None without a play.
 
         Here y is without noise.
         """
@@ -258,12 +259,12 @@ class Run:
     def adapts(self) -> bool:
         """Return whether the observer estimates the widths.
 
-        `luenberger` and `oracle` do not, nor does a blind filter.
+        `luenberger`, `oracle` and a blind filter do not.
         """
         return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the run, ready for JSON; lists for several outputs."""
+        """Return the numbers of the run, ready for JSON (lists for several outputs)."""
         verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
@@ -315,7 +316,7 @@ class Run:
             path: of the file.
 
         Raises:
-            FileError: it cannot be read, or is no run.
+            FileError: it cannot be read, or is not a run.
         """
         info, *signals = files.read_result(path, RUN, Info)
         verdicts = info.identifiable
@@ -392,12 +393,12 @@ def final_side_rows(run: Run) -> list[list[Row]]:
 
 
 def final_actuator_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each actuator; empty if not estimated."""
+    """Return the widths of each actuator, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "b", run.info.units.input, run.info.actuator)
 
 
 def final_gap_rows(run: Run) -> list[list[Row]]:
-    """Return the gaps of the play ahead of each dead zone; empty if not estimated."""
+    """Return the gaps of the play ahead of each dead zone, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
@@ -495,8 +496,8 @@ def _describe_proof(run: Run) -> dict[str, Any]:
 
 
 def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
-    """Return the identifiability of a single output's widths; for several outputs, the reasons
-    against.
+    """Return the identifiability of a single output's widths, or the reasons against it for several
+    outputs.
     """
     if len(outputs) == 1:
         verdict = info.identifiable[0]

@@ -37,7 +37,7 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     """Return a scenario as TOML text: every joint swings about the arm's posture, in a dead zone.
 
     Args:
-        found: what the file says.
+        found: contents of the file.
         path: of the file, relative to the scenario's.
         gears: whether the arm has gears with a gap in place of dead zones.
     """
@@ -99,7 +99,7 @@ def _links(found: Survey) -> Floats:
 
 
 def _swing(joint: Joint, q: float) -> float:
-    """How far a joint swings to each side of a position [rad or m]. Raises InputError."""
+    """Return the travel of a joint to each side of a position [rad or m]. Raises InputError."""
     low, high = joint.limits
     if not low < q < high:
         raise InputError(
@@ -133,7 +133,7 @@ def _texts(many: Sequence[str]) -> str:
 
 
 def _range(width: float) -> str:
-    """Return a range that is claimed of a width."""
+    """Return a range assumed for a width."""
     return f"[0.0, {3 * width:.3g}]"
 
 

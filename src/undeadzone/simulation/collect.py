@@ -47,12 +47,13 @@ from undeadzone.util.earlier import SCHEMA
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What a run's readings tell of each output's widths.
+    """Return the identifiability of each output's widths from a run's readings.
 
-    Of a nonlinear plant they are judged along the run, given what the observer claims of its start.
+    For a nonlinear plant they are determined along the run, given the observer's prior of its
+    start.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.gears is not None:
@@ -119,9 +120,9 @@ def withhold_gaps(
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
-    """What a run's readings tell of the sensor's widths where the actuator's are not known.
+    """Return the identifiability of the sensor's widths in a run with unknown actuator widths.
 
-    The deviations are those that the filter claims in the end.
+    The deviations are the final ones of the filter.
     """
     outputs = widths_with_unknown_actuator(problem, signal, schedule)
     e = signal.estimate
@@ -135,14 +136,16 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Wi
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
+    """Return the identifiability along a run of a nonlinear plant, given the prior of its start."""
     from undeadzone.analysis.identifiability.nonlinear import width_identifiability_along
 
     scenario, traits = problem.scenario, problem.observer.traits
     simulation = scenario.simulation
     bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
-    def told(start_std: Floats | None, centre_std: Floats | None) -> list[WidthIdentifiability]:
+    def width_verdicts(
+        start_std: Floats | None, centre_std: Floats | None
+    ) -> list[WidthIdentifiability]:
         return width_identifiability_along(
             problem.plant,
             signal.x,
@@ -157,18 +160,18 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
             centre_std,
         )
 
-    found = told(None, None)
+    found = width_verdicts(None, None)
     if traits.start_std is not None or traits.centre_std is not None:
-        claimed = told(traits.start_std, traits.centre_std)
+        claimed = width_verdicts(traits.start_std, traits.centre_std)
         found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
     return with_cures(problem, found, signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's tip is, is believed to be, and should be [m]; nothing without an arm.
+    """Return true, estimated and reference position of an arm's tip [m], empty without an arm.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         x, x_hat: state and its estimate (N x n).
         t: times (N) [s].
 
@@ -193,7 +196,7 @@ def _along(f: ca.Function, system: System, x: Floats) -> Floats:
 
 
 def behind_play(problem: Problem, z: Floats) -> Floats | None:
-    """What is behind a play along a run (N x p) [z]; None without one, or where its gaps drift."""
+    """Return the level of a play (N x p) [z], None without a play or if its gaps drift."""
     sensor = problem.sensor
     if sensor.kind != "play" or sensor.drift.any():
         return None
@@ -201,7 +204,7 @@ def behind_play(problem: Problem, z: Floats) -> Floats | None:
 
 
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
+    """Return the positions of an arm's base, joints and tip over time, empty without an arm."""
     body = problem.plant.arm
     if body is None:
         return {}
@@ -210,7 +213,7 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
 
 
 def certificate(problem: Problem) -> Certificate | None:
-    """Return the proof that V never rises, for constant gains L, gamma on a linear model; else
+    """Return the proof that V never rises, for constant gains L, gamma on a linear model, else
     None.
     """
     gains = constant_gains(problem.observer, problem.model)
@@ -223,9 +226,9 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     """Return the run whose signals these are.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
-        error: of the integration; None: not measured.
+        error: of the integration (None: not measured).
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
@@ -252,9 +255,7 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
 
 
 def _true_actuator(problem: Problem) -> list[float]:
-    """Return true [right, left] of each actuator; nothing where they are known, or there is
-    none.
-    """
+    """Return true [right, left] of each actuator, or nothing if they are known or absent."""
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
@@ -262,7 +263,7 @@ def _true_actuator(problem: Problem) -> list[float]:
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
-    """Return true [c_r, c_l] of each output; nothing where they are known, or there is no play."""
+    """Return true [c_r, c_l] of each output, or nothing if they are known or absent."""
     if not signal.estimate.gap_std.shape[1]:
         return []
     play = problem.sensor.play
@@ -278,7 +279,7 @@ def _in_turn(right: Floats, left: Floats) -> list[float]:
 def _storage(
     problem: Problem, proof: Certificate | None, x_error: Floats, d_hat: Floats
 ) -> Floats | None:
-    """Return V along a run (N); None without a proof.
+    """Return V along a run (N), or None without a proof.
 
     A width that is wrong and not adapted disturbs for ever: no V. The widths of a jump sensor do
     not enter.
@@ -305,7 +306,7 @@ def _info(
     error: IntegrationError | None,
     began: float,
 ) -> Info:
-    """What a run knows besides its signals."""
+    """Return the facts about a run besides its signals."""
     scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
     scales = plant_scales(problem)
     return Info(
@@ -341,7 +342,7 @@ def _info(
 
 
 def _text(scenario: Scenario) -> str:
-    """Return the scenario as TOML; empty where it holds a function of Python."""
+    """Return the scenario as TOML, empty if it contains a function of Python."""
     try:
         return toml.to_toml(scenario)
     except InputError:

@@ -176,7 +176,9 @@ class Answer(NamedTuple):
     def gain(self) -> Floats:
         """Return the DC gain from each input (m) [y/u]; with integrators, of the rates."""
         simulator, theta = self.named_plant
-        gain = simulator.dc_gain(theta) * self.case.data.y_scale / self.case.data.u_scale
+        gain = (
+            simulator.dc_gain(theta) * self.case.record_data.y_scale / self.case.record_data.u_scale
+        )
         return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
     @property
@@ -185,12 +187,12 @@ class Answer(NamedTuple):
         simulator, theta = self.plant
         layout, data = simulator.layout, simulator.data
         told = self.fit.objective.robust_covariance(theta) if self.element is None else self.element
-        count = layout.b.stop
+        count = layout.numerators.stop
         scale = np.ones(count)
         factors = np.repeat(data.y_scale / data.u_scale, layout.n)
-        scale[layout.b] = factors
+        scale[layout.numerators] = factors
         V = told.V[:count, :count] * np.outer(scale, scale)
-        return layout, theta[layout.a], theta[layout.b] * factors, V
+        return layout, theta[layout.denominator], theta[layout.numerators] * factors, V
 
     @property
     def disturbance(self) -> Disturbance:
@@ -210,9 +212,11 @@ class Answer(NamedTuple):
             rms = math.sqrt(float(np.mean(left**2)))
             return Disturbance(rms * scale, time, None, None, False)
         if not self.found.kalman:
-            return Disturbance(fit.s * scale, time, None, None, True)
+            return Disturbance(fit.disturbance_rms * scale, time, None, None, True)
         best = self.found.kalman[0]
-        return Disturbance(fit.s * scale, time, best.white_rms * scale, NAMES[best.model], True)
+        return Disturbance(
+            fit.disturbance_rms * scale, time, best.white_rms * scale, NAMES[best.model], True
+        )
 
 
 # --- From what was found
@@ -232,7 +236,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
         found = found._replace(element=None, verdict=verdict, odds={})
     if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
         found = found._replace(odds={})
-    named, data = named_fit(case, found), case.data
+    named, data = named_fit(case, found), case.record_data
     chosen = _validate_findings(case, found, named)
     found = _withhold_poor_fit(found, chosen.share)
     best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
@@ -268,7 +272,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
 
 def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
     """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
-    width = gap.scale_by(float(answer.case.data.u_scale[0]))
+    width = gap.scale_by(float(answer.case.record_data.u_scale[0]))
     doubt = _doubt_of_zero({"width": width})
     if doubt:
         found = answer.found._replace(odds={})
@@ -389,7 +393,7 @@ def _add_feedback(answer: Answer) -> Answer:
     is_closed = loop.is_closed or (servo is not None and servo.log.is_closed_loop)
     remark = f"the input answers to the readings: the log is of a closed loop. {holds}"
     remarks = [remark] if is_closed else []
-    remarks += _reference_remarks(answer.case.grid, answer.case.data.ok, loop)
+    remarks += _reference_remarks(answer.case.grid, answer.case.record_data.ok, loop)
     return answer._replace(loop=loop, remarks=[*answer.remarks, *remarks])
 
 
@@ -469,7 +473,7 @@ def _jump_widths(case: Case) -> Shown:
     """
     if case.jump_edges is None:
         return {}
-    scale, sides = case.data.y_scale, []
+    scale, sides = case.record_data.y_scale, []
     for edge in case.jump_edges:
         wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
         low, high = edge.low * scale - wider, edge.high * scale + wider

@@ -210,7 +210,7 @@ class Identified:
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     """Simulate the states in observer form (N x n), scaled."""
     layout, data = simulator.layout, simulator.data
-    F, B, _ = observer_matrices(theta[layout.a], theta[layout.b], layout)
+    F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
     drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)
     x = np.empty((data.y.size, layout.n))
@@ -282,7 +282,7 @@ class IdentifiedOutputs:
     __repr__ = shown.format_result
     _repr_html_ = shown.result_to_html
 
-    drawn = ("undeadzone_identify.figures", "of_outputs", "first")
+    drawn = ("undeadzone_identify.figures", "of_outputs", "plot_first_fit")
     plot = shown.plot
     """Draw it."""
 

@@ -248,7 +248,7 @@ def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
     disturbance = answer.disturbance
     white = disturbance.rms if disturbance.white is None else disturbance.white
     white = white and max(white, FINEST * answer.scale)
-    silent = answer.verdict == "two_zones" and answer.case.data.silent_zeros
+    silent = answer.verdict == "two_zones" and answer.case.record_data.silent_zeros
     at_zone = disturbance.ahead and (answer.element is None or silent)
     return (white, 0.0) if at_zone else (0.0, white)
 
@@ -326,7 +326,9 @@ def _element_disturbance_prior(
     unseen = UNSEEN * element.noise
     if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
         layout, theta = element.simulator.layout, element.theta
-        gain = input_noise_gain(theta[layout.a], theta[layout.b][: layout.n], layout.n, 0.0)
+        gain = input_noise_gain(
+            theta[layout.denominator], theta[layout.numerators][: layout.n], layout.n, 0.0
+        )
         return unseen / math.sqrt(gain) * scale, 0.5 * step
     return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
 

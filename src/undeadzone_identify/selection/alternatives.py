@@ -189,10 +189,12 @@ def impossible_words(case: Case) -> Collection[str]:
     """
     out = set(MEMORY) if case.options.kind == "deadzone" else set()
     fit = case.chosen.singles
-    if not case.data.silent_zeros or case.jump_edges:
+    if not case.record_data.silent_zeros or case.jump_edges:
         return out
-    speaks = case.data.ok & (case.data.side != 0)
-    loud = white_noise_rms(fit.objective.unexplained_readings(fit.theta), speaks, case.data.start)
+    speaks = case.record_data.ok & (case.record_data.side != 0)
+    loud = white_noise_rms(
+        fit.objective.unexplained_readings(fit.theta), speaks, case.record_data.start
+    )
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= {"input_curve", "input_play"}
@@ -210,12 +212,14 @@ def add_play(case: Case, found: Findings) -> Findings:
         found: the odds of these.
     """
     brief = refit_busiest_part(case.chosen.pairs)
-    offsets = four_offsets_along(brief.objective.simulator, brief.theta, brief.s, case.quantum)
+    offsets = four_offsets_along(
+        brief.objective.simulator, brief.theta, brief.disturbance_rms, case.quantum
+    )
     found = found._replace(offsets=offsets)
     if not _needs_play_test(case, found, offsets, brief):
         return found
     late = case.options.delay == "auto" and case.fitted.delay  # a play is late, so it may be one
-    logs = [case.recorded, case.data] if late else [case.data]
+    logs = [case.recorded, case.record_data] if late else [case.record_data]
     plays = [PlayFits(_fit_plays(case, data), data) for data in logs]
     best = min(plays, key=lambda one: min((fit.bic for fit in one.fits.values()), default=math.inf))
     if not best.fits:
@@ -231,7 +235,7 @@ def _fit_plays(case: Case, data: plant.RecordData) -> dict[str, PlayFit]:
     begun = [
         refit_busiest_part(one.pairs)
         for one in (case.chosen, *case.fitted.fits)
-        if data is case.data
+        if data is case.record_data
     ]
     play = fit_play(
         plant.busiest_stretches(data), case.fitted.prepared.orders, case.options.integrators
@@ -291,7 +295,7 @@ def add_play_gap(case: Case, found: Findings) -> Findings:
         found = found.add_models(case, without=smaller)
         return add_play_gap(case, found) if found.verdict.word in MEMORY else found
     element = build_play_element(gap, whole, case.offset_prior)
-    delay = case.fitted.delay if whole is case.data else 0
+    delay = case.fitted.delay if whole is case.record_data else 0
     return found._replace(element=element, delay=delay)
 
 
@@ -399,7 +403,7 @@ def _play_widths(gap: PlayGap, offset: float | None) -> dict[str, Interval | Non
     shown: dict[str, Interval | None] = {}
     for name, row in DIRECTIONS.items():
         interval = gap.intervals[name]
-        half = widen_by_offset(interval.half, row, offset)
+        half = widen_by_offset(interval.half_width, row, offset)
         shown[name] = Interval.from_half_width(interval.value, half).scale_by(
             gap.fit.model.data.y_scale
         )
@@ -427,11 +431,13 @@ def build_input_element(case: Case, found: Findings) -> Element | None:
 def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
     """Return the element of a fit to the longest or all records, along all records."""
     fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
-    whole, data, layout = case.data, model.simulator.data, model.simulator.layout
-    passed = dead_zone(whole.u, *numbers[layout.input])
+    whole, data, layout = case.record_data, model.simulator.data, model.simulator.layout
+    passed = dead_zone(whole.u, *numbers[layout.input_widths])
     simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n)
-    theta = np.zeros(simulator.layout.size)
-    known = layout.x0.stop if data.y.size == whole.y.size else layout.b.stop  # else at rest
+    theta = np.zeros(simulator.layout.parameter_count)
+    known = (
+        layout.x0.stop if data.y.size == whole.y.size else layout.numerators.stop
+    )  # else at rest
     theta[:known] = numbers[:known]
     z = simulator.simulate_z(theta)
     both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
@@ -451,7 +457,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         fit=fit,
         simulator=simulator,
         theta=theta,
-        V=target.robust_covariance(last).V[: layout.b.stop, : layout.b.stop],
+        V=target.robust_covariance(last).V[: layout.numerators.stop, : layout.numerators.stop],
         z=z,
         readings=readings,
         side=np.sign(readings if both else passed[:, 0]).astype(int),
@@ -533,7 +539,7 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
     """What is found, with the numbers of a chain that is named."""
-    word, verdict, data = found.verdict.word, found.verdict, case.data
+    word, verdict, data = found.verdict.word, found.verdict, case.record_data
     if word not in CHAINED:
         return found
     one = found.chains[word]

@@ -57,8 +57,8 @@ def geared(**changes: Any) -> Geared:
 
 def stepper(plant: Geared, h: float) -> ca.Function:
     """x+ of x, u after a Runge-Kutta step."""
-    n = 4 * plant.size
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", plant.size)
+    n = 4 * plant.joint_count
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", plant.joint_count)
     change = rk4_change(lambda x, _: plant.motion(plant.values, x, u)[0], x, h)
     return ca.Function("step", [x, u], [x + change], {"cse": True})
 

@@ -79,7 +79,7 @@ def torques_along_path(body: Arm, params: Floats, path: Floats) -> Floats:
         params: its parameters.
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
     """
-    q, v, a = (ca.SX.sym(name, body.size) for name in "qva")
+    q, v, a = (ca.SX.sym(name, body.joint_count) for name in "qva")
     needed = ca.Function(
         "needed", [q, v, a], [inverse_dynamics(body, ca.SX(params), q, v, a)], {"cse": True}
     )

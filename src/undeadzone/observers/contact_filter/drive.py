@@ -57,7 +57,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         substeps: steps of integration in a sample.
         apart: whether it is one joint of several.
     """
-    N, layout = gears.size, Layout(gears.size)
+    N, layout = gears.joint_count, Layout(gears.joint_count)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
@@ -118,7 +118,7 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
         params: as the model says.
         x: unknowns of the filter.
     """
-    N, layout = gears.size, Layout(gears.size)
+    N, layout = gears.joint_count, Layout(gears.joint_count)
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
@@ -312,7 +312,11 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         mean: of all unknowns.
         u: torque of the motors (N).
     """
-    layout, params, body = Layout(gears.size), substitute_estimates(gears, model, mean), gears.arm
+    layout, params, body = (
+        Layout(gears.joint_count),
+        substitute_estimates(gears, model, mean),
+        gears.arm,
+    )
     links = gears.link_params(params)
     q, turning, v = (mean[layout.slice_of(name)] for name in ("link", "motor_speed", "link_speed"))
     rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
@@ -345,7 +349,7 @@ def apply_gear_impulses(
         news: by how much the readings moved the means of all unknowns.
         arm: all joints in the mean.
     """
-    layout, inertia = Layout(arm.gears.size), arm.gears.gear_number(arm.params, "inertia")
+    layout, inertia = Layout(arm.gears.joint_count), arm.gears.gear_number(arm.params, "inertia")
     impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
     gained = (other_groups(groups, layout.size) * arm.inverse) @ impulses
     each = []
@@ -439,7 +443,7 @@ def update_group_numbers(
         told: of each group, after its readings.
         arm: all joints in the mean.
     """
-    gears, N, body = arm.gears, arm.gears.size, arm.gears.arm
+    gears, N, body = arm.gears, arm.gears.joint_count, arm.gears.arm
     links, names = gears.link_params(arm.params), body.names
     carried = links[names.index("payload")]
     known = []

@@ -40,11 +40,11 @@ def build_with_actuator(
         options: of the observer.
         model: the model of the plant, without its actuator.
         sensor: the dead zone.
-        belief: what is known of the actuator; None: there is none.
+        belief: knowledge about the actuator (None: there is none).
 
     Raises:
-        InputError: or a subclass, those of the observer; for a method that cannot estimate what is
-            not known.
+        InputError: or a subclass, those of the observer, and for a method that cannot estimate the
+            unknown numbers.
     """
     _require_friction_support(str(options.__struct_config__.tag), model, sensor)
     observer = _build_without_delay(options, model, sensor, belief)
@@ -94,7 +94,7 @@ def wrap_actuator(observer: Observer, model: System, belief: Belief) -> Observer
     Args:
         observer: that takes what enters the plant for its input, or estimates widths itself.
         model: the model.
-        belief: what is known of the actuator.
+        belief: knowledge about the actuator.
     """
     kind = type(observer.params)
     rated = belief.drive.has_rate_limit and model.Ts is not None
@@ -125,7 +125,7 @@ def wrap_delay(observer: Observer, model: System) -> Observer:
 
     Raises InputError.
 
-    Its filter keeps its order: what is under way is known.
+    Its filter keeps its order, as the inputs under way are known.
 
     Args:
         observer: that takes what acts for its input.
