@@ -167,11 +167,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         )
         each = product(FRICTION, range(1, gears.joint_count + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
-        halves = _read_joint_ranges("observer.half", self.half, gears.size)
+        halves = _read_joint_ranges("observer.half", self.half, gears.joint_count)
         traits = Traits(
             uncertain=uncertain,
             ranges=self._ranges_of_gaps(model, gears),
-            halves=np.vstack([halves, np.zeros((model.p - gears.size, 2))]),
+            halves=np.vstack([halves, np.zeros((model.p - gears.joint_count, 2))]),
             groups=groups,
             unknown=numbers.torque / TURNING,
         )
@@ -191,7 +191,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 raise InputError(
                     'observer.groups: joints = "coupled" is one group. Use joints = "separate"'
                 )
-            return (tuple(range(gears.size)),)
+            return (tuple(range(gears.joint_count)),)
         found: list[tuple[int, ...]] = []
         for group in self.groups or ():
             known = all(name in names for name in group)
@@ -204,7 +204,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         taken = [*chain.from_iterable(found)]
         if len({*taken}) != len(taken):
             raise InputError("observer.groups: a joint belongs to one group alone")
-        found += [(joint,) for joint in range(gears.size) if joint not in taken]
+        found += [(joint,) for joint in range(gears.joint_count) if joint not in taken]
         return tuple(sorted(found))
 
     def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
@@ -274,7 +274,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
         high[of("firmness")] = 3 * std[of("firmness")]
         low[of("firmness")] = -high[of("firmness")]
-        mean[of("centre")] = told("centre")
+        mean[of("centre")] = gear_parameter("centre")
         std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
         std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
@@ -417,7 +417,7 @@ def _step_contact_filter(
 ) -> tuple[State, Estimate]:
     """Return the next state and the estimate for a sample: correct, estimate, predict."""
     groups, drives, y = setup.groups, setup.drives, reading.y / q.slope
-    layout = Layout(setup.gears.size)
+    layout = Layout(setup.gears.joint_count)
     parts = [group_numbers(q.modes, layout, group) for group in groups]
     readings = [y[group_readings(group, layout.size, y.numel())] for group in groups]
     each = []

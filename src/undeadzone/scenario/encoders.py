@@ -88,9 +88,9 @@ def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
     if gears is None or getattr(options, "joints", "") != "separate" or options.groups is not None:
         return options
     few = postures[np.unique(np.linspace(0, len(postures) - 1, PLACES).astype(int))]
-    alone = [(joint,) for joint in range(gears.size)]
+    alone = [(joint,) for joint in range(gears.joint_count)]
     links = gears.link_params(np.ravel(system.params))
-    partners: dict[int, set[int]] = {joint: set() for joint in range(gears.size)}
+    partners: dict[int, set[int]] = {joint: set() for joint in range(gears.joint_count)}
     for joint, found in enumerate(largest_couplings(gears.arm, links, few, alone)):
         if found.ratio > COUPLED:
             partners[joint].add(found.partner)

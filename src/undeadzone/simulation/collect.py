@@ -79,7 +79,7 @@ def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
     assert plant.gears is not None
     assert path is not None
-    gears, traits, N = plant.gears, problem.observer.traits, plant.gears.size
+    gears, traits, N = plant.gears, problem.observer.traits, plant.gears.joint_count
     t = np.arange(len(x)) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
     unknown = traits.unknown
@@ -113,7 +113,7 @@ def withhold_gaps(
     for name in ("right", "left", "right_std", "left_std", "width_std"):
         signal = getattr(estimate, name)
         changed[name] = np.where(lost, signal[0], signal)
-    N, x_std = gears.size, estimate.x_std.copy()
+    N, x_std = gears.joint_count, estimate.x_std.copy()
     widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
     x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
     return estimate._replace(**changed, x_std=x_std)

@@ -356,6 +356,8 @@ def build_observer(
     zone = resolve_sensor(sensor, system, Ts, plant_pace(system.linear))
     belief = believe_actuator(actuator, model.m)
     if system.gears is not None:
-        start = plants.initial_state(plant, system)[system.gears.size : 2 * system.gears.size]
+        start = plants.initial_state(plant, system)[
+            system.gears.joint_count : 2 * system.gears.joint_count
+        ]
         observer = group_coupled_joints(observer, system, start[None])
     return model, zone, watching(observer, model, zone, belief, Ts)

@@ -154,7 +154,7 @@ def list_crossings(gears: Geared, params: Floats, x: Floats) -> list[Crossings]:
         params: its parameters.
         x: states (N x 4 joints).
     """
-    N = gears.size
+    N = gears.joint_count
     half, centre = (np.ravel(gears.gear_number(params, name)) for name in ("half", "centre"))
     ahead = x[:, :N] - x[:, N : 2 * N] + centre
     closing = np.abs(x[:, 2 * N : 3 * N] - x[:, 3 * N :])
@@ -257,10 +257,10 @@ def _strikes(gears: Geared, params: Floats, x: Floats, i: int, found: Crossings)
     The gears of the other joints are taken to be closed: so they are nearly always.
     """
     inertia = np.ravel(gears.gear_number(params, "inertia"))
-    others = np.where(np.arange(gears.size) == i, 0.0, inertia)
+    others = np.where(np.arange(gears.joint_count) == i, 0.0, inertia)
     jumps = []
     for row, speed in zip(found.rows, found.speeds, strict=True):
-        q = x[row, gears.size : 2 * gears.size]
+        q = x[row, gears.joint_count : 2 * gears.joint_count]
         M = np.asarray(gears.arm.mass(gears.link_params(params), q)) + np.diag(others)
         link = 1 / np.linalg.inv(M)[i, i]
         jumps.append(link / (inertia[i] + link) * speed)

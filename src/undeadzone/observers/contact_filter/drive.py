@@ -330,7 +330,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         rubbed,
         body.bias(links, q, v) + rubbed,
         mass,
-        solve_mass(mass, ca.DM.eye(gears.size)),
+        solve_mass(mass, ca.DM.eye(gears.joint_count)),
     )
 
 
@@ -522,7 +522,7 @@ def _link_mobility(arm: Posture, groups: Sequence[Sequence[int]], touching: Any)
 
     So a link answers to its own contact, which lasts longer than a stiff contact takes.
     """
-    N, inertia = arm.gears.size, arm.gears.gear_number(arm.params, "inertia")
+    N, inertia = arm.gears.joint_count, arm.gears.gear_number(arm.params, "inertia")
     rows = ca.SX(N, N)
     for group in map(list, groups):
         turned = touching * inertia
@@ -538,7 +538,7 @@ def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
 
     A joint that touches feels its own torque, and those of others by the chance that they touch.
     """
-    gears, N, Ts = arm.gears, arm.gears.size, drive.Ts
+    gears, N, Ts = arm.gears, arm.gears.joint_count, drive.Ts
     inertia = gears.gear_number(arm.params, "inertia")
     K, damping = gears.contact_stiffness(arm.params)
     own = ca.diag(arm.inverse)

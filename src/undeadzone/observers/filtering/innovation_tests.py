@@ -4,8 +4,8 @@ A score that is too large rejects an assumption.
 
 If all assumptions are true, innovations are white and depend on nothing that was known before them.
 The sum of each, times a regressor, over the root of the sum of the regressor's squares is then a
-normal number of variance 1. Sums fade. docs/innovation_tests.md has the regressors and the errors that they
-find.
+normal number of variance 1. Sums fade. docs/innovation_tests.md has the regressors and the errors
+that they find.
 """
 
 from __future__ import annotations

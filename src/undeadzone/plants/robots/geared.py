@@ -203,14 +203,14 @@ def largest_couplings(
         groups: joints that belong together.
     """
     masses = [np.asarray(body.mass(links, q)) for q in postures]
-    found = [Coupling(1.0, joint) for joint in range(body.size)]
+    found = [Coupling(1.0, joint) for joint in range(body.joint_count)]
     for M in masses:
         inverse = np.linalg.inv(M)
         shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
         for group in map(list, groups):
             here = np.ix_(group, group)
             ratio = float(np.abs(np.linalg.eigvals(M[here] @ inverse[here])).max())
-            others = [joint for joint in range(body.size) if joint not in group]
+            others = [joint for joint in range(body.joint_count) if joint not in group]
             for joint in group:
                 if others and ratio > found[joint].ratio:
                     partner = others[int(np.argmax(shares[joint, others]))]
@@ -226,7 +226,7 @@ def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
         params: its parameters.
         postures: angles of the joints, of which the fastest counts (K x N).
     """
-    N, body, links = gears.size, gears.arm, gears.link_params(params)
+    N, body, links = gears.joint_count, gears.arm, gears.link_params(params)
     inertia = np.ravel(gears.gear_number(params, "inertia"))
     K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
     slow, fastest = np.full(N, TINY * gears.rest), 0.0
