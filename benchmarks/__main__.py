@@ -62,6 +62,7 @@ NAMES = (
     "servo",
     "gears",
     "gears_anchors",
+    "gears_worlds",
     "paper_recomputed",
 )
 HEAD = """# Results

@@ -36,7 +36,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import build_box
 from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import require_gears, resolve_sensor
+from undeadzone.scenario.encoders import group_coupled_joints, require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
@@ -124,7 +124,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         _require_play(scenario.model.play, sensor)
     told = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
     require_branch_observer(scenario.observer, sensor)
-    observer = watching(scenario.observer, model, told, belief, step)
+    options = scenario.observer
+    if path is not None:
+        along = path.output_at(np.arange(steps + 1) * step)
+        options = group_coupled_joints(options, model, along)
+    observer = watching(options, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = use_gear_estimates(
