@@ -127,7 +127,7 @@ def drawn(robot: Robot, seed: int) -> uz.Scenario:
     rng, N = np.random.default_rng(seed), len(found.joints)
     span = SPANS[seed % len(SPANS)]
     started = parse(starting_scenario(found, str(path), gears=True))
-    gears = started.plant.arm.gears  # type: ignore[union-attr]
+    gears = started.plant.arm.gears
     friction, true = np.asarray(gears.friction), {}
     drawn_ = {
         "half": rng.uniform(*HALF, N),
@@ -153,7 +153,7 @@ def drawn(robot: Robot, seed: int) -> uz.Scenario:
             problem = resolve_scenario(scenario)
         except TrackingError:
             continue
-        points = np.array(scenario.reference.points)  # type: ignore[union-attr]
+        points = np.array(scenario.reference.points)
         fastest = 0.0
         for system in (problem.plant, problem.model):
             assert system.gears is not None
