@@ -46,6 +46,7 @@ from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     CHAINED,
+    LOOP,
     MEMORY,
     MODELS,
     UNLIKELY,
@@ -62,6 +63,13 @@ from undeadzone_identify.selection.orders import (
     predict_one_step,
     score_held_out,
     training_samples,
+)
+from undeadzone_identify.selection.valve import (
+    OWN,
+    ValveFindings,
+    ask_valve,
+    is_control_loop,
+    may_be_valve,
 )
 from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
@@ -155,6 +163,7 @@ class Findings(NamedTuple):
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
         friction: level of a motor's friction [u]; None where no servo measured it.
+        valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
 
     verdict: Verdict
@@ -169,6 +178,7 @@ class Findings(NamedTuple):
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
+    valve: ValveFindings | None = None
 
     def add_models(self, case: Case, *models: Family, without: Collection[str] = ()) -> Findings:
         """Return the findings with more models and a new decision, perhaps without some
@@ -176,11 +186,18 @@ class Findings(NamedTuple):
         """
         every = (*self.models, *models)
         odds = model_probabilities(every, {*without, *self.denied, *impossible_words(case)})
+        found = self._replace(models=every, odds=odds)
+        return found._replace(verdict=found.classify(case))
+
+    def classify(self, case: Case) -> Verdict:
+        """Return the verdict by the odds.
+
+        Args:
+            case: the log.
+        """
         plays = {} if self.plays is None else self.plays.fits
         fits = dict(self.places) | dict(self.chains) | dict(plays)
-        return self._replace(
-            models=every, odds=odds, verdict=classify_by_probabilities(case, odds, every, fits)
-        )
+        return classify_by_probabilities(case, self.odds, self.models, fits)
 
 
 def impossible_words(case: Case) -> Collection[str]:
@@ -197,6 +214,32 @@ def impossible_words(case: Case) -> Collection[str]:
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= {"input_curve", "input_play"}
     return out
+
+
+# --- Is it the valve of a control loop?
+
+
+def needs_valve_test(case: Case, found: Findings) -> bool:
+    """Return whether a valve ahead of the plant must be asked for."""
+    return found.element is None and may_be_valve(case, found.odds)
+
+
+def add_valve(case: Case, found: Findings) -> Findings:
+    """Add why a loop swings; without a loop only a valve that sticks is news.
+
+    Args:
+        case: the log.
+        found: the odds of all else.
+    """
+    excluded = frozenset({*found.denied, *impossible_words(case)})
+    answer = ask_valve(case, found.models, excluded)
+    word = next(iter(answer.odds))
+    if not is_control_loop(case) and answer.verdict.word != "stiction":
+        return found
+    asked = found._replace(models=(answer.family,), odds=answer.odds)
+    if word not in (*OWN, *LOOP):
+        return asked._replace(verdict=asked.classify(case))
+    return asked._replace(verdict=answer.verdict, valve=answer.valve)
 
 
 # --- Is it a play, or a play and a dead zone?
@@ -509,7 +552,8 @@ def has_a_model(case: Case, found: Findings) -> bool:
     is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
-    return bool(top) and not (is_said or of_servo or case.jump_edges)
+    of_loop = found.valve is not None
+    return bool(top) and not (is_said or of_servo or of_loop or case.jump_edges)
 
 
 def with_adequacy(case: Case, found: Findings) -> Findings:
