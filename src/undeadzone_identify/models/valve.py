@@ -17,17 +17,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.special import softmax
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
 from undeadzone_identify.models.least_squares import Density
 
-ORDERS = (1, 2, 3, 4, 6, 8, 12, 16, 24)  # readings before one that foretell it
-MORE = 3  # lags of the position beyond those of the reading
+ORDERS = (1, 2, 3, 4, 6, 8, 12)  # readings before one that foretell it
+MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples over which older ones are averaged, which do so too
+MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # samples that a plant may be late
 HARMONICS = (1, 2, 3)  # of an oscillation from outside
 BREAKS = 2  # numbers that the breaks of a valve cost besides
@@ -36,9 +38,10 @@ RATIOS = (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)  # J / S
 LARGEST = 1.6  # J / S at most
 KANO, HE = "Kano", "He"
 ROUNDS, TOPS = 3, 8  # refinements, and grid points that they begin with
-PAIRS = 600  # S, J around the best, for the interval
-DROP = 1.92  # of a log likelihood: half of the 95 % quantile of chi2
-SCATTER = 2.0  # long-run deviations of a loss that count for nothing
+PAIRS = 300  # S, J around the best, for the interval
+FAR = 1.6  # logarithm of S over the best, that is tried
+SCATTER = 2.0  # how much larger than by one log differences of logs are taken
+DRAWS = 500  # of logs that might have been recorded
 CHUNK = 48  # positions that are regressed at once
 
 
@@ -94,6 +97,9 @@ def _stick_again(u: Floats, stick: Floats, jump: Floats) -> Floats:
 class Regression:
     """Readings regressed on a constant and their past; the rest is asked of positions.
 
+    The past is a few lags and averages of all older samples: in a loop u is the controller's sum of
+    all past errors, and would foretell readings by itself if their own past were short.
+
     Args:
         y: readings (N).
         ok: whether there is a reading (N).
@@ -107,7 +113,10 @@ class Regression:
             whole &= ok[first - k : y.size - k]
         self.rows: Integers = first + np.flatnonzero(whole)
         self.order = order
-        self.past = np.column_stack([y[self.rows - k] for k in range(1, order + 1)])
+        known = np.maximum.accumulate(np.where(ok, np.arange(y.size), int(np.argmax(ok))))
+        lags = [y[self.rows - k] for k in range(1, order + 1)]
+        averages = _averages(y[known][:, None])[self.rows - 1, 0]
+        self.past = np.column_stack([*lags, averages])
         self.y = y[self.rows]
         own = np.column_stack([np.ones(self.rows.size), self.past])
         self._basis = np.linalg.qr(own)[0]
@@ -118,8 +127,14 @@ class Regression:
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
     def lagged(self, v: Floats, lags: range) -> Floats:
-        """Return a position at lags (n x L)."""
-        return np.column_stack([v[self.rows - k] for k in lags])
+        """Return positions at lags, and their averages up to the first of these (n x K x L).
+
+        Args:
+            v: the positions (N x K).
+            lags: of each.
+        """
+        late = [v[self.rows - k][:, :, None] for k in lags]
+        return np.concatenate([*late, _averages(v)[self.rows - lags[0]]], axis=2)
 
     def errors(self, v: Floats, lags: range, more: Floats | None = None) -> Floats:
         """Return prediction errors behind one position, perhaps with more columns (n).
@@ -129,7 +144,7 @@ class Regression:
             lags: of it.
             more: columns (N x M).
         """
-        columns = self.lagged(v, lags)
+        columns = self.lagged(v[:, None], lags)[:, 0]
         if more is not None:
             columns = np.hstack([columns, more[self.rows]])
         columns = self._without_past(columns)
@@ -147,22 +162,45 @@ class Regression:
         out = np.empty((self.rows.size, v.shape[1]))
         for begin in range(0, v.shape[1], CHUNK):
             part = v[:, begin : begin + CHUNK]
-            columns = np.stack([part[self.rows - k] for k in lags], axis=2)
+            columns = self.lagged(part, lags)
             flat = self._without_past(columns.reshape(len(columns), -1))
             each = flat.reshape(columns.shape).transpose(1, 0, 2)
             gram = np.matmul(each.transpose(0, 2, 1), each)
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
-            gram += 1e-10 * (trace + 1e-12) * np.eye(len(lags))
+            gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
             asked = np.matmul(each.transpose(0, 2, 1), self._left[:, None])
             told = np.matmul(each, np.linalg.solve(gram, asked))[:, :, 0]
             out[:, begin : begin + CHUNK] = self._left[:, None] - told.T
         return out
 
-    def coefficients(self, v: Floats, lags: range) -> tuple[Floats, Floats]:
-        """Return the coefficients of the past, and of a position at lags."""
-        columns = np.hstack([self.past, self.lagged(v, lags), np.ones((self.rows.size, 1))])
+    def response(self, v: Floats, lags: range, z: complex) -> complex:
+        """Return the plant's frequency response by the regression, at a backward shift z.
+
+        Args:
+            v: the position (N).
+            lags: of it.
+            z: exp(-i w).
+        """
+        columns = np.hstack(
+            [self.past, self.lagged(v[:, None], lags)[:, 0], np.ones((self.rows.size, 1))]
+        )
         found = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
-        return found[: self.order], found[self.order : -1]
+        decay = np.exp(-1 / np.array(MEMORY))
+        averaged = (1 - decay) / (1 - decay * z)
+        past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
+        through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
+        num = complex(found[past.size : -1] @ through)
+        return num / complex(1 - found[: past.size] @ past)
+
+
+def _averages(x: Floats) -> Floats:
+    """Return exponential averages of signals over each memory (N x K x M)."""
+    out = np.empty((*x.shape, len(MEMORY)))
+    for k, samples in enumerate(MEMORY):
+        decay = math.exp(-1 / samples)
+        begun = decay * x[:1]
+        out[:, :, k] = lfilter([1 - decay], [1.0, -decay], x, axis=0, zi=begun)[0]
+    return out
 
 
 class Structure(NamedTuple):
@@ -306,7 +344,8 @@ class LoopLog:
             rounds: refinements.
         """
         regression = self.regress(structure.order, structure.first)
-        lags, numbers = structure.lags, 2 + structure.order + len(structure.lags)
+        lags = structure.lags
+        numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
         densities = {"none": _density("none", regression.errors(self.u, lags), numbers)}
         if structure.line is not None:
             e = regression.errors(self.u, lags, structure.line)
@@ -382,27 +421,29 @@ class LoopFits(NamedTuple):
         return self.densities | {one.word: one.density for one in ranked}
 
     def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
-        """Return S and J with 95 % intervals: pairs that the readings do not tell from the best.
+        """Return S and J with 95 % intervals: all pairs that the readings do not tell from a fit.
+
+        A pair is told from it by more than chance lets the sum of both log densities differ. Both
+        accounts are asked, and pairs far away, as S and J may stand for each other.
 
         Args:
             fit: the valve.
         """
-        rng, u = np.random.default_rng(1), self.log.u
-        shift = rng.uniform(-1, 1, (2, PAIRS)) * rng.uniform(0, 1, (2, PAIRS)) ** 2
-        stick = np.append(fit.stick * np.exp(0.7 * shift[0]), fit.stick)
-        jump = np.clip(fit.jump + 0.8 * fit.stick * np.append(shift[1], 0.0), 0, LARGEST * stick)
-        if fit.word == "input_play":
-            jump = np.zeros(stick.size)
-        positions = valve_positions(u, stick, jump, fit.account)
-        e = self.regression.errors_of_each(positions, self.structure.lags)
-        variance = np.mean(e**2, axis=0)
-        values = -0.5 * e**2 / variance - 0.5 * np.log(variance)
-        best = int(np.argmax(values.sum(axis=0)))
-        less = values[:, [best]] - values
-        scatter = np.sqrt(np.mean(cosine_coefficients(less) ** 2, axis=0) * len(less))
-        held = less.sum(axis=0) <= np.maximum(DROP, SCATTER * scatter)
+        u, lags = self.log.u, self.structure.lags
+        stick, jump = _pairs_around(fit)
+        e = [self.regression.errors(fit.position(u), lags)[:, None]]
+        for account in (KANO, HE):
+            positions = valve_positions(u, stick, jump, account)
+            e.append(self.regression.errors_of_each(positions, lags))
+        errors = np.hstack(e)
+        variance = np.mean(errors**2, axis=0)
+        values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
+        weight = _bagged_weights(values)
         unseen = 0.5 * math.sqrt(float(np.mean(np.diff(u) ** 2)))
-        widths, jumps = (_hull(values, best, held, unseen) for values in (stick, jump))
+        widths, jumps = (
+            _weighted_range(np.concatenate([[value], tried, tried]), weight, unseen)
+            for value, tried in ((fit.stick, stick), (fit.jump, jump))
+        )
         return widths, jumps if fit.word == "stiction" else Interval(0.0, 0.0, 0.0)
 
     def sensitivity(self, v: Floats) -> float:
@@ -417,21 +458,46 @@ class LoopFits(NamedTuple):
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
-        past, through = self.regression.coefficients(v, self.structure.lags)
         peak = 0.0
         for w in 2 * np.pi / self.log.period * np.linspace(0.85, 1.15, 13):
-            z = np.exp(-1j * w)
+            z = complex(np.exp(-1j * w))
             controller = (c[0] + c[1] * z + c[2] * z**2) / ((1 - z) * (1 - c[3] * z))
-            den = 1 - np.sum(past * z ** np.arange(1, past.size + 1))
-            num = np.sum(through * z ** np.array(self.structure.lags))
-            peak = max(peak, float(abs(den / (den - controller * num))))
+            plant = self.regression.response(v, self.structure.lags, z)
+            peak = max(peak, 1 / max(abs(1 - controller * plant), 1e-9))
         return peak
 
 
-def _hull(values: Floats, best: int, held: Flags, more: float) -> Interval:
-    """Return a value with the hull of those that are held, and a margin."""
-    low, high = float(values[held].min()), float(values[held].max())
-    value = float(values[best])
+def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:
+    """Return S and J of pairs about a fit, half of them far away (PAIRS each)."""
+    rng = np.random.default_rng(1)
+    near = rng.uniform(-1, 1, (2, PAIRS // 2)) * rng.uniform(0, 1, (2, PAIRS // 2)) ** 2
+    far = rng.uniform(-1, 1, PAIRS - PAIRS // 2)
+    stick = fit.stick * np.exp(np.append(0.7 * near[0], FAR * far))
+    jump = fit.jump + 0.8 * fit.stick * near[1]
+    ratio = np.maximum(rng.uniform(-0.2, 1.3, far.size), 0.0)  # a few are plays
+    jump = np.append(jump, ratio * stick[near.shape[1] :])
+    return stick, np.clip(jump, 0.0, LARGEST * stick)
+
+
+def _bagged_weights(values: Floats) -> Floats:
+    """Return posterior weights, in the mean over logs that might have been recorded (K).
+
+    Args:
+        values: log densities of each reading (n x K).
+    """
+    gains = values - values[:, :1]
+    slow = cosine_coefficients(gains)
+    noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
+    drawn = gains.sum(axis=0) + SCATTER * noise @ slow * math.sqrt(len(gains) / len(slow))
+    return np.asarray(softmax(drawn, axis=1).mean(axis=0))
+
+
+def _weighted_range(values: Floats, weight: Floats, more: float) -> Interval:
+    """Return the first value with the 95 % range of all by weight, and a margin."""
+    order = np.argsort(values)
+    share = np.cumsum(weight[order])
+    low, high = (float(np.interp(level, share, values[order])) for level in (0.025, 0.975))
+    value = float(values[0])
     return Interval(value, max(min(low, value - more), 0.0), max(high, value + more))
 
 

@@ -81,7 +81,7 @@ def _gain_to_cut(valve: ValveFindings) -> float:
 
 
 def _rest(case: Case, valve: ValveFindings) -> str:
-    """Return the dead band of the integral part that lets the loop rest, where its gain is known."""
+    """Return the dead band of the integral part that lets a loop of known gain rest."""
     plant = valve.plant
     if plant is None or plant.model.simulator.is_at_limit(plant.theta):
         return ""

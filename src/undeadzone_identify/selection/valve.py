@@ -199,7 +199,11 @@ def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutS
     scale, errors = fits.log.deviation, []
     for position in (v, fits.log.u):
         columns = np.hstack(
-            [regression.past, regression.lagged(position, lags), np.ones((rows.size, 1))]
+            [
+                regression.past,
+                regression.lagged(position[:, None], lags)[:, 0],
+                np.ones((rows.size, 1)),
+            ]
         )
         told = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
         errors.append((regression.y - columns @ told) * scale)
