@@ -33,14 +33,14 @@ MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # samples that a plant may be late
 HARMONICS = (1, 2, 3)  # of an oscillation from outside
 BREAKS = 2  # numbers that the breaks of a valve cost besides
-WIDTHS = np.geomspace(0.005, 1.0, 60)  # S, of the range of u
+FINEST, TRIED = 0.005, 60  # least S, of the range of u, and how many from there to the range
 RATIOS = (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)  # J / S
 LARGEST = 1.6  # J / S at most
 KANO, HE = "Kano", "He"
 ROUNDS, TOPS = 3, 8  # refinements, and grid points that they begin with
 PAIRS = 300  # S, J around the best, for the interval
 FAR = 1.6  # logarithm of S over the best, that is tried
-SCATTER = 2.0  # how much larger than by one log differences of logs are taken
+SCATTER = 2.5  # how much larger than by one log differences of logs are taken
 DRAWS = 500  # of logs that might have been recorded
 CHUNK = 48  # positions that are regressed at once
 
@@ -210,7 +210,7 @@ class Structure(NamedTuple):
         order: readings before one that foretell it.
         lags: of the position.
         first: first sample that counts.
-        line: sines and cosines (N x 6); None: nothing swings.
+        line: sines and cosines (N x 2 K); None: nothing swings.
     """
 
     order: int
@@ -281,6 +281,11 @@ class LoopLog:
         self.regularity, self.period = oscillation_of(self.error)
 
     @property
+    def step(self) -> float:
+        """Return the rms by which u moves in a sample: less of a valve is not seen."""
+        return math.sqrt(float(np.mean(np.diff(self.u) ** 2)))
+
+    @property
     def orders(self) -> list[int]:
         """Return the orders that the log is long enough for."""
         return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
@@ -295,8 +300,9 @@ class LoopLog:
         Args:
             valves: their positions (N x K).
         """
-        latest = min(LATEST, self.y.size // 20)
-        first = latest + MORE + max(self.orders) + 6
+        longest = min(LATEST, self.y.size // 20)
+        latest = int(min(longest, max(self.period / 2, 4) + 1))  # else a period late looks alike
+        first = longest + MORE + max(self.orders) + 6
         positions = np.column_stack([self.u, valves])
         brief = self.regress(4, first)
         price = 4 * (np.arange(positions.shape[1]) > 0)
@@ -320,7 +326,7 @@ class LoopLog:
         return Structure(order, range(lag, lag + order + MORE), first, line)
 
     def _find_line(self, regression: Regression, lags: range) -> Floats | None:
-        """Return the oscillation from outside about the period that explains most (N x 6)."""
+        """Return the oscillation from outside about the period that explains most (N x 2 K)."""
         if self.period > self.y.size / 4:
             return None
         t = np.arange(self.y.size)
@@ -328,11 +334,11 @@ class LoopLog:
         best: tuple[float, Floats | None] = (math.inf, None)
         for factor in around:
             phase = 2 * np.pi / self.period * factor * t
-            line = np.column_stack(
-                [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
-            )
-            cost = float(np.mean(regression.errors(self.u, lags, line) ** 2))
-            best = min(best, (cost, line), key=lambda one: one[0])
+            waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
+            for count in 2 * np.array(HARMONICS):
+                line = np.column_stack(waves[:count])
+                cost = _bic_of(regression.errors(self.u, lags, line), int(count))
+                best = min(best, (float(cost), line), key=lambda one: one[0])
         return best[1]
 
     def fit_all(self, structure: Structure, thinned: int, rounds: int) -> LoopFits:
@@ -351,9 +357,10 @@ class LoopLog:
             e = regression.errors(self.u, lags, structure.line)
             swings = numbers + structure.line.shape[1] + 1
             densities["external"] = _density("external", e, swings)
-        widths, ratios = WIDTHS[::thinned], np.array(RATIOS[::thinned])
-        plays = np.column_stack([WIDTHS, 0 * WIDTHS])
-        sticks = np.array([(s, s * ratio) for s, ratio in itertools.product(widths, ratios)])
+        every = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
+        plays = np.column_stack([every, 0 * every])
+        ratios = itertools.product(every[::thinned], RATIOS[::thinned])
+        sticks = np.array([(s, s * ratio) for s, ratio in ratios])
         fits = []
         for word, account, pairs in (
             ("input_play", KANO, plays),
@@ -439,7 +446,7 @@ class LoopFits(NamedTuple):
         variance = np.mean(errors**2, axis=0)
         values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
         weight = _bagged_weights(values)
-        unseen = 0.5 * math.sqrt(float(np.mean(np.diff(u) ** 2)))
+        unseen = 0.5 * self.log.step
         widths, jumps = (
             _weighted_range(np.concatenate([[value], tried, tried]), weight, unseen)
             for value, tried in ((fit.stick, stick), (fit.jump, jump))
