@@ -252,7 +252,7 @@ def _density(name: str, e: Floats, numbers: int) -> Density:
     return Density(name, value, numbers, math.sqrt(variance))
 
 
-def _bic_of(e: Floats, numbers: Floats | int) -> Floats:
+def _bic_of(e: Floats, numbers: Floats | Integers | int) -> Floats:
     """Return BIC of prediction errors (n, or n x K), up to a constant."""
     size = len(e)
     return np.asarray(size * np.log(np.mean(e**2, axis=0)) + numbers * math.log(size))
@@ -313,7 +313,7 @@ class LoopLog:
         _, delay, best = min(tried)
         lag = max(1, delay - 1)
         line = self._find_line(brief, range(lag, lag + 4 + MORE))
-        sources = [(positions[:, best], None, 0)]
+        sources: list[tuple[Floats, Floats | None, int]] = [(positions[:, best], None, 0)]
         if line is not None:
             sources.append((self.u, line, 1 + line.shape[1]))
         costs = []
@@ -335,9 +335,9 @@ class LoopLog:
         for factor in around:
             phase = 2 * np.pi / self.period * factor * t
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
-            for count in 2 * np.array(HARMONICS):
+            for count in (2 * k for k in HARMONICS):
                 line = np.column_stack(waves[:count])
-                cost = _bic_of(regression.errors(self.u, lags, line), int(count))
+                cost = _bic_of(regression.errors(self.u, lags, line), count)
                 best = min(best, (float(cost), line), key=lambda one: one[0])
         return best[1]
 
@@ -381,7 +381,7 @@ class LoopLog:
         is_play = not pairs[:, 1].any()
         best: list[tuple[float, float, float]] = []
         for k in range(rounds + 1):
-            v = valve_positions(self.u, *pairs.T, account)
+            v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
             cost = np.sum(regression.errors_of_each(v, lags) ** 2, axis=0)
             best += [(float(c), float(s), float(j)) for c, (s, j) in zip(cost, pairs, strict=True)]
             best = sorted(best)[: TOPS if k == 0 else 3]

@@ -180,10 +180,11 @@ def _comparable_family(
     family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
     there = np.flatnonzero(data.ok)
     rows = np.searchsorted(there, fits.regression.rows + part.start)
-    for word in {word for one in models for word in one} - set(OWN):
+    for word in {word for one in models for word in one} - set(VALVE):
         best = best_model_of(word, models)
         if best.value.size == there.size:
-            family[word] = best._replace(value=best.value[rows])
+            same = best._replace(value=best.value[rows])
+            family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
     return family
 
 
