@@ -222,13 +222,13 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
     limits, rates = np.clip(ends, -LARGEST, LARGEST), np.minimum(rates, LARGEST)
-    gaps: list[Floats] = [np.empty(0), np.empty(0)]
+    gaps = np.empty((2, 0))
     if actuator.kind == "play":
         for name in ("slope", "rate"):
             if getattr(actuator, name) is not None:
                 raise InputError(f'{key}.{name}: kind = "play" has none. Leave it out')
-        gaps, right, left = [right, left], np.zeros(m), np.zeros(m)
-    return Drive(right, left, *slopes.T, *limits.T, *rates.T, gap_right=gaps[0], gap_left=gaps[1])
+        gaps, right, left = np.stack([right, left]), np.zeros(m), np.zeros(m)
+    return Drive(right, left, *slopes.T, *limits.T, *rates.T, *gaps)
 
 
 def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:

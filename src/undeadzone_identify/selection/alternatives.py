@@ -238,7 +238,11 @@ def add_valve(case: Case, found: Findings) -> Findings:
         return found
     asked = found._replace(models=(answer.family,), odds=answer.odds)
     if word not in (*OWN, *LOOP):
-        return asked._replace(verdict=asked.classify(case))
+        verdict = asked.classify(case)
+        if verdict.word != "unclear":
+            return asked._replace(verdict=verdict)
+        answer = answer.of_loop_alone(excluded)
+        asked = asked._replace(models=(answer.family,), odds=answer.odds)
     return asked._replace(verdict=answer.verdict, valve=answer.valve)
 
 

@@ -92,6 +92,16 @@ class LoopAnswer(NamedTuple):
     family: Family
     valve: ValveFindings
 
+    def of_loop_alone(self, excluded: frozenset[str]) -> LoopAnswer:
+        """Return the answer by the models of a loop alone.
+
+        Args:
+            excluded: words that are out of the question.
+        """
+        return answer_by_odds(
+            {word: self.family[word] for word in self.family if word in OWN}, self.valve, excluded
+        )
+
 
 def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     """Return whether a valve may be asked for, and has to.
@@ -140,9 +150,19 @@ def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) 
     log = LoopLog(data.u[part, 0], data.y[part], data.ok[part], reference)
     fits = fit_loop(log)
     family = _comparable_family(fits, log, models, data, part)
-    shape = ellipse_width(log)
-    odds = _weigh_by_shape(model_probabilities([family], excluded), shape)
-    valve = _measure(case, fits, part, odds)
+    odds = _weigh_by_shape(model_probabilities([family], excluded), ellipse_width(log))
+    return answer_by_odds(family, _measure(case, fits, part, odds), excluded)
+
+
+def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str]) -> LoopAnswer:
+    """Return the answer on a loop by the odds of its models.
+
+    Args:
+        family: the models, all of the same readings.
+        valve: what the loop says of its valve.
+        excluded: words that are out of the question.
+    """
+    odds = _weigh_by_shape(model_probabilities([family], excluded), valve.shape)
     if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
         odds = {("tight_tuning" if word == "none" else word): p for word, p in odds.items()}
     return LoopAnswer(_verdict_of(odds, valve), odds, family, valve)
