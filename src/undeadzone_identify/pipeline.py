@@ -39,10 +39,12 @@ from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
     Findings,
     add_play,
+    add_play_ahead,
     add_play_gap,
     add_valve,
     build_input_element,
     has_a_model,
+    has_play_ahead,
     needs_valve_test,
     with_adequacy,
     without_needless,
@@ -432,5 +434,6 @@ QUESTIONS = (
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
+    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
 )

@@ -40,7 +40,7 @@ KANO, HE = "Kano", "He"
 ROUNDS, TOPS = 3, 8  # refinements, and grid points that they begin with
 PAIRS = 300  # S, J around the best, for the interval
 FAR = 1.6  # logarithm of S over the best, that is tried
-SCATTER = 2.5  # how much larger than by one log differences of logs are taken
+SCATTER = 3.0  # how much larger than by one log differences of logs are taken
 DRAWS = 500  # of logs that might have been recorded
 CHUNK = 48  # positions that are regressed at once
 

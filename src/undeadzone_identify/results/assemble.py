@@ -11,7 +11,6 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.models.chain import gap_of_input
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
@@ -262,24 +261,14 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = _add_feedback(answer)
     if found.element is not None:
         remarks = [*found.element.remarks, *_delay_remarks(answer)]
-        return _set_widths(answer, found.element.widths, remarks)
+        answer = _set_widths(answer, found.element.widths, remarks)
     if found.valve is not None:
         return _with_valve(answer, found.valve)
-    if answer.verdict == "input_play" and named is not None:
-        return _with_gap_ahead(answer, gap_of_input(named))
+    if found.element is not None:
+        return answer
     if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
         return _add_edges(answer)
     return answer
-
-
-def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
-    """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
-    width = gap.scale_by(float(answer.case.data.u_scale[0]))
-    doubt = _doubt_of_zero({"width": width})
-    if doubt:
-        found = answer.found._replace(odds={})
-        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    return answer._replace(width=width)
 
 
 def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:

@@ -111,12 +111,13 @@ def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
     )
 
 
-def loop_numbers(valve: ValveFindings, step: float) -> dict[str, Any]:
+def loop_numbers(valve: ValveFindings, step: float, scale: float) -> dict[str, Any]:
     """Return what a loop says of its valve, for JSON.
 
     Args:
         valve: what the loop says.
         step: of the log [s].
+        scale: rms of the readings [y].
     """
     period = valve.period * step
     return dict(
@@ -129,7 +130,7 @@ def loop_numbers(valve: ValveFindings, step: float) -> dict[str, Any]:
                 "period": period if math.isfinite(period) else None,
                 "sensitivity": valve.sensitivity,
                 "shape": valve.shape,
-                "held_out_without": valve.without,
+                "held_out_without": valve.without * scale,
             }
         )
     )

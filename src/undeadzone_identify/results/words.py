@@ -185,7 +185,9 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
         "servo": servo_numbers(answer),
-        "loop": None if answer.found.valve is None else loop_numbers(answer.found.valve, grid.step),
+        "loop": None
+        if answer.found.valve is None
+        else loop_numbers(answer.found.valve, grid.step, answer.scale),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,

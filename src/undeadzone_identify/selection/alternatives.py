@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.chain import ChainFit
+from undeadzone_identify.models.chain import ChainFit, gap_of_input
 from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
@@ -85,6 +86,7 @@ LAST = {
     "both": 25,
     "input_zone": 40,
     "two_zones": 40,
+    "input_play": 25,
 }  # steps of a climb that checks a fit
 
 
@@ -92,14 +94,15 @@ class Element(NamedTuple):
     """Element other than a dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both, input_zone, two_zones; none or friction of a servo without a gap.
+        kind: play, both, input_zone, two_zones, input_play; none or friction of a servo without a
+            gap.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
         V: covariance of a and b.
         z: output of the plant (N), scaled.
         readings: what is read of it without noise (N), scaled.
-        side: contact of a play, side of an input zone (N).
+        side: contact of a play, of the input's too, side of an input zone (N).
         widths: right, left, width, centre in units of the log; None where they are not known.
         ahead: what disturbs z, scaled; None where it was not told apart.
         noise: rms of the readings' white noise, scaled.
@@ -112,7 +115,7 @@ class Element(NamedTuple):
     """
 
     kind: str
-    fit: PlayFit | FittedModel[MapModel] | ServoGap
+    fit: PlayFit | FittedModel[MapModel] | ChainFit | ServoGap
     simulator: plant.PlantSimulator
     theta: Floats
     V: Floats
@@ -530,6 +533,88 @@ def _zone_intervals(
         widths[name] = Interval.from_half_width(value, half).scale_by(scale)
         least = min(least, degrees)
     return widths, least
+
+
+# --- A play of the actuator
+
+
+def has_play_ahead(case: Case, found: Findings) -> bool:
+    """Return whether a play of the input is named, with a plant behind it."""
+    if found.verdict.word != "input_play" or found.element is not None:
+        return False
+    return found.valve is None or found.valve.plant is not None
+
+
+def add_play_ahead(case: Case, found: Findings) -> Findings:
+    """Add the play of the actuator with the plant behind it.
+
+    Args:
+        case: the log.
+        found: named input_play.
+    """
+    valve = found.valve
+    fit = found.chains["input_play"] if valve is None else valve.plant
+    assert fit is not None
+    data, whole, delay = fit.model.simulator.data, case.data, case.fitted.delay
+    recorded = plant.longest_record_of(case.recorded)
+    if valve is not None or np.array_equal(recorded.u, data.u):
+        whole, delay = case.recorded, 0
+    if valve is None:
+        gap = gap_of_input(fit).scale_by(float(whole.u_scale[0]))
+    else:
+        gap, delay = valve.stick, valve.late
+        whole = plant.delay_inputs(whole, delay)
+    element = _play_ahead_element(fit, whole, gap)
+    return found._replace(element=element, delay=delay)
+
+
+def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -> Element:
+    """Return the element of a play of the input, along all records.
+
+    Args:
+        fit: of the plant behind it.
+        whole: all records.
+        gap: of the play [u].
+    """
+    numbers, layout = fit.theta, fit.model.simulator.layout
+    half = np.array([gap.value / 2]) / whole.u_scale[0]
+    passed = np.vstack(
+        [levels(whole.u[part], half, half, whole.u[part][0]) for part in whole.record_slices()]
+    )
+    simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n, layout.integrators)
+    theta = np.zeros(simulator.layout.size)
+    same = fit.model.simulator.data.y.size == whole.y.size
+    known = layout.x0.stop if same else layout.b.stop  # else at rest
+    theta[:known] = numbers[:known]
+    z = simulator.simulate_z(theta)
+    level = float((whole.y - z)[whole.ok].mean())
+    e = np.where(whole.ok, whole.y - z - level, 0.0)
+    rms = float(np.sqrt(np.mean(e[whole.ok] ** 2)))
+    covariance = fit.squares.robust_covariance(numbers)
+    remarks = ["the gap is that of the input, in its unit; both sides are half of it"]
+    noise = min(white_noise_rms(whole.y, whole.ok, whole.start), rms)
+    if abs(level) > max(noise, LEAST_NOISE):
+        about = f"{level * whole.y_scale:.4g}"
+        remarks.append(
+            f"the readings lie {about} from what the plant makes of the input: estimate and run"
+            f" count from there; --zero {about} takes it off"
+        )
+    return Element(
+        kind="input_play",
+        fit=fit,
+        simulator=simulator,
+        theta=theta,
+        V=covariance.V[: layout.b.stop, : layout.b.stop],
+        z=z,
+        readings=z + level,
+        side=np.sign(np.diff(passed[:, 0], prepend=passed[0, 0])).astype(int),
+        widths=dict.fromkeys(DIRECTIONS) | {"width": gap},
+        ahead=plant.find_input_disturbance(layout, numbers, e, whole.ok),
+        noise=noise,
+        degrees=math.inf,
+        rms=rms,
+        remarks=remarks,
+    )
 
 
 # --- Whether what explains the log best leaves nothing known

@@ -36,8 +36,9 @@ LEAST, MOST = 200, 8000  # samples of a record that is asked
 SUSPECTS = ("friction", "play", "jump", "input_zone", "input_play", "zone_and_friction")
 OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
 CONTROLLER = ("op", "co", "mv", "controller output")  # names of what a controller puts out
+RARE = 3  # numbers that a cause costs besides which is rare in a control loop
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
-SHAPE, USUAL = 3.0, 0.45  # logarithm of odds by the ellipse's width, and where it tells nothing
+SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
 
 
@@ -49,6 +50,7 @@ class ValveFindings(NamedTuple):
         stick, jump: S and J [u].
         position: of the valve along the record [u].
         part: samples of the record.
+        late: samples by which the plant answers late.
         plant: linear plant behind the valve, or behind u if the valve follows; None: none settles.
         held_out: one step ahead.
         without: the same rms without the valve, scaled as the readings.
@@ -63,6 +65,7 @@ class ValveFindings(NamedTuple):
     jump: Interval
     position: Floats
     part: slice
+    late: int
     plant: ChainFit | None
     held_out: HeldOutScore
     without: float
@@ -203,7 +206,8 @@ def _comparable_family(
     for word in {word for one in models for word in one} - set(VALVE):
         best = best_model_of(word, models)
         if best.value.size == there.size:
-            same = best._replace(value=best.value[rows])
+            rare = RARE * (word not in OWN)
+            same = best._replace(value=best.value[rows], numbers=best.numbers + rare)
             family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
     return family
 
@@ -226,6 +230,7 @@ def _measure(case: Case, fits: LoopFits, part: slice, odds: dict[str, float]) ->
         jump=jump,
         position=position * scale + float(data.u[part, 0].mean() * data.u_scale[0]),
         part=part,
+        late=fits.structure.lags[0] - 1,
         plant=_plant_behind(case, acting, fits.structure.lags[0] - 1, part),
         held_out=held_out,
         without=without,
