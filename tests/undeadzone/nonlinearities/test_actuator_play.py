@@ -126,7 +126,7 @@ def test_what_cannot_be_is_refused(changes: dict[str, Any], words: str) -> None:
 def test_a_play_needs_samples() -> None:
     observer = {"method": "certified", "L": [1.0, 1.5], "gamma": 10.0}
     simulation = {"time": "continuous", "step": 1e-3}
-    with pytest.raises(InputError, match="actuator.kind"):
+    with pytest.raises(InputError, match=r"actuator\.kind"):
         resolve_scenario(
             loop(simulation=simulation, observer=observer, compensator={"method": "none"})
         )
