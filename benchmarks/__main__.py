@@ -45,6 +45,7 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "valves",
     "identify_known",
     "identify_speed",
     "damaged_logs",

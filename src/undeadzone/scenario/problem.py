@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.compensators import SmoothZoneInverse
+from undeadzone.compensators import PlayInverse, SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import lead_across_gap
 from undeadzone.controllers.parts.estimated import use_gear_estimates
 from undeadzone.controllers.parts.predicted import predict_over_delay
@@ -248,14 +248,19 @@ def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | N
     drive = resolve_actuator(scenario.actuator, inputs)
     if drive.has_rate_limit and scenario.simulation.time != "sampled":
         raise InputError('actuator.rate: needs samples. Set simulation.time = "sampled"')
+    if drive.is_play and scenario.simulation.time != "sampled":
+        raise InputError('actuator.kind: "play" needs samples. Set simulation.time = "sampled"')
     return drive, belief
 
 
 def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Compensator | None:
-    """Return the compensator of a scenario, by default a smooth inverse of a known actuator."""
+    """Return the compensator of a scenario, by default an inverse of a known actuator."""
     if scenario.compensator is not None:
         return scenario.compensator.build(model, belief)
-    return None if belief is None else SmoothZoneInverse().build(model, belief)
+    if belief is None:
+        return None
+    usual: Any = PlayInverse() if belief.drive.is_play else SmoothZoneInverse()
+    return usual.build(model, belief)
 
 
 def _require_room(sensor: Zone, observer: Observer) -> None:
