@@ -1,6 +1,6 @@
 """The actuator ahead of the plant: limit, rate limit, dead zone (docs/actuator.md).
 
-u is what the controller commands, and what enters the plant is
+u is the command of the controller, and the input of the plant is
 
     m_r (u - b_r) for u > b_r,   m_l (u + b_l) for u < -b_l,   0 between,
 
@@ -26,7 +26,7 @@ Pairs = list[float | list[float]]
 
 
 class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What stands between the command u and the plant's m inputs; one number, or one per input.
+    """Element between the command u and the plant's m inputs: one number, or one per input.
 
     Example:
         >>> uz.Actuator(right=0.3, left=0.2).right
@@ -110,7 +110,7 @@ class Drive(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """What is known of an actuator.
+    """Known numbers of an actuator.
 
     Attributes:
         drive: its numbers; of widths that are not known the middle of their range.
@@ -151,12 +151,12 @@ def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
 
 
 def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[Any, Any]:
-    """Return (what is kept to the next sample, what passes limits, rate and play) of a command.
+    """Return the state for the next sample, and the command after limits, rate and play.
 
     Args:
         ops: the module of fmax and fmin, NumPy or CasADi.
         u: command (m) [u].
-        last: what was kept: the command before of a limited rate, the level of a play (m); empty.
+        last: the state: the command before of a limited rate, the level of a play (m); empty.
         drive: the actuator.
         step: time since the command before [s].
     """
@@ -232,7 +232,7 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
 
 
 def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
-    """What is known of the actuator; None where there is none.
+    """Known numbers of the actuator; None without an actuator.
 
     Args:
         told: as a user tells it; an absent width is 0.
