@@ -23,8 +23,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from undeadzone.nonlinearities.play import levels
-from undeadzone.util.arrays import Flags, Floats, Integers
-from undeadzone_identify.logs.grid import rounding_step
+from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.least_squares import Density, hat_functions, regression_residual
 
@@ -57,11 +56,14 @@ class Positions(NamedTuple):
         t: times (N) [s], increasing.
         u: the position ahead of the gap (N).
         y: the position behind it (N).
+        input_quantum, quantum: by which u and y are rounded; 0 if they are not.
     """
 
     t: Floats
     u: Floats
     y: Floats
+    input_quantum: float = 0.0
+    quantum: float = 0.0
 
 
 class Structure(NamedTuple):
@@ -138,7 +140,7 @@ class MotionFit:
         self.step = float(np.median(np.diff(data.t)))
         self.range = float(np.ptp(data.u))
         still = float(np.mean(np.diff(data.u) == 0)) > HELD
-        self.is_held = still or rounding_step(data.u) > COARSE * self.range
+        self.is_held = still or data.input_quantum > COARSE * self.range
 
     def moved(self, delay: float, lag: float) -> Floats:
         """Return the position ahead of the gap, late and lagging (N) [u]."""
@@ -284,12 +286,11 @@ class MotionFit:
 
     # --- How well the gap is known
 
-    def interval(self, found: LostMotion, quantum: float = 0.0) -> Interval:
+    def interval(self, found: LostMotion) -> Interval:
         """Return the 95 % interval of the gap [u], not below 0: of its profile, by blocks.
 
         Args:
-            found: the best fit.
-            quantum: of the readings [y]; what residuals do not show of it is added.
+            found: the best fit; what its residuals do not show of rounding is added.
         """
         size = found.residual.size
         blocks = reversal_blocks(self.data.u, found.gap)
@@ -307,14 +308,14 @@ class MotionFit:
             gaps = np.clip(found.gap + span * np.linspace(-1, 1, PROFILED), 0.0, None)
             costs = self._profile(gaps, found)
             inside = gaps[costs <= limit]
-            reached = inside.size and (inside[0] > gaps[0] or gaps[0] == 0) and inside[-1] < gaps[-1]
-            if reached or span > WIDEST * self.range:
+            ends = inside.size and (inside[0] > gaps[0] or gaps[0] == 0)
+            if (ends and inside[-1] < gaps[-1]) or span > WIDEST * self.range:
                 break
             span *= 2.0
         low = high = found.gap
         if inside.size:
             low, high = _crossing(gaps, costs, limit, -1), _crossing(gaps, costs, limit, 1)
-        unseen = max(quantum**2 - 12 * found.rms**2, 0.0)
+        unseen = max(self.data.quantum**2 - 12 * found.rms**2, 0.0)
         rounded = math.sqrt(unseen) / max(abs(found.gain), 1e-300)
         below, above = (math.hypot(abs(end - found.gap), rounded) for end in (low, high))
         return Interval(found.gap, max(found.gap - below, 0.0), found.gap + above)
@@ -349,9 +350,7 @@ class MotionFit:
         slope = self._slope(found)
         return float(slope @ slope)
 
-    def _clustering(
-        self, found: LostMotion, blocks: Integers, naive: float
-    ) -> tuple[float, float]:
+    def _clustering(self, found: LostMotion, blocks: Integers, naive: float) -> tuple[float, float]:
         """Return the variance of the score by blocks over that of white residuals, at least 1, and
         its degrees of freedom.
         """
@@ -359,7 +358,8 @@ class MotionFit:
         sums = np.bincount(blocks, score)
         count = sums.size
         spread = float(sums @ sums) * count / max(count - GIVEN, 1)  # gap, gain, level are fitted
-        return max(spread / max(naive * self._information(found), 1e-300), 1.0), max(count - 1.0, 2.0)
+        white = max(naive * self._information(found), 1e-300)
+        return max(spread / white, 1.0), max(count - 1.0, 2.0)
 
 
 def lag_signal(u: Floats, t: Floats, lag: float, count: int) -> Floats:
@@ -452,21 +452,3 @@ def is_white(found: LostMotion, quantum: float) -> bool:
         quantum: of the readings [y].
     """
     return found.colour <= WHITE or found.rms <= ROUNDED * quantum
-
-
-def printed_step(y: Floats) -> float:
-    """Return the common divisor of readings (N), or the last decimal of all of them; 0 for none.
-
-    Args:
-        y: readings, none missing.
-    """
-    step = rounding_step(y)
-    for digits in range(7):
-        if step == 0 and np.abs(y - np.round(y, digits)).max() < 1e-9 * max(float(np.ptp(y)), 1e-300):
-            step = 10.0**-digits
-    return step
-
-
-def usable_samples(t: Floats, u: Floats, y: Floats) -> Flags:
-    """Return the samples at which both positions were read (N)."""
-    return np.isfinite(t) & np.isfinite(u) & np.isfinite(y)
