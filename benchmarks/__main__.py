@@ -45,6 +45,7 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "lost_motion",
     "identify_known",
     "identify_speed",
     "damaged_logs",

@@ -39,6 +39,7 @@ FINE = 13  # points of each closer look
 CLIMBED = 25  # steps of a climb
 HELD = 0.5  # share of samples at which u does not change, from which it is held and not a ramp
 COARSE = 1e-5  # of its range, from which the rounding of u counts
+COARSER = 5.0  # quanta of y, from which steps of u hide how y is rounded
 HATS = 7  # of a bent scale
 PROFILED = 15  # gaps of a profile
 WHITE = 1.35  # rms of residuals over that of their changes, from which they depend on one another
@@ -57,6 +58,7 @@ class Positions(NamedTuple):
         u: the position ahead of the gap (N).
         y: the position behind it (N).
         input_quantum, quantum: by which u and y are rounded; 0 if they are not.
+        is_told: whether u is a goal, exact as it is written.
     """
 
     t: Floats
@@ -64,6 +66,7 @@ class Positions(NamedTuple):
     y: Floats
     input_quantum: float = 0.0
     quantum: float = 0.0
+    is_told: bool = False
 
 
 class Structure(NamedTuple):
@@ -302,7 +305,7 @@ class MotionFit:
         else:
             wider = 1.0
         limit = found.squares + naive * wider * student_quantile(degrees) ** 2
-        error = math.sqrt(naive * wider / max(self._information(found), 1e-300))
+        error = math.sqrt(naive * wider / max(self.information(found), 1e-300))
         span = min(max(6.0 * error, 1e-9 * self.range), WIDEST * self.range)
         for _ in range(12):
             gaps = np.clip(found.gap + span * np.linspace(-1, 1, PROFILED), 0.0, None)
@@ -315,8 +318,13 @@ class MotionFit:
         low = high = found.gap
         if inside.size:
             low, high = _crossing(gaps, costs, limit, -1), _crossing(gaps, costs, limit, 1)
-        unseen = max(self.data.quantum**2 - 12 * found.rms**2, 0.0)
-        rounded = math.sqrt(unseen) / max(abs(found.gain), 1e-300)
+        data, rounded = self.data, 0.0
+        coarse = abs(found.gain) * data.input_quantum > COARSER * data.quantum
+        if data.is_told or coarse:  # motion that is read dithers what is rounded
+            unseen = max(data.quantum**2 - 12 * found.rms**2, 0.0)
+            rounded = math.sqrt(unseen) / max(abs(found.gain), 1e-300)
+        else:  # but where u turns its rounding stays until the gap is crossed
+            rounded = data.input_quantum / math.sqrt(12 * (1 + blocks[-1]))
         below, above = (math.hypot(abs(end - found.gap), rounded) for end in (low, high))
         return Interval(found.gap, max(found.gap - below, 0.0), found.gap + above)
 
@@ -345,8 +353,12 @@ class MotionFit:
             return rows[:, 0]
         return regression_residual(rows[:, 1:], rows[:, 0])
 
-    def _information(self, found: LostMotion) -> float:
-        """Return the sum of the squared derivatives by the gap."""
+    def information(self, found: LostMotion) -> float:
+        """Return the sum of the squared derivatives of the residual by the gap.
+
+        Args:
+            found: the best fit.
+        """
         slope = self._slope(found)
         return float(slope @ slope)
 
@@ -358,7 +370,7 @@ class MotionFit:
         sums = np.bincount(blocks, score)
         count = sums.size
         spread = float(sums @ sums) * count / max(count - GIVEN, 1)  # gap, gain, level are fitted
-        white = max(naive * self._information(found), 1e-300)
+        white = max(naive * self.information(found), 1e-300)
         return max(spread / white, 1.0), max(count - 1.0, 2.0)
 
 

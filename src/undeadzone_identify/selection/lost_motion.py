@@ -28,13 +28,13 @@ from undeadzone_identify.models.lost_motion import (
     motion_density,
     reversal_blocks,
 )
-from undeadzone_identify.selection.decision import LIKELY, UNLIKELY
+from undeadzone_identify.selection.decision import LIKELY
 from undeadzone_identify.selection.odds import Family, model_probabilities
 
 FEWEST = 12  # samples that are fitted
 MOST = 20_000  # samples that are fitted; of a longer log the first ones
 LEAST_TURNS = 1  # reversals, below which both flanks were not seen
-SMALL = 0.05  # of a gap, that the rms of coloured residuals may have
+SMALL = 0.1  # of a gap, that the rms of coloured residuals may have
 SHARE = 0.9  # of y, that a fit must explain
 LIKE_BEST = 3.0  # rms of the best fit, up to which another structure may be the true one
 MOVING = 5  # samples before and after one that moves
@@ -134,7 +134,9 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     is_gap = odds["play"] > LIKELY and gap.low > 0
     word = "play" if is_gap else "none"
     vanishes = word == "none" and abs(found.gain) * gap.high < max(found.rms, quantum)
-    sure = odds[word] > LIKELY or (vanishes and odds["other"] < UNLIKELY)
+    if vanishes:  # where there is one it does not matter
+        odds = {"none": 1 - odds["other"], "other": odds["other"]}
+    sure = odds[word] > LIKELY
     if not fits or not sure:
         word = "unclear"
     stands = word != "unclear" and (alike or is_told or is_summed or (is_gap and white))
@@ -178,7 +180,7 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     if there.sum() < FEWEST:
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
-    data = Positions(t[there], u[there], y[there], *steps)
+    data = Positions(t[there], u[there], y[there], *steps, _is_told(log))
     if not np.ptp(data.u) > 0 or not np.ptp(data.y) > 0:
         return None, False
     return data, bool(is_summed)
