@@ -36,6 +36,7 @@ MOST = 20_000  # samples that are fitted; of a longer log the first ones
 LEAST_TURNS = 1  # reversals, below which both flanks were not seen
 SMALL = 0.1  # of a gap, that the rms of coloured residuals may have
 SHARE = 0.9  # of y, that a fit must explain
+ASSUMED = 0.015  # of a gap behind lags, in whose place a servo has an inertia and sticks
 LIKE_BEST = 3.0  # rms of the best fit, up to which another structure may be the true one
 MOVING = 5  # samples before and after one that moves
 GOALS = ("goal", "target", "command", "desired", "setpoint", "wanted", "demand")  # told, not read
@@ -242,7 +243,7 @@ def _widest(fit: MotionFit, found: LostMotion, others: list[LostMotion]) -> Inte
     """Return the gap's interval: the best fit's, and of all that may be true as far again."""
     gap = fit.interval(found)
     gaps = [one.gap for one in others]
-    more = max(gaps) - min(gaps)
+    more = max(gaps) - min(gaps) + (ASSUMED * gap.value if found.structure.lags else 0.0)
     low = min(gap.low, min(gaps)) - more
     return Interval(gap.value, max(low, 0.0), max(gap.high, max(gaps)) + more)
 
