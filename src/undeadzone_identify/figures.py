@@ -188,7 +188,7 @@ def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
     """Plot what the second position lags behind the first, by the first: two flanks of a gap."""
     one = result.answer
     data, found = one.data, one.found
-    _plot_dots(axes, data.u, data.y - found.gain * data.u - found.level, ink.READING)
+    _plot_dots(axes, data.u, data.y - found.gain * data.u - found.level, ink.READING, "readings")
     for sign in (-1, 1):
         axes.axhline(sign * 0.5 * found.gain * one.gap.value, color=ink.ESTIMATE, linewidth=0.8)
     left = label_with_unit("y - R u - b", one.log.output_units[0])

@@ -230,7 +230,7 @@ def _identify_logs(
         refused = error
     else:
         return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
-    if motion is None:
+    if motion is None or not motion.are_positions:
         raise refused
     no_plant = f"no plant was fitted: {refused}"
     return IdentifiedMotion(motion._replace(reasons=[*motion.reasons, no_plant]))

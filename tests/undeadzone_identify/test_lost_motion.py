@@ -134,7 +134,8 @@ def test_what_no_plant_fits_has_an_answer_and_the_reason() -> None:
     """Noise at irregular times ends in no error: nothing can be said, and why."""
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.5, 1.5, 60))
-    found = uz.identify(t=t, u=rng.standard_normal(60), y=rng.standard_normal(60))
+    signals = {"motor [deg]": rng.standard_normal(60), "joint [deg]": rng.standard_normal(60)}
+    found = uz.identify(pd.DataFrame({"t [s]": t, **signals}))
     assert isinstance(found, uz.IdentifiedMotion)
     assert found.verdict == "unclear"
     assert any("irregular step" in reason for reason in found.summary()["why"])
@@ -167,9 +168,10 @@ def test_lags_at_irregular_times_are_those_of_a_regular_grid() -> None:
 
 
 def test_strokes_end_where_the_input_turns_by_more_than_the_gap() -> None:
-    u = np.concatenate([np.linspace(0, 10, 50), np.linspace(10, 9.9, 5), np.linspace(10, 2, 40)])
+    u = np.concatenate([np.linspace(0, 10, 50), np.linspace(10, 9.6, 5), np.linspace(9.6, 10, 5)])
+    u = np.concatenate([u, np.linspace(10, 2, 40)])
     assert reversal_blocks(u, 0.5)[-1] == 1
-    assert reversal_blocks(u, 0.0)[60] == 0
+    assert reversal_blocks(u, 0.0)[-1] == 3
 
 
 # --- From a log to compiled C in one command

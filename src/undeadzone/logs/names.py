@@ -58,7 +58,6 @@ OF_INPUTS: Final = (
     GOALS,
     ("desired", "target", "wanted"),  # where nothing else drives
     ("pulses", "pulse", "motor", "motor position", "motor angle", "motor encoder"),
-    DRIVES,
 )
 TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
 _TIME_WITH_UNIT: Final = re.compile(r"(?:t|time|times|timestamp|elapsed|elapsed time) (\S+)")

@@ -72,6 +72,7 @@ class LostMotionAnswer(NamedTuple):
         odds: of play, none and other.
         is_told: whether u is a goal, so that friction of a servo counts in.
         is_summed: whether u is the sum of pulses.
+        are_positions: whether names or units say that both signals are positions.
         parts: gap and friction, where a current tells them apart.
         reversals: of u.
         gain_error: standard deviation of the gain [y/u].
@@ -88,6 +89,7 @@ class LostMotionAnswer(NamedTuple):
     odds: dict[str, float]
     is_told: bool
     is_summed: bool
+    are_positions: bool
     parts: Share | None
     reversals: int
     gain_error: float
@@ -140,7 +142,8 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     sure = odds[word] > LIKELY
     if not fits or not sure:
         word = "unclear"
-    stands = word != "unclear" and (alike or is_told or is_summed or (is_gap and white))
+    positions = alike or is_told or is_summed
+    stands = word != "unclear" and (positions or (is_gap and white))
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
@@ -148,6 +151,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         odds=odds,
         is_told=is_told,
         is_summed=is_summed,
+        are_positions=positions,
         parts=None,
         reversals=int(reversal_blocks(data.u, found.gap)[-1]),
         gain_error=_gain_error(fit, found),
