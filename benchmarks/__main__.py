@@ -46,6 +46,7 @@ NAMES = (
     "names",
     "strangers",
     "lost_motion",
+    "valves",
     "identify_known",
     "identify_speed",
     "damaged_logs",
@@ -63,6 +64,7 @@ NAMES = (
     "servo",
     "gears",
     "gears_anchors",
+    "gears_worlds",
     "paper_recomputed",
 )
 HEAD = """# Results

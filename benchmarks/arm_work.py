@@ -101,7 +101,7 @@ def virtual_machine(work: Work) -> Callable[[], Floats]:
 def _graph(work: Work) -> tuple[ca.Function, Floats, tuple[int, ...]]:
     """next, out = step(s, w, p), with p and which of it are the torques."""
     body = build_arm(urdf.load_urdf_chain(work.path))
-    N, first = body.size, len(body.names)
+    N, first = body.joint_count, len(body.names)
     s, w, p = ca.SX.sym("s", 2 * N), ca.SX.sym("w", 3 * N), ca.SX.sym("p", first + N)
     params, u = p[:first], p[first:]
 

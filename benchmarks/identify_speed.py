@@ -40,7 +40,7 @@ def table() -> str:
             made = make(SEED, FAMILY, size)
             found, shown, answer = seconds(made, Path(folder))
             assert answer.right is not None
-            half = f"{answer.right.half:.4f}"
+            half = f"{answer.right.half_width:.4f}"
             off = f"{answer.right.value - made.right:+.4f}"
             rows.append(row(str(size), f"{found:.1f}", f"{shown:.1f}", half, off))
     lines = [

@@ -75,7 +75,7 @@ def outcome_of(log: Recorded) -> Outcome:
     if found is not None and given:
         error = found.gap.value / log.servo.gap - 1
         half, held = (
-            found.gap.half / log.servo.gap,
+            found.gap.half_width / log.servo.gap,
             found.gap.low <= log.servo.gap <= found.gap.high,
         )
     return Outcome(

@@ -39,10 +39,12 @@ BAR: Final = "\u2223"  # in place of | within a cell
 ORDER: Final = ("holds", "holds after repair", "does not hold", "not shown")
 HEAD: Final = """# The paper's claims
 
-What does the paper claim, and what is left of it when it is computed? `undeadzone paper` computes
-its sentences, equations (1)-(42) and Theorem 4.1, and draws figures 1 to 8 as printed and repaired.
-`python docs/claims.py` writes this page from its numbers. The words, limits and reasons stand in
-`src/undeadzone_paper/claims.toml`, the computations in `trials.py` and `both_sides.py` beside it.
+*Which statements of the paper hold if they are computed?*
+
+`undeadzone paper` computes its sentences, equations (1)-(42) and Theorem 4.1, and draws figures 1
+to 8 as printed and repaired. `python docs/claims.py` writes this page from the results. The words,
+limits and reasons stand in `src/undeadzone_paper/claims.toml`, the computations in `trials.py` and
+`both_sides.py` beside it.
 
 To run the paper's methods with other numbers, write `observer.method = "printed"` and
 `controller.method = "printed"`, law (29), or `"pd"`, law (42), into a scenario:
@@ -54,7 +56,7 @@ NUMBERS: Final = """## By number
 
 Both sides of each equation are computed along a run, and the largest difference is shown: as
 printed along the run of Theorem 4.1 (law (29), d - d^ given, started at x1 = 5 with d^ = d), mended
-along the repaired run. A dash means that nothing is mended, or that nothing mends it.
+along the repaired run. A dash means that no repair is needed, or that none exists.
 """
 SHAPES: Final = """Where printed shapes do not agree, the least that makes them agree stands in:
 """

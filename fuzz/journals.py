@@ -42,7 +42,7 @@ def _whole() -> bytes:
     """The bytes of a complete store."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / NAME
-        store = journal.start(path, _job().layout)
+        store = journal.open_store(path, _job().layout)
         for block in store.missing_blocks:
             store.write_block(block, _job().block(block))
         store.close()
@@ -63,7 +63,7 @@ def _torn(draw: random.Random, data: bytes) -> bytes:
 def _resumed(folder: Path) -> None:
     """A store opened again: what counts as done is right."""
     job = _job()
-    store = journal.start(folder / NAME, job.layout, resume=True)
+    store = journal.open_store(folder / NAME, job.layout, resume=True)
     try:
         for block in store.missing_blocks:
             store.write_block(block, job.block(block))

@@ -290,13 +290,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def closed_stores(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Files of ensembles that a test opens and leaves, as a process does that is killed."""
     opened: list[journal.Store] = []
-    start = journal.start
+    start = journal.open_store
 
     def kept(*arguments: Any, **more: Any) -> journal.Store:
         opened.append(start(*arguments, **more))
         return opened[-1]
 
-    monkeypatch.setattr(journal, "start", kept)
+    monkeypatch.setattr(journal, "open_store", kept)
     yield
     for store in opened:
         store.close()

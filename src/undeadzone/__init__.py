@@ -1,8 +1,8 @@
 """Adaptive observers for plants with a dead zone or backlash in the sensor.
 
-The public names stand in `__init__.pyi`; each is imported when it is first used. Names that other
+The public names stand in `__init__.pyi`. Each is imported when it is first used. Names that other
 packages register are found, too, and options of their methods by the name of the class. `dir` and
-completion show what a first hour needs; the other names are there as well, and in `observers`,
+completion show the names that a beginner needs. The other names exist as well, and in `observers`,
 `controllers`, `compensators`, `signals` and `plants`.
 """
 

@@ -1,4 +1,4 @@
-"""`python -m undeadzone` is the command line; so is the installed command."""
+"""`python -m undeadzone` is the command line, like the installed command."""
 
 import itertools
 import os
@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C while it is imported is one line too."""
+    """Run the command line. Ctrl-C during its import also ends with one line."""
     try:
         if _is_run_by_strangers():
             sys.stderr.write(

@@ -1,7 +1,7 @@
-"""What can be wrong with an input, as exceptions.
+"""Exceptions for faulty inputs.
 
-Each message says which key, what was found, what to do. "Raises InputError or a subclass" in a
-docstring means the exceptions of this file.
+Each message contains the key, the value found and the remedy. "Raises InputError or a subclass" in
+a docstring means the exceptions of this file.
 """
 
 
@@ -52,11 +52,11 @@ class StepError(InputError):
 
 
 class FileError(InputError):
-    """A file that cannot be read or written, or whose contents are not what they should be."""
+    """A file that cannot be read or written, or whose contents are wrong."""
 
 
 class ProofError(InputError):
-    """A stored proof that does not hold for what it should prove."""
+    """A stored proof that does not hold for its model."""
 
 
 class ClusterError(InputError):
@@ -67,7 +67,7 @@ class ClusterError(InputError):
 
 
 class EarlierMeaning(DeprecationWarning):
-    """A file whose words had another meaning in an earlier version; a command prints one line."""
+    """A file with words of another meaning in an earlier version. A command prints one line."""
 
 
 class DamagedPackage(UserWarning):
@@ -79,4 +79,4 @@ class Terminated(BaseException):
 
 
 class Interrupted(Terminated):
-    """Ctrl-C reached a command; unlike KeyboardInterrupt, click prints nothing about it."""
+    """Ctrl-C reached a command. Unlike KeyboardInterrupt, click prints nothing about it."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
-from undeadzone.nonlinearities.limits import Limits, beyond
+from undeadzone.nonlinearities.limits import Limits, is_beyond_range
 from undeadzone.nonlinearities.sensor import inverse, present, side
 from undeadzone.util.arrays import Floats
 
@@ -19,15 +19,15 @@ class Reading(NamedTuple):
     """Reading of the sensor at a sample.
 
     Attributes:
-        y: reading (p), NaN where it is missing, infinite where it cannot be: beyond its range.
-        side: measured side (p): +1 right, -1 left, 0 silent or missing; +2, -2 at the upper, lower
-            limit of the range, where y only bounds what the sensor reads.
-        x: true state (n), which only a simulation has, for the reference line `full_state`;
-            None elsewhere.
+        y: reading (p), NaN if it is missing, infinite beyond its range.
+        side: measured side (p): +1 right, -1 left, 0 silent or missing, +2, -2 at the upper, lower
+            limit of the range, at which y only bounds the sensor's output.
+        x: true state (n), which only a simulation has, for the reference line `full_state` (None
+            elsewhere).
         level: reading from which silence is measured (p): 0 of a dead zone, y itself of a play.
-        rms: of what y is off by (p) [y], where the reading itself tells it; None: the sensor's.
-        motion: contact of a play ahead of a dead zone in which y moves (p): +1 right, -1 left, 0
-            where it holds; None: there is none.
+        rms: of the error of y (p) [y], if the reading itself contains it (None: the sensor's).
+        motion: contact of a play ahead of a dead zone in which y moves (p): +1 right, -1 left, 0 if
+            it holds (None: there is none).
     """
 
     y: Any
@@ -41,27 +41,27 @@ class Reading(NamedTuple):
 def to_reading(y: Any, threshold: Any, limits: Limits | None) -> Reading:
     """Return a reading from outside as a `Reading` (p).
 
-    A value that is no number counts as missing.
+    A value that is not a number counts as missing.
 
     Args:
         y: reading (p) [y], a CasADi expression.
         threshold: |y| that counts as silent (p) [y].
-        limits: of the range; None: there are none.
+        limits: of the range (None: there are none).
     """
     seen = ca.if_else(present(y), y, np.nan)
     if limits is None:
         return Reading(seen, side(seen, threshold))
-    seen = ca.if_else(beyond(y, limits), np.nan, seen)
+    seen = ca.if_else(is_beyond_range(y, limits), np.nan, seen)
     side_read = side(seen, threshold, limits)
-    return Reading(ca.if_else(beyond(y, limits), np.inf, seen), side_read)
+    return Reading(ca.if_else(is_beyond_range(y, limits), np.inf, seen), side_read)
 
 
 def sample_branch(reading: Reading, estimate: Any) -> Any:
     """Return the branch of a sample (p): by the observer for a backlash, or by the reading.
 
     Args:
-        reading: what was read.
-        estimate: what the observer made of it.
+        reading: the reading.
+        estimate: the observer's estimate.
     """
     return estimate.contact if estimate.contact.shape[0] else reading.side
 
@@ -78,7 +78,7 @@ def drop_limit_readings(reading: Reading, limits: Limits | None) -> Reading:
 def clip_expected_reading(expected: Any, y: Any, side: Any) -> Any:
     """Return the expected reading, clipped at a reading at a limit of its range [y].
 
-    What lies beyond a limit does not contradict the reading there.
+    An expected value beyond a limit does not contradict a reading at the limit.
 
     Args:
         expected: reading that was expected [y].
@@ -97,11 +97,11 @@ class Quantity(NamedTuple):
 
     Attributes:
         meaning: in words.
-        unit: whose it has: that of an output, input or state, of a state's rate; 1 has none.
-        signal: of a run that holds it, in turn with the others of the same signal; empty: none.
-        final: how its last value stands in a summary: as one number each, as their sum, as whether
-            all of them hold; None: not at all.
-        column: what columns of a table call it; empty: as the field.
+        unit: quantity whose unit it has: an output, input or state, or a state's rate (1: no unit).
+        signal: of a run that holds it, in turn with the others of the same signal (empty: none).
+        final: form of its last value in a summary: as one number each, as their sum, as whether all
+            of them hold (None: not at all).
+        column: its name in columns of a table (empty: as the field).
     """
 
     meaning: str
@@ -124,17 +124,17 @@ class Estimate(NamedTuple):
         z: output z^ = C x^ (p).
         right, left: widths d_r^, d_l^ (p).
         z_inverse: dead-zone inverse y + chi_bar d^ of (26) (p).
-        innovation: what the reading adds to the prediction (p).
+        innovation: the reading less its prediction (p).
         x_std: standard deviation of x^ (n).
         right_std, left_std: standard deviations of d_r^, d_l^ (p).
         width_std: standard deviation of d_r^ + d_l^ (p).
         innovation_std: standard deviation of the innovation (p).
-        w: what the model leaves out (n), x' = f(x, u) + w.
+        w: effects that the model leaves out (n), x' = f(x, u) + w.
         theta: parameters of the model that the observer estimates.
         theta_std: standard deviations of theta.
-        consistent: 1 where the readings of late fit what the observer claims, else 0 (1).
-        claims: bits of the `ASSUMPTION_CHECKS` that the readings of late refute (1).
-        suspect: number of the one that is likeliest false, from 1 on; 0: none is (1).
+        consistent: 1 if recent readings fit the observer's assumptions, else 0 (1).
+        claims: bits of the `ASSUMPTION_CHECKS` that recent readings reject (1).
+        suspect: number of the most suspect one, from 1 on, 0 if all hold (1).
         refused: readings that were taken for wrong so far (p).
         restarts: how often the observer lost its state and began anew (1).
         contact: the side of a play that the observer made out itself (p).
@@ -229,10 +229,10 @@ class AssumptionCheck(NamedTuple):
     """Words for an assumption of an observer that the readings reject.
 
     Attributes:
-        words: what the readings then do.
+        words: description of the readings.
         look: what to look at, if there is anything besides keys to change.
         change: what to do with the keys.
-        keys: of a scenario; a method takes some of those of its observer.
+        keys: of a scenario. A method takes some of those of its observer.
     """
 
     words: str
@@ -241,10 +241,10 @@ class AssumptionCheck(NamedTuple):
     keys: tuple[str, ...] = ()
 
     def cure(self, options: Collection[str] = ()) -> str:
-        """Return what to tell a method, or to look at.
+        """Return the remedy: the keys to give to a method, or to check.
 
         Args:
-            options: names of the keys that the method takes; empty: all of them.
+            options: names of the keys that the method takes (empty: all of them).
         """
         taken = []
         for key in self.keys:
@@ -307,7 +307,7 @@ def describe_rejected_assumptions(names: Sequence[str], options: Collection[str]
 
     Args:
         names: of the rejected assumptions, the likeliest first.
-        options: names of the keys that the method takes; empty: all of them.
+        options: names of the keys that the method takes (empty: all of them).
     """
     further = ["the same readings speak against " + ", ".join(names[1:])] if names[1:] else []
     first = [ASSUMPTION_CHECKS[name] for name in names[:1]]
@@ -319,11 +319,11 @@ UNKNOWNS: Final = {"bias": "a constant at the input", "tolerance": "an error of 
 
 
 def describe_unknowns(options: Collection[str]) -> str:
-    """Describe the effects that a filter cannot allow for; empty if it allows for all.
+    """Describe the effects that a filter cannot allow for, empty if it allows for all.
 
     Args:
-        options: names of the keys that the method takes. A method without `disturbance` claims
-            nothing, and one with `uncertain` knows errors of its model.
+        options: names of the keys that the method takes. A method without `disturbance` makes no
+            assumption about it, and one with `uncertain` knows errors of its model.
     """
     if "disturbance" not in options:
         return ""
@@ -348,10 +348,10 @@ class Traits(NamedTuple):
     """Properties of an observer for checks, certificates and figures.
 
     Attributes:
-        L: gain of the innovation in x^ (n x p), per step when the model is sampled; None: it
-            varies.
-        gamma: gain of the innovation in the widths (p), per step when the model is sampled; None:
-            it varies, or no width is adapted.
+        L: gain of the innovation in x^ (n x p), per step when the model is sampled (None: it
+            varies).
+        gamma: gain of the innovation in the widths (p), per step when the model is sampled (None:
+            it varies, or no width is adapted).
         constant: whether x^' = f(x^, u) + L e, d_r^' = -gamma e on the right, d_l^' = gamma e on
             the left is all that it does, so that (30) can prove it.
         rate: fastest rate of its own that a step must resolve [1/s], beside those of L and gamma.
@@ -365,6 +365,11 @@ class Traits(NamedTuple):
             claimed; None: nowhere.
         ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z]; None: only that they are
             not negative.
+        halves: of an arm with gears, declared [lo, hi] of half the gap at each output (p x 2);
+            None: the method estimates no gaps.
+        groups: of an arm with gears, joints that one filter holds; empty: all of them.
+        unknown: of an arm with gears, rms of the unknown torque of its motors (N) [N m]; None: the
+            method claims none.
     """
 
     L: Floats | None = None
@@ -378,10 +383,13 @@ class Traits(NamedTuple):
     start_std: Floats | None = None
     centre_std: Floats | None = None
     ranges: Floats | None = None
+    halves: Floats | None = None
+    groups: tuple[tuple[int, ...], ...] = ()
+    unknown: Floats | None = None
 
     @property
     def ranges_in_turn(self) -> list[list[float]]:
-        """Return the declared [lo, hi] of d_r and d_l of each output in turn; empty: none."""
+        """Return the declared [lo, hi] of d_r and d_l of each output in turn, empty without any."""
         if self.ranges is None:
             return []
         right, left = np.split(self.ranges, 2)
@@ -389,7 +397,7 @@ class Traits(NamedTuple):
 
 
 class PythonObserver(NamedTuple):
-    """Functions of an observer that computes in Python; sampled time only.
+    """Functions of an observer that computes in Python (sampled time only).
 
     No graph of fixed size exists for the observer.
 
@@ -412,15 +420,15 @@ class Observer(NamedTuple):
     Attributes:
         params: tree of NumPy arrays.
         init: init(params) is the state at t = 0, a tree of NumPy arrays.
-        step: step(params, state, u, reading) is (the state's derivative, or its next value when
-            the model is sampled; the `Estimate`, which must not depend on u).
-        project: project(params, state) is the nearest admissible state; init gives one, and so
-            does step when the model is sampled.
-        traits: what checks, certificates and figures ask.
-        smoothing: what a smoother of a whole log asks, `observers.parts.smoothing.Smoothing`; None:
-            nothing smooths it.
-        python: of an observer that computes in Python, how; its graph only hands on the estimate,
-            which is its state there. None: the graph is the observer.
+        step: step(params, state, u, reading) is (the state's derivative, or its next value when the
+            model is sampled, and the `Estimate`, which must not depend on u).
+        project: project(params, state) is the nearest admissible state (init gives one, and so does
+            step when the model is sampled).
+        traits: properties for checks, certificates and figures.
+        smoothing: data for smoothing of a whole log, of type `Smoothing` (None: it has no
+            smoother).
+        python: functions of an observer that computes in Python (its graph only passes the estimate
+            on, which is its state there). None: the graph is the observer.
     """
 
     params: Any
@@ -452,11 +460,11 @@ class Controller(NamedTuple):
 
     Attributes:
         params: tree of NumPy arrays.
-        init: init(params) is the state at t = 0; None: no state.
+        init: init(params) is the state at t = 0 (None: no state).
         step: step(params, state, estimate, target) is (the state's derivative, or its next value
-            when the model is sampled; u).
-        plan: what it computes ahead of a run, if anything.
-        K: constant state feedback u = -K x^ + ... (m x n); None: there is none.
+            when the model is sampled, and u).
+        plan: function that it computes ahead of a run, if any.
+        K: constant state feedback u = -K x^ + ... (m x n) (None: there is none).
         rate: fastest rate of its own that a step must resolve [1/s].
     """
 
@@ -478,7 +486,7 @@ class Compensator(NamedTuple):
 
     Attributes:
         params: tree of NumPy arrays.
-        init: init(params) is the state at t = 0; None: no state.
+        init: init(params) is the state at t = 0 (None: no state).
         step: step(params, state, v, estimate, reading) is (the state at the next sample, the
             command u (m)), v what should enter the plant (m).
     """
@@ -491,16 +499,16 @@ class Compensator(NamedTuple):
 def build_estimate(
     x: Any, z: Any, right: Any, left: Any, reading: Reading, slope: Any, kind: str, innovation: Any
 ) -> Estimate:
-    """Return an `Estimate` with its dead-zone inverse; the inverse of a missing sample is z^.
+    """Return an `Estimate` with its dead-zone inverse. The inverse of a missing sample is z^.
 
     Args:
         x: state x^ (n).
         z: output z^ (p).
         right, left: widths d_r^, d_l^ (p).
-        reading: what was read.
+        reading: the reading.
         slope: slope m of the sensor (p).
         kind: kind of the sensor.
-        innovation: what the reading adds to the prediction (p).
+        innovation: the reading less its prediction (p).
     """
     inverted = inverse(reading.y, reading.side, right, left, slope, kind)
     return Estimate(x, z, right, left, ca.if_else(present(reading.y), inverted, z), innovation)
@@ -510,9 +518,9 @@ def build_python_observer(how: PythonObserver, p: int, traits: Traits) -> Observ
     """Return the observer of functions that compute in Python, sample by sample.
 
     Args:
-        how: what it computes.
+        how: its functions.
         p: number of outputs.
-        traits: what checks, certificates and figures ask.
+        traits: properties for checks, certificates and figures.
     """
     missing = Reading(np.full(p, np.nan), np.zeros(p))
     _, first = how.correct(how.start(0), missing)

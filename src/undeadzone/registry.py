@@ -32,10 +32,10 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field
     """Options of an observer, a controller or a compensator, and the method that they build.
 
     `build(model, ...)` takes the model that the method computes with, for an observer the dead zone
-    as the observer takes it, for a compensator what is known of the actuator. It raises InputError
-    for an option that it cannot take or a model that it is not for, ShapeError for an option of
-    another shape, StructureError for a model on which the method does not exist, and StepError for
-    a step that is too coarse for it.
+    as the observer takes it, for a compensator the knowledge about the actuator. It raises
+    InputError for an option that it cannot take or a model that it is not for, ShapeError for an
+    option of another shape, StructureError for a model on which the method does not exist, and
+    StepError for a step that is too coarse for it.
     """
 
 
@@ -67,7 +67,7 @@ class CompensatorOptions(Protocol):
     __struct_config__: ClassVar[Any]
 
     def build(self, model: System, belief: Belief | None) -> Compensator:
-        """Return the compensator for a model and what is known of its actuator."""
+        """Return the compensator for a model and the knowledge about its actuator."""
 
 
 class _Tagged(msgspec.Struct):
@@ -85,7 +85,7 @@ class Registry(NamedTuple):
 
     Attributes:
         group: the entry points by which other packages register theirs.
-        own: where the tool's own options stand, `module:Class`, by method.
+        own: places of the tool's own options, `module:Class`, by method.
     """
 
     group: str
@@ -96,7 +96,7 @@ class Registry(NamedTuple):
         return [*self.own, *list_registered_places(self.group)]
 
     def find_options(self, tag: str) -> type[Options] | None:
-        """Return the class of the options of a method; None if the name is unknown.
+        """Return the class of the options of a method, or None if the name is unknown.
 
         Raises:
             InputError: the package that registered it cannot be imported, or registers no options.
@@ -108,7 +108,7 @@ class Registry(NamedTuple):
         is_struct = isinstance(options, type) and issubclass(options, msgspec.Struct)
         if not is_struct or not hasattr(options, "build"):
             raise InputError(
-                f"{self.group}: {tag!r} is registered at {place}, which is no class of options. "
+                f"{self.group}: {tag!r} is registered at {place}, which is not a class of options. "
                 "Derive it from undeadzone.registry.Options, with a method build"
             )
         return options
@@ -135,12 +135,12 @@ class Registry(NamedTuple):
 
         Args:
             tag: the method.
-            options: what is not as it is by default.
+            options: options that differ from their defaults.
         """
         return load_object(tag, self.own[tag])(**options)
 
     def decode_options(self, table: Any) -> Any:
-        """Return options from a table of a scenario, by its key `method`; a struct stays
+        """Return options from a table of a scenario, by its key `method`. A struct stays
         unchanged.
 
         Raises:
@@ -191,6 +191,7 @@ COMPENSATORS: Final = Registry(
     {
         "none": "undeadzone.compensators.no_inverse:NoInverse",
         "inverse": "undeadzone.compensators.zone_inverse:ZoneInverse",
+        "play_inverse": "undeadzone.compensators.play_inverse:PlayInverse",
         "smooth_inverse": "undeadzone.compensators.smooth_inverse:SmoothZoneInverse",
     },
 )
@@ -202,11 +203,10 @@ REGISTRIES: Final[Mapping[Any, Registry]] = {
 
 
 def decode_field(kind: type, value: Any) -> Any:
-    """Return options of methods or arrays from tables of a scenario; the decode hook of
-    msgspec.
+    """Return options of methods or arrays from tables of a scenario (the decode hook of msgspec).
 
     Raises:
-        ValueError: what a value cannot be; msgspec says where.
+        ValueError: an impossible value (msgspec adds its place).
         InputError: the package that registered a method cannot be imported.
     """
     catalogue = REGISTRIES.get(kind)
@@ -253,7 +253,7 @@ def find_options_class(name: str, *catalogues: Registry) -> type[Options]:
 
     Args:
         name: of the class.
-        catalogues: where to look; default all.
+        catalogues: registries to search (default all).
 
     Raises:
         AttributeError: there are none.

@@ -110,7 +110,7 @@ def build_monomials(key: str, reach: Floats, degree: int) -> Basis:
 
 
 def build_jump_functions(key: str, count: int) -> Basis:
-    """Build Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = [y; side].
+    """Build Selmic and Lewis's jump functions (1 - e^(-|y|))^k, k < count, of v = `[y; side]`.
 
     They act on the right side and, negative, on the left.
 

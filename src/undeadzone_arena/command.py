@@ -201,9 +201,9 @@ def _can_store_results(folder: Path, writes: bool) -> bool:
 
 
 def _parse_method_names(methods: str) -> list[str]:
-    """Parse a list of names separated by commas. Raises BadParameter for an empty list.
+    """Parse a list of names separated by commas.
 
-    Raises BadParameter where there is none.
+    Raises BadParameter if it is empty.
     """
     names = [name.strip() for name in methods.split(",")]
     named = [name for name in names if name]

@@ -25,7 +25,7 @@ def injection_gain(
         L: gains (n x p) [1/s].
         poles: poles of A - L C (n) [1/s].
         speed: speed of A - L C [1/s].
-        default: speed, in fastest poles of the plant, where none of the three is given.
+        default: speed, in fastest poles of the plant, if all three are absent.
 
     Raises:
         InputError, ShapeError, StructureError: for more than one of the three, or one that cannot
@@ -68,7 +68,7 @@ def rate_or_default(model: System, key: str, rate: float | None, default: float)
         The rate [1/s].
 
     Raises:
-        InputError: the rate is no positive number.
+        InputError: the rate is not a positive number.
     """
     if rate is None:
         return default * fastest_pole(model)

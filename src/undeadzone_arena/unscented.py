@@ -105,7 +105,7 @@ def gain_by_points(
         w: the weights.
 
     Returns:
-        What is expected of y, its variance, and the gain K (N).
+        The expected y, its variance, and the gain K (N).
     """
     spread = sigma_points(belief, w)
     read = [h(point) for point in spread]

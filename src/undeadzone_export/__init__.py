@@ -1,7 +1,7 @@
 """Export of a scenario's observer and controller, to run without undeadzone (docs/export.md).
 
 As C for a microcontroller, as text for a PLC, as an FMU, a Python module, a page with sliders. The
-public names stand in `__init__.pyi`; `undeadzone` has them, too.
+public names stand in `__init__.pyi`. `undeadzone` has them, too.
 """
 
 import lazy_loader

@@ -34,15 +34,15 @@ class Accuracy(NamedTuple):
 
     Attributes:
         machine: largest error of code in double against CasADi's virtual machine, relative to the
-            size of each field; None in single precision.
-        machine_bar: what it must stay below.
-        steps: how many steps float ran beside double; 0 in double precision.
+            size of each field (None in single precision).
+        machine_bar: bound of that error.
+        steps: number of steps that float ran beside double (0 in double precision).
         float_against_double: the largest error of float and the largest value, by field.
         sides_differ: at how many steps the measured side differs.
-        smallest_correlation_eigenvalue: of a correlation matrix in double; None: no covariance.
+        smallest_correlation_eigenvalue: of a correlation matrix in double (None: no covariance).
         smallest_correlation_eigenvalue_in_float: the same in float.
-        refusals: what is not good enough, with its number.
-        stack: of a step on this computer [bytes]; None: the compiler does not tell.
+        refusals: insufficient properties, with their numbers.
+        stack: of a step on this computer [bytes] (None: not reported by the compiler).
     """
 
     machine: float | None
@@ -60,22 +60,22 @@ class CompiledStep:
     """Exported code compiled for this computer, with its own memory.
 
     Args:
-        code: what is printed.
-        folder: where the library goes.
+        code: nodes to print.
+        folder: folder of the library.
         options: for the compiler.
-        text: its C; None: printed here, which takes as long as to make the code.
+        text: its C (None: printed here, which takes as long as to make the code).
     """
 
     def __init__(
         self, code: Code, folder: Path, options: Options = ("-O1",), text: Source | None = None
     ) -> None:
-        text = text or build_source(code, Labels(f"run_{code.kind}", "accuracy", "replica"))
+        text = text or build_source(code, Labels(f"run_{code.dtype_name}", "accuracy", "replica"))
         prefix, files, given = text.prefix, text.texts_by_name(), bool(code.step.params)
         files[f"{prefix}_run.c"] = fill_template("templates/runner.c", call_words(prefix, given))
         library = compile_library(write_sources(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
         self.stack = stack_bytes(folder, prefix)
-        self.real = code.kind
+        self.real = code.dtype_name
         self.state = np.zeros(total_size(code.structs["state"]), self.real)
         self.outputs = total_size(code.step.outputs)
         self.reset_memory()
@@ -105,7 +105,7 @@ def measure_accuracy(printed: Code, text: Source, rows: Floats) -> Accuracy:
 
     Args:
         printed: the code.
-        text: its C; elementary functions that it uses differ in the last bits.
+        text: its C, whose elementary functions differ in the last bits.
         rows: the inputs along the scenario's own run, continued (steps x inputs).
 
     Raises:

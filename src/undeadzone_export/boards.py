@@ -1,9 +1,9 @@
 """Flash, memory and time of an export on usual boards, estimated from its operations.
 
-The shares an operation were measured with gcc 12 -Os on exports of 50 to 12,000 operations: of
-those that are written down, repeated parts once, code for a Cortex-M4F takes 7.8 to 10.5 bytes, for
-an AVR 30 to 33 (`python -m benchmarks small_code`). They tell what fits from what does not, no
-more: the compiler tells the bytes, the board the time.
+The shares an operation were measured with gcc 12 -Os on exports of 50 to 12,000 operations: of the
+written operations, repeated parts once, code for a Cortex-M4F takes 7.8 to 10.5 bytes, for an AVR
+30 to 33 (`python -m benchmarks small_code`). They only show if an export fits: the compiler
+measures the bytes, the board the time.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class BoardFit(NamedTuple):
 
     Attributes:
         board: its name.
-        flash, ram: what the export takes [bytes], memory with stack.
+        flash, ram: needs of the export [bytes], memory with stack.
         time: of a step [s].
         fits: whether flash and memory leave room, and a step half of the sample time.
-        why: what does not fit; empty if all does.
+        why: reasons why it does not fit (empty if it fits).
     """
 
     board: str

@@ -28,8 +28,8 @@ class Phases(NamedTuple):
     """Step in two calls.
 
     Attributes:
-        estimate: results (out, carry); nothing in it depends on the input.
-        advance: results (next,); its inputs named c are the carry.
+        estimate: results (out, carry) (nothing in it depends on the input).
+        advance: results (next,). Its inputs named c are the carry.
         carried: how many numbers pass from one to the other.
     """
 
@@ -45,7 +45,7 @@ class Code(NamedTuple):
         step: the step it came from.
         single: whether numbers are float, else double.
         results: next and out.
-        phases: the same in two calls; None where no input acts from outside.
+        phases: the same in two calls (None if no input acts from outside).
     """
 
     step: ExportedStep
@@ -54,14 +54,14 @@ class Code(NamedTuple):
     phases: Phases | None
 
     @property
-    def kind(self) -> str:
+    def dtype_name(self) -> str:
         """Return NumPy's name of the type of numbers."""
         return "float32" if self.single else "float64"
 
     @property
-    def real(self) -> str:
+    def c_type(self) -> str:
         """Return the type of numbers in C."""
-        return TYPES[self.kind]
+        return TYPES[self.dtype_name]
 
     @property
     def carry_size(self) -> int:
@@ -110,7 +110,7 @@ def split_phases(results: Results, acting: Iterable[str]) -> Phases:
 
     Args:
         results: the nodes.
-        acting: names of the inputs that are known late; `out` must not depend on them.
+        acting: names of the inputs that are known late (`out` must not depend on them).
     """
     following, out = results
     late: set[Node] = set()
@@ -134,13 +134,13 @@ def split_phases(results: Results, acting: Iterable[str]) -> Phases:
 def _smallest_cut(nodes: list[Node], needed: set[Node], first: set[Node]) -> list[Node]:
     """Return the fewest values from which all that is needed can be computed.
 
-    It is the smallest cut of a flow from what is needed down to what only the first phase knows;
-    each value is a pipe of capacity 1.
+    It is the smallest cut of a flow from the needed values down to those that only the first phase
+    has. Each value is a pipe of capacity 1.
 
     Args:
-        nodes: what is known before the inputs, in the order of creation.
-        needed: what the second phase uses.
-        first: what the first phase has to compute.
+        nodes: nodes that are known before the inputs, in the order of creation.
+        needed: nodes that the second phase uses.
+        first: nodes that the first phase has to compute.
     """
     from scipy.sparse import csgraph, csr_matrix
 

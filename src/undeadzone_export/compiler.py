@@ -42,7 +42,7 @@ def write_sources(files: dict[str, str], folder: Path) -> list[Path]:
 
     Args:
         files: texts by name.
-        folder: where they go.
+        folder: folder of the files.
     """
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -114,7 +114,7 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
 
     Args:
         folder: where `compile_library` put its output, with the sources.
-        prefix: what the names of the functions begin with.
+        prefix: first part of the names of the functions.
     """
     frames: dict[str, int] = {}
     for path in folder.glob("*.su"):
@@ -138,7 +138,7 @@ def stack_bytes(folder: Path, prefix: str) -> int | None:
 
 
 def run_selftest(files: dict[str, str]) -> tuple[bool, str]:
-    """Build and run the self-test of an export; return whether it passed and its output.
+    """Build and run the self-test of an export, and return whether it passed and its output.
 
     Args:
         files: the C of the export and of its self-test, by name.

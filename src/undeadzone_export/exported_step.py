@@ -53,7 +53,7 @@ class Field(NamedTuple):
     Attributes:
         name: its name in C.
         size: how many numbers it holds.
-        meaning: what they are, with their unit.
+        meaning: meaning of its entries, with their unit.
     """
 
     name: str
@@ -64,8 +64,8 @@ class Field(NamedTuple):
 def to_identifier(text: str) -> str:
     """Convert a text to a name that files and symbols of any language accept.
 
-    It has letters, digits and single underscores in lower case; an n comes before what is a word of
-    C or Python, a header of C or a module of Python, as math is.
+    It has letters, digits and single underscores in lower case. An n comes before names that are a
+    word of C or Python, a header of C or a module of Python, as math is.
     """
     name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
     if not name:
@@ -154,7 +154,7 @@ def name_entries(**inputs: Iterable[Any]) -> dict[str, Any]:
     """Return the values of the inputs of a step by their names in the graph: s0, s1, w0.
 
     Args:
-        **inputs: what stands for the entries of s, of w, and so on.
+        **inputs: arrays for the entries of s, of w, and so on.
     """
     named: dict[str, Any] = {}
     for name, each in inputs.items():
@@ -167,7 +167,7 @@ def make_distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> lis
 
     Args:
         wanted: the names.
-        told_by: what of a name tells it from others.
+        told_by: key of a name that must be distinct.
     """
     taken: set[str] = set()
     names = []
@@ -189,10 +189,10 @@ class ExportedStep(NamedTuple):
     Attributes:
         function: step(s, w, p) -> (next, out), the numbers that are not tunable folded in.
         start: the state at t = 0.
-        state, inputs, outputs, params: the fields of the structs; params are the tunable numbers.
+        state, inputs, outputs, params: the fields of the structs (params are the tunable numbers).
         defaults: values of the tunable numbers.
-        readings: how many entries of w are readings; they come first.
-        acting: the entries of w that are inputs u of the plant; none with a controller.
+        readings: number of entries of w that are readings. They come first.
+        acting: the entries of w that are inputs u of the plant (none with a controller).
         Ts: sample time [s].
     """
 
@@ -340,7 +340,7 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
     t_column, target = tree.create_symbols(like, "target")
     reading = to_reading(y, *params.sensor)
     own = observer, controller, params, compensator
-    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).answer(
+    following, u, estimate = Wiring(problem.plant, problem.sensor.kind, *own).advance_controller(
         s, reading, target
     )
     out = u, estimate, sample_branch(reading, estimate)

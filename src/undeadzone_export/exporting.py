@@ -50,9 +50,9 @@ class Exported(NamedTuple):
     Attributes:
         files: the files written.
         report: name, hash, sizes and the stack on this computer [bytes], operations of a step,
-            accuracy, and `refusals`: why the code should not be used, with the number; empty where
-            all is well.
-        code: what was printed; None of a page.
+            accuracy, and `refusals`: why the code should not be used, with the number (empty if all
+            is well).
+        code: the printed nodes (None for a page).
     """
 
     files: list[Path]
@@ -81,24 +81,25 @@ def export(
 
     Args:
         scenario: a scenario with simulation.time = "sampled".
-        to: "c"; "arduino" for a library of the Arduino IDE; "st" for Structured Text of
-            IEC 61131-3; "fmu2" or "fmu3" for an FMU for co-simulation; "python" for a module that
-            needs no undeadzone; "page" for one HTML file in which the scenario's loop runs.
-        out: folder for the files, or the HTML file; replaced if it is an earlier export. Other
+        to: "c", "arduino" for a library of the Arduino IDE, "st" for Structured Text of IEC
+            61131-3, "fmu2" or "fmu3" for an FMU for co-simulation, "python" for a module that needs
+            no undeadzone, or "page" for one HTML file in which the scenario's loop runs.
+        out: folder for the files, or the HTML file (replaced if it is an earlier export). Other
             files in the folder stay.
-        precision: "single" for float, or "double"; default: double but for "c", "arduino" and "st".
+        precision: "single" for float, or "double" (default: double but for "c", "arduino" and
+            "st").
         part: "observer", or "observer+controller".
         tunable: numbers that stay parameters of the code, such as "observer.gamma".
-        name: what every symbol begins with; default: made of the scenario's title.
+        name: first part of every symbol (default: made of the scenario's title).
         check: also build the self-test with this computer's compiler and run it (not for Arduino
             and Structured Text).
-        force: replace files that someone else wrote or edited, where they are in the way; other
-            files stay all the same.
+        force: replace files that someone else wrote or edited, if they are in the way (other files
+            stay).
         told: called with a sentence before something that takes minutes begins.
 
     Returns:
-        The files, and a report. Accuracy is measured where there is a C compiler; single
-        precision that was not measured counts as refused.
+        The files, and a report. Accuracy is measured if there is a C compiler. Single precision
+        that was not measured counts as refused.
 
     Raises:
         InputError: a scenario that cannot be exported, or an unknown option.
@@ -274,7 +275,7 @@ def constants_beyond_float(double: Code) -> list[str]:
     """Return the numbers of the code in double that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
     for node in required_nodes(itertools.chain(*double.results)):
-        size = abs(node.value or 0.0)
+        size = abs(node.constant_value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")
     return sorted(texts)

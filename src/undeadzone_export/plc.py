@@ -48,10 +48,10 @@ class PlcVariable(NamedTuple):
     """Variable of a program organisation unit.
 
     Attributes:
-        name: what it is called.
+        name: its name.
         kind: its type.
-        meaning: what it is; empty: its name says it.
-        start: its value at first, of an array that of each entry; empty: that of its type.
+        meaning: its meaning (empty: as its name).
+        start: its value at first, of an array that of each entry (empty: that of its type).
     """
 
     name: str
@@ -70,11 +70,11 @@ class PlcUnit(NamedTuple):
 
     Attributes:
         keyword: FUNCTION, FUNCTION_BLOCK or PROGRAM.
-        name: what it is called.
-        meaning: what it does.
+        name: its name.
+        meaning: its purpose.
         variables: by their sections.
         lines: its statements.
-        returns: the type of a function; empty of others.
+        returns: the type of a function (empty of others).
     """
 
     keyword: str
@@ -89,7 +89,7 @@ class PlcExport(NamedTuple):
     """Program organisation units of an export.
 
     Attributes:
-        units: functions and blocks, each after those that it uses; the last is the observer.
+        units: functions and blocks, each after those that it uses. The last is the observer.
         test: the program that compares with the reference.
     """
 
@@ -106,16 +106,16 @@ def export_plc(code: Code, labels: Labels, vectors: Vectors) -> PlcExport:
     """Build the program organisation units of an export.
 
     Args:
-        code: what is printed.
+        code: the nodes to print.
         labels: the words that its files share.
         vectors: the reference vectors of the self-test.
 
     Raises:
         InputError: an operation that the language has not.
     """
-    style = Style(code.kind, labels.prefix, ST)
+    style = Style(code.dtype_name, labels.prefix, ST)
     block = _BlockBuilder(code, labels, style)
-    names = elementary.required_functions(block.function_names, code.kind, portable_maths.OWN)
+    names = elementary.required_functions(block.function_names, code.dtype_name, portable_maths.OWN)
     functions = [function_unit(name, style) for name in names]
     blocks = block.build_units()
     return PlcExport([*functions, *blocks], _selftest_unit(code, labels, vectors, blocks[-1]))
@@ -145,7 +145,7 @@ class _BlockBuilder:
     """Builder of the observer's function block, whole or in parts.
 
     Args:
-        code: what is printed.
+        code: the nodes to print.
         labels: the words that its files share.
         style: how numbers and functions are written.
     """
@@ -207,7 +207,7 @@ class _BlockBuilder:
             ],
         }
         states = zip(self.states, step.start.tolist(), strict=True)
-        start = itertools.chain(*[assign_number(*each, self.code.kind) for each in states])
+        start = itertools.chain(*[assign_number(*each, self.code.dtype_name) for each in states])
         text = [
             *_if_statement("reset", start),
             *self._reading_statements(),
@@ -243,7 +243,7 @@ class _BlockBuilder:
         self, names: list[str], fields: list[Field], values: Floats
     ) -> list[PlcVariable]:
         """Return variables for the numbers of fields, with their start values."""
-        starts = [(initial_literal(value, self.code.kind),) for value in values.tolist()]
+        starts = [(initial_literal(value, self.code.dtype_name),) for value in values.tolist()]
         known = zip(self._field_variables(names, fields), starts, strict=True)
         return [each._replace(start=start) for each, start in known]
 
@@ -252,7 +252,7 @@ class _BlockBuilder:
         lines = []
         for missing, read, y in zip(self.missing, self.read, self.inputs, strict=False):
             lines += [f"{INDENT}{read} := {y};"]
-            lines += _if_statement(missing, assign_number(read, np.inf, self.code.kind))
+            lines += _if_statement(missing, assign_number(read, np.inf, self.code.dtype_name))
         return lines
 
     def _output_assignments(self) -> list[str]:
@@ -281,7 +281,7 @@ class _Written(NamedTuple):
 
     Attributes:
         units: its parts, if it is divided.
-        variables: what it holds.
+        variables: variables of the block.
         lines: its statements.
     """
 
@@ -295,7 +295,7 @@ class _Inner:
 
     Args:
         name: of the block.
-        results: what it computes.
+        results: nodes that it computes.
         repeats: all repeated parts.
         entries: the expression of each input.
         style: how numbers and functions are written.
@@ -331,7 +331,7 @@ class _Inner:
         return lines
 
     def _declare(self, found: Iterable[Local]) -> list[PlcVariable]:
-        """Return the variables of locals; of a call those of its results."""
+        """Return the variables of locals, for a call those of its results."""
         held = self.expressions.names
         variables = []
         for local in found:
@@ -383,9 +383,9 @@ class _Inner:
         """Return the variables of a part, by section.
 
         Args:
-            part: what it computes.
-            given: what it reads.
-            shared: what is read outside of the part that computes it.
+            part: the repeated part.
+            given: nodes that it reads.
+            shared: nodes that are read outside of the part that computes them.
         """
         held = self.expressions.names
         names = [held.get(node) or self.entries[node.text] for node in given]
@@ -402,7 +402,7 @@ class _Repeat:
     """Block of a repeated part.
 
     Args:
-        part: what it computes.
+        part: the repeated part.
         repeats: all repeated parts.
         labels: the words that all files share.
         style: how numbers and functions are written.
@@ -442,7 +442,7 @@ def _declare_local(local: Local) -> PlcVariable:
 
 
 def _instance_name(part: PlcUnit) -> str:
-    """Return what the instance of a part is called."""
+    """Return the name of the instance of a part."""
     return f"own_{part.name[part.name.rindex('part_') :]}"
 
 
@@ -463,7 +463,7 @@ def _if_statement(truth: str, statements: Iterable[str]) -> list[str]:
 
 def _selftest_unit(code: Code, labels: Labels, vectors: Vectors, block: PlcUnit) -> PlcUnit:
     """Build the self-test: one sample a cycle, each output compared with its reference."""
-    samples, kind = len(vectors.states), code.kind
+    samples, kind = len(vectors.states), code.dtype_name
     given, expected = vectors.inputs.view(kind), vectors.outputs.view(kind)
     names = [each.name for each in block.variables[INPUTS] if each.kind != "BOOL"]
     arguments, checks, tables = [], [], []

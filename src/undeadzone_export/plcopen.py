@@ -25,12 +25,12 @@ def st_text(units: list[PlcUnit], labels: Labels, code: Code) -> str:
     """Return the text of a file of Structured Text.
 
     Args:
-        units: what it holds.
+        units: units of the file.
         labels: the words that the files share.
-        code: what is printed.
+        code: the printed nodes.
     """
     head = [
-        f"{labels.prefix}: {labels.part}, {TYPES[code.kind]}; hash {code.hash}.",
+        f"{labels.prefix}: {labels.part}, {TYPES[code.dtype_name]}; hash {code.hash}.",
         f"Written by undeadzone {undeadzone.__version__}; do not edit.",
         "SPDX-License-Identifier: BSD-3-Clause",
     ]
@@ -85,9 +85,9 @@ def plcopen_xml(units: list[PlcUnit], labels: Labels, code: Code) -> str:
     """Return the text of a file that development systems import.
 
     Args:
-        units: what it holds.
+        units: units of the file.
         labels: the words that the files share.
-        code: what is printed.
+        code: the printed nodes.
     """
     pous = Element("pous")
     for unit in units:

@@ -43,7 +43,7 @@ class Vectors(NamedTuple):
 def continue_scenario(scenario: Scenario, steps: int) -> Problem:
     """Return the checked parts of a scenario whose run has at least a number of steps.
 
-    Where it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
+    If it cannot be continued, as with a signal from a file that ends, it is the scenario itself.
     """
     simulation = scenario.simulation
     duration = max(simulation.duration, steps * simulation.step)
@@ -59,7 +59,7 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
 
     Args:
         problem: the checked parts of a sampled scenario.
-        step: the step; it decides whether u or the target of the controller is an input.
+        step: the step. It determines if u or the target of the controller is an input.
 
     Returns:
         A row of readings, then of the other inputs, for each sample.
@@ -94,7 +94,7 @@ def choose_samples(rows: Floats, readings: int) -> Floats:
 
     Args:
         rows: the inputs along a run.
-        readings: how many of the columns are readings; they come first.
+        readings: number of columns that are readings. They come first.
     """
     picked = rows[np.linspace(0, len(rows) - 1, min(SAMPLES, len(rows))).astype(int)].copy()
     for output in range(readings):
@@ -110,10 +110,10 @@ def reference_vectors(code: Code, rows: Floats) -> Vectors:
     """Compute the bits of outputs and memory along inputs, without a compiler.
 
     Args:
-        code: what is printed.
+        code: the printed nodes.
         rows: inputs, a row for each sample.
     """
-    kind, evaluate = code.kind, reference_evaluator(code.results)
+    kind, evaluate = code.dtype_name, reference_evaluator(code.results)
     rows = rows.astype(kind)
     state = code.step.start.astype(kind)
     params = code.step.defaults.astype(kind)
@@ -150,7 +150,7 @@ def selftest_source(code: Code, prefix: str, vectors: Vectors) -> str:
     """Return the C source of the self-test.
 
     Args:
-        code: what is printed.
+        code: the printed nodes.
         prefix: what every symbol begins with.
         vectors: the reference vectors.
     """
@@ -161,12 +161,12 @@ def selftest_source(code: Code, prefix: str, vectors: Vectors) -> str:
         "inputs": vectors.inputs.shape[1],
         "outputs": vectors.outputs.shape[1],
         "memory": code.step.start.size,
-        "real": code.real,
+        "real": code.c_type,
         "word": f"uint{4 * digits}_t",
         "is_double": not code.single,
         "magnitude": "0x7fffffffu" if code.single else "0x7fffffffffffffffull",
         "infinity": "0x7f800000u" if code.single else "0x7ff0000000000000ull",
-        "nan": f"0x{NAN[code.kind]:x}{ending}",
+        "nan": f"0x{NAN[code.dtype_name]:x}{ending}",
         "offset": OFFSET,
         "prime": PRIME,
         "phased": code.phases is not None,

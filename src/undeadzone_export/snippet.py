@@ -161,15 +161,15 @@ Triple: TypeAlias = tuple[float, float, float]  # a value with the ends of its i
 
 
 class Lost(NamedTuple):
-    """What a snippet compensates.
+    """Widths that a snippet compensates.
 
     Attributes:
         kind: sensor, actuator or backlash.
-        right, left, width: each as (value, low, high); of a gap the width counts alone.
+        right, left, width: each as (value, low, high) (of a gap the width counts alone).
         unit: of them.
-        source: where they came from, for people.
-        silent: |y| up to which a sensor's reading says nothing.
-        absent: right or left, where a sensor has no such edge; else empty.
+        source: description of their source.
+        silent: |y| up to which a sensor's sample is censored.
+        absent: right or left, where a sensor has no such edge, else empty.
     """
 
     kind: str
@@ -190,9 +190,9 @@ def write_snippet(
     Args:
         source: a scenario, or the identify.json of `undeadzone identify`.
         out: the folder.
-        name: of the function; None: a usual one.
+        name: of the function (None: a usual one).
         force: whether files that someone edited are replaced.
-        confine: a folder outside of which a scenario may name no file; None: any.
+        confine: a folder outside of which a scenario may name no file (None: any).
 
     Raises:
         InputError: there is nothing that a few lines can compensate, and why.
@@ -214,7 +214,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """Return the three texts by the names of their files.
 
     Args:
-        lost: what they compensate.
+        lost: widths that they compensate.
         name: of the function.
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
@@ -265,7 +265,7 @@ def _literal(value: float) -> str:
 
 
 def _of_answer(path: Path) -> Lost:
-    """Return what an answer of `identify` found. Raises InputError where nothing is certain."""
+    """Return the widths in an answer of `identify`. Raises InputError if no width is certain."""
     try:
         found = json.loads(read_text(path))
         found["verdict"]
@@ -292,8 +292,9 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
         raise InputError(
-            f"{path}: the verdict is {verdict}, which no few lines compensate. Record longer, or "
-            "with larger and slower reversals, and identify again (--next says with which input)"
+            f"{path}: the verdict is {verdict}, which a snippet cannot compensate. Record "
+            "longer, or with larger and slower reversals, and identify again (--next proposes an "
+            "input)"
         )
     motion, kind = found.get("lost_motion"), KINDS[verdict]
     try:
@@ -363,7 +364,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
         right, left = (_with_range(side, None) for side in sides)
         kind, unit = "actuator", units.input
     else:
-        raise InputError(f"{path}: neither sensor nor actuator has a zone: nothing to compensate")
+        raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     width = (both[0], both[1], both[2])
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
@@ -371,19 +372,19 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
 
 
 def _numbers(value: Any) -> list[float]:
-    """Return one width or several as a list; what does not exist is no width."""
+    """Return one width or several as a list, empty for a missing width."""
     return [] if value is None else np.ravel(np.asarray(value, float)).tolist()
 
 
 def _single(values: list[float], path: Path) -> float:
-    """Return the only width of a side. Raises InputError where there are several, or none ends."""
+    """Return the only width of a side. Raises InputError if there are several, or none ends."""
     if len({*values}) > 1 or not math.isfinite(values[0]):
         raise InputError(f"{path}: expected one finite width on each side, found {values}")
     return values[0]
 
 
 def _with_range(value: float, told: Any) -> tuple[float, float, float]:
-    """Return a width with the range that the observer is told, if it holds the width."""
+    """Return a width with the observer's assumed range, if the range contains the width."""
     pair = [value, value] if told is None else _numbers(told)
     is_held = len(pair) == 2 and pair[0] <= value <= pair[1] < math.inf
     return (value, pair[0], pair[1]) if is_held else (value, value, value)

@@ -42,7 +42,7 @@ class Source(NamedTuple):
         prefix: what every symbol begins with.
         header: the interface.
         code: init and step.
-        math: the elementary functions; empty where none is used.
+        math: the elementary functions (empty if none is used).
         functions: the names of those.
         operations: how many are written down, those of repeated parts once.
     """
@@ -62,18 +62,18 @@ class Source(NamedTuple):
 
 def build_source(code: Code, labels: Labels) -> Source:
     """Print the C of an export."""
-    style = Style(code.kind, labels.prefix)
+    style = Style(code.dtype_name, labels.prefix)
     bodies = _print_bodies(code, style)
     used = bodies.functions
-    functions = elementary.required_functions(used, code.kind)
+    functions = elementary.required_functions(used, code.dtype_name)
     step, name = code.step, labels.prefix
     words = labels._asdict() | {
         "name": name,
         "upper": name.upper(),
         "title": _to_comment_line(labels.title),
         "version": undeadzone.__version__,
-        "real": code.real,
-        "step": c_literal(step.Ts, code.kind),
+        "real": code.c_type,
+        "step": c_literal(step.Ts, code.dtype_name),
         "hash": code.hash,
         "with_math": bool(used),
     }
@@ -90,11 +90,11 @@ def build_source(code: Code, labels: Labels) -> Source:
 
 
 class _Function(NamedTuple):
-    """Function of a step: what it computes, and where that goes.
+    """Function of a step: its results and their destination.
 
     Attributes:
         results: the nodes.
-        out: which of the results is the output; None: none of them.
+        out: index of the result that is the output (None: no output).
         targets: for each result, where each of its entries goes.
         locals: for each result, the local that holds each of its entries.
     """
@@ -127,7 +127,7 @@ class _Bodies(NamedTuple):
 def _print_bodies(code: Code, style: Style) -> _Bodies:
     """Print each function of a step, and the functions of repeated parts.
 
-    A step is its two halves; of a short one all is written once more, without their calls.
+    A step calls its two halves. A short step is written once more as a whole, without calls.
     """
     step, parts = code.step, list[Part]()
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
@@ -356,7 +356,7 @@ def local_meanings(results: Results, step: ExportedStep, out: int | None) -> dic
     Args:
         results: the nodes.
         step: the step, for the names of its inputs and outputs.
-        out: which of the results is the output; None: none of them.
+        out: index of the result that is the output (None: no output).
     """
     order = required_nodes(itertools.chain(*results))
     names = _presence_names(order, step)
@@ -397,7 +397,7 @@ def _input_in_comparison(node: Node) -> str:
         return ""
     low, high = node.args
     for bound, value, sign in ((low, high, -1.0), (high, low, 1.0)):
-        is_huge = sign * (bound.value or 0.0) >= round_to_type(HUGE, bound.kind)
+        is_huge = sign * (bound.constant_value or 0.0) >= round_to_type(HUGE, bound.kind)
         if is_huge and value.op == "input":
             return value.text
     return ""

@@ -103,7 +103,7 @@ def write_folder(files: Files, out: Path, force: bool = False) -> list[Path]:
 
     Args:
         files: texts and bytes by their paths inside the folder, a manifest among them.
-        out: the folder; of an earlier export there its files are replaced, all others stay.
+        out: the folder, in which the files of an earlier export are replaced and all others stay.
         force: whether files in their places are replaced that someone else wrote or edited.
 
     Returns:
@@ -156,7 +156,7 @@ class Material(NamedTuple):
         text: the C.
         vectors: the reference vectors of the self-test.
         units: names of the scenario's units.
-        report: what the manifest holds; `files` is added to it.
+        report: content of the manifest (`files` is added to it).
     """
 
     printed: Code
@@ -179,7 +179,7 @@ def export_files(to: str, material: Material) -> Files:
 
     Args:
         to: the target.
-        material: what they are made of.
+        material: parts of the export.
 
     Raises:
         InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
@@ -289,8 +289,8 @@ def _python_module(printed: Code, report: dict[str, Any]) -> str:
     """Return the text of the Python module.
 
     Args:
-        printed: what is printed as C.
-        report: what the manifest holds.
+        printed: the nodes printed as C.
+        report: content of the manifest.
     """
     structs = printed.structs
     words = {key: report[key] for key in ("name", "version", "part")} | {
@@ -301,7 +301,7 @@ def _python_module(printed: Code, report: dict[str, Any]) -> str:
         "arguments": ", ".join(field.name for field in structs["in"]),
         "inputs": _field_lines(structs["in"]),
         "outputs": _field_lines(structs["out"]),
-        "real": f"c_{printed.real}",
+        "real": f"c_{printed.c_type}",
     }
     for name in ("state", "in", "out", "params"):
         words[f"fields_of_{name}"] = _field_sizes(structs.get(name, []))

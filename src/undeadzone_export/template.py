@@ -22,7 +22,7 @@ def fill_template(path: str, words: dict[str, Any]) -> str:
 
     Args:
         path: as seen from here.
-        words: what stands for each word, as text.
+        words: text for each word.
     """
     return text.fill_words(read_template(path), words)
 

@@ -159,7 +159,7 @@ def identify(
             written = scenario + written
         best, why = (None, {}) if further is None else _propose_next_input(answer)
         if further is not None and best is not None:
-            written.append(write_text(best.table, further))
+            written.append(write_text(best.input_table, further))
         if folder is not None and output.figures:
             written += _write_pages(answer, folder, first.name, best)
     if keep is not None:
@@ -226,7 +226,7 @@ def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]
         best = answer.next_log()
     except InputError as error:
         return None, {"no next log": str(error).removeprefix("next: ")}
-    return best, {"record next": best.words}
+    return best, {"record next": best.description}
 
 
 def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list[Path], str | None]:

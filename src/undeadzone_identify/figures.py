@@ -39,7 +39,11 @@ POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
-SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
+SIDES = {
+    "input_play": "Motion behind the play",
+    "input_zone": "Side of the input",
+    "two_zones": "Side of the reading",
+}
 MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
 
 
@@ -65,7 +69,9 @@ def _plot_next_input(found_log: Identified, further: NextLog) -> Figure:
     figure, panels = create_panels([["u"]], "What to record next", height=2.4)
     panels["u"].plot(further.t, further.u, linewidth=0.8, drawstyle="steps-post")
     unit = found_log.answer.case.grid.input_unit
-    finish_panel(panels["u"], further.words, label_with_unit("u", unit), _time_label(found_log))
+    finish_panel(
+        panels["u"], further.description, label_with_unit("u", unit), _time_label(found_log)
+    )
     return figure
 
 
@@ -165,7 +171,7 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
     return figure
 
 
-def first(axes: Axes, result: IdentifiedOutputs) -> None:
+def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
     """Plot the log and the fit of the first output."""
     signals(axes, result.outputs[0])
 
@@ -315,9 +321,9 @@ def _plot_profiles(found_log: Identified) -> Figure:
     for name, colour in (("right", ink.PRINTED), ("left", ink.OTHER)):
         interval = getattr(found_log, name)
         axes = panels[name]
-        if interval is not None and interval.half > 0:
+        if interval is not None and interval.half_width > 0:
             own = answer.fit.right if name == "right" else answer.fit.left
-            reach = 1.5 * interval.half / answer.scale
+            reach = 1.5 * interval.half_width / answer.scale
             values = own + np.linspace(-reach, reach, POINTS)
             fall = profile_likelihood(answer.fit, name, values)
             axes.axvspan(interval.low, interval.high, color=ink.ZONE, alpha=0.2, linewidth=0)
@@ -338,7 +344,7 @@ def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     axes, t = panels["signals"], grid.t[part]
     _plot_output(axes, found_log, part)
     _plot_readings(axes, found_log, part)
-    if element.kind != "input_zone":
+    if element.kind in NAMES:
         expected = (element.readings * found_log.answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
     finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
@@ -354,7 +360,7 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     grid, scale, unit = answer.case.grid, answer.scale, _unit_of_output(found_log)
     figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
     axes, z, title = panels["map"], element.z * scale, "Reading by z^"
-    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind == "input_zone"
+    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind not in NAMES
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
@@ -389,7 +395,7 @@ def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure
         axes = panels[name]
         if width is not None:
             axes.axhspan(width.low, width.high, color=ink.ZONE, alpha=0.3, linewidth=0)
-            reach = max(reach, width.half)
+            reach = max(reach, width.half_width)
         for side, colour, word in ((1, ink.ESTIMATE, "to the right"), (-1, ink.OTHER, "left")):
             own = columns["side"] == side
             axes.plot(columns[name][own], columns["gap"][own], ".", color=colour, label=word)

@@ -40,9 +40,13 @@ from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
     Findings,
     add_play,
+    add_play_ahead,
     add_play_gap,
+    add_valve,
     build_input_element,
     has_a_model,
+    has_play_ahead,
+    needs_valve_test,
     with_adequacy,
     without_needless,
 )
@@ -367,7 +371,7 @@ def _fit_of_raw_readings(prepared: PreparedLog, fit: ZoneFit) -> ZoneFit:
 def _has_unread_edges(case: Case) -> bool:
     """Return whether the edges of a jump sensor can be read off but were not."""
     asked = case.options.kind == "auto" and case.jump_edges is None
-    return asked and case.data.silent_zeros and not case.options.integrators
+    return asked and case.record_data.silent_zeros and not case.options.integrators
 
 
 # --- What is asked, one after the other
@@ -381,7 +385,9 @@ def _has_no_jump(case: Case, found: Findings) -> bool:
 def _has_zone_with_zeros(case: Case, found: Findings) -> bool:
     """Return whether the sensor has a zone with exact zeros inside, so that (L3) applies."""
     has_zone = found.verdict.word == ("jump" if case.jump_edges else "dead_zone")
-    return has_zone and case.data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+    return (
+        has_zone and case.record_data.silent_zeros and case.chosen.pairs.objective.kind == "pairs"
+    )
 
 
 def _add_kalman_fit(case: Case, found: Findings) -> Findings:
@@ -443,10 +449,12 @@ QUESTIONS = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", needs_servo_test, add_servo),
+    Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
     Hypothesis("if a larger model simulates better", _holds_more, without_needless),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
+    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
 )

@@ -139,7 +139,7 @@ def _run_as_printed(problem: Problem, given: bool) -> tuple[Floats, Floats, Floa
 def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Floats]:
     """Return the loop of a step as a function, and its state at t = 0.
 
-    The function takes (state, reference) to (next state, [link; its estimate] about the hanging
+    The function takes (state, reference) to (next state, `[link; its estimate]` about the hanging
     arm). Reading and torque are held for the step.
     """
     plant, step = problem.plant, problem.scenario.simulation.step

@@ -47,7 +47,7 @@ class Paper(NamedTuple):
     sides: dict[int, BothSides]
 
     @property
-    def counts(self) -> list[VariantCount]:
+    def count_variants(self) -> list[VariantCount]:
         """Count the variants by plant and start."""
         return count_outcomes(self.variants)
 
@@ -65,7 +65,7 @@ class Paper(NamedTuple):
             "repaired_sampled": _numbers_as_repaired(self.evidence.sampled),
             "variants": {
                 "definition": DEFINITION,
-                "counts": [item._asdict() for item in self.counts],
+                "counts": [item._asdict() for item in self.count_variants],
             },
             "facts": [fact._asdict() for fact in self.facts],
             "verdicts": dict(Counter(claim.verdict for claim in self.claims)),

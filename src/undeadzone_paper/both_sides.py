@@ -49,7 +49,7 @@ class BothSides(NamedTuple):
     Attributes:
         compares: the two sides, in words
         printed: their largest difference as printed
-        mended: the same as mended; None: there is nothing to mend, or nothing mends it
+        mended: the same as mended (None: not mended)
     """
 
     compares: str
@@ -249,7 +249,7 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
-    """Return y - y^ on the measured side (N), 0 where the sensor is silent."""
+    """Return y - y^ on the measured side (N), 0 inside the zone."""
     y_hat = q.z_hat - (q.mended_chi * q.d_hat).sum(axis=1)
     return np.where(q.side != 0, q.y - y_hat, 0.0)
 
@@ -358,9 +358,9 @@ def _printed_P(linear: Matrices) -> Floats:
 
 
 def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, BothSides]:
-    """Compare both sides of (30)-(36) along p; `rise` is that of the certificate's V.
+    """Compare both sides of (30)-(36) along p. `rise` is that of the certificate's V.
 
-    For y~ M y~' with a matrix M stands y~ C M C' y~, as for P in (30); for y~ P L C chi_bar d~
+    For y~ M y~' with a matrix M stands y~ C M C' y~, as for P in (30). For y~ P L C chi_bar d~
     stands y~ C P L chi_bar d~.
     """
     A, B, C = linear

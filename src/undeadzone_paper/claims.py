@@ -1,8 +1,8 @@
 """Verdicts on the paper's claims.
 
-What they say stands in `claims.toml`, once; what was measured for them comes from `trials`. A
-verdict follows from two measured numbers and a limit alone: the claim holds as printed, holds after
-repair, or does not hold. What the paper announces and does not contain is not shown.
+Their text stands in `claims.toml`, once. The measured numbers come from `trials`. A verdict follows
+from two measured numbers and a limit alone: the claim holds as printed, holds after repair, or does
+not hold. Anything that the paper announces and does not contain is not shown.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class ClaimText(NamedTuple):
 
     Attributes:
         id: its name in this audit
-        where: where the paper makes it
+        where: place in the paper
         words: the paper's
-        claim: what is tested of them
+        claim: tested statement
         quantity: what tests it
-        limit: what the quantity must not exceed
+        limit: bound of the quantity
         why: the reason for the verdict, with {names} of numbers
-        announced: whether the quantity counts what the paper announces and no figure shows
+        announced: whether the quantity counts announcements of the paper that no figure shows
         ours: whether the quantity and its limit are this audit's reading, not a figure's claim
         works: whether the claim is that the design works
     """
@@ -57,8 +57,8 @@ class Claim(NamedTuple):
 
     Attributes:
         text: the claim in words
-        printed: its quantity as printed, by case; the worst counts; empty: no equation has it
-        repaired: its quantity as repaired; None: there is nothing to repair
+        printed: its quantity as printed, by case. The worst counts (empty: no equation has it)
+        repaired: its quantity as repaired (None: there is nothing to repair)
     """
 
     text: ClaimText
@@ -115,7 +115,7 @@ def verdict_counts_text(claims: Iterable[Claim]) -> str:
     working = Counter(claim.verdict for claim in claims if claim.text.works)
     counts = Counter(claim.verdict for claim in claims)
     hold = working["holds"]
-    first = "No claim" if hold == 0 else f"{hold} claim{'s' * (hold > 1)}"
+    first = "No statement" if hold == 0 else f"{hold} statement{'s' * (hold > 1)}"
     return (
         f"{first} that the design works hold{'s' * (hold < 2)} as printed. Of {working.total()} "
         f"such, {working['holds after repair']} hold after repair, "
@@ -153,7 +153,7 @@ def claims_on_equation(number: int, claims: Iterable[ClaimText]) -> list[str]:
 
     Args:
         number: of the equation
-        claims: all of them; where each stands names equations as "(34)" or "(30)-(36)"
+        claims: all of them (their `where` names equations as "(34)" or "(30)-(36)")
     """
     return [claim.id for claim in claims if number in _equation_numbers(claim.where)]
 
@@ -171,7 +171,7 @@ def claims_on_figure(number: int, claims: Iterable[ClaimText]) -> list[str]:
 
     Args:
         number: of the figure
-        claims: all of them; where each stands names figures as "figure 2" or "figures 3 and 4"
+        claims: all of them (their `where` names figures as "figure 2" or "figures 3 and 4")
     """
     found = re.compile(r"figures? ([1-8](?: and [1-8])*)")
     return [

@@ -1,6 +1,6 @@
 """Figures 1 and 2 of the paper, the block diagrams, drawn from the graph of the loop that runs.
 
-An arrow is drawn if what the block at its end computes depends on the signal: the graph is asked.
+An arrow is drawn if the results of the block at its end depend on the signal in the graph.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def plot_diagrams(number: int, loops: Mapping[str, Scenario]) -> Figure:
 
     Args:
         number: 1, without observer, or 2, with it
-        loops: scenarios by what their panels say
+        loops: scenarios by the titles of their panels
     """
     rows = [[name] for name in loops]
     height = (1.1, 2.4)[number - 1]

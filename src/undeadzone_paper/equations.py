@@ -1,7 +1,7 @@
 """The paper's equations (1)-(42) and figures 1-8.
 
-Each equation is listed with what it is, where it lives in the code, as printed or corrected, and
-what was changed. What the paper claims of them stands in `claims.toml`, and only there.
+Each equation is listed with its meaning, its place in the code, as printed or corrected, and the
+changes. The paper's claims about them stand in `claims.toml`, and only there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ class Equation(NamedTuple):
 
     Attributes:
         number: its number
-        what: what it is
+        what: its meaning
         where: the object of this package that holds it, or computes it
         status: whether it is used as printed, corrected, or not at all (but computed)
         reason: why

@@ -1,7 +1,7 @@
 """Runs for the verdicts on the paper's claims.
 
-They are the example as printed, repaired, both off their nominal conditions, and with what the
-paper recommends beside it: a tanh term, a filter, identification.
+They are the example as printed, repaired, both off their nominal conditions, and with the paper's
+further recommendations: a tanh term, a filter, identification.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Evidence(NamedTuple):
     """Runs by purpose. V of runs as printed is (30).
 
     Attributes:
-        printed: by how they start; r = 5 sin and 2 sin
+        printed: by their start (r = 5 sin and 2 sin)
         repaired: r = 5 sin and 2 sin
         sampled: repaired, at 100 Hz
         noisy: with noise on y
@@ -106,8 +106,8 @@ class Evidence(NamedTuple):
         disturbed: with a disturbance at the input
         scaled: repaired, with slope m = 2.5
         unaware: as printed, from rest and from x1 = 5, with d^(0) = 0.2
-        aware: repaired, with d^(0) = d; in the second z never leaves the zone
-        silent: repaired; d^(0) is wrong and z never leaves the zone
+        aware: repaired, with d^(0) = d (in the second z never leaves the zone)
+        silent: repaired, d^(0) is wrong and z never leaves the zone
         far: from near and far starts
         blind: Luenberger's observer with the same L takes y for z
         slow: the repaired observer with the paper's poles, L = (12, 15), for 100 s
@@ -121,7 +121,7 @@ class Evidence(NamedTuple):
         at_input, at_output: `kalman` with noise on y, and an unknown zone at the input, the output
         mismatch: with widths held at d, and 20 % off, as printed from x1 = 5 and repaired
         theorem: the outcomes of every reading of Theorem 4.1
-        law: the run of Theorem 4.1 from x1 = 5, d - d^ given; and estimated
+        law: the run of Theorem 4.1 from x1 = 5, d - d^ given, and estimated
         arm: errors of a one-link arm behind gears
     """
 

@@ -63,7 +63,7 @@ def example_as_printed(amplitude: float, x1: float = 0.0, signed_left: bool = Fa
 
     Args:
         amplitude: of r = amplitude sin 2 pi t
-        x1: x1(0); x2(0) = 0
+        x1: x1(0), x2(0) = 0
         signed_left: d_l is read as negative, as in "d_r = -d_l = 1", not as positive, as in A1
     """
     left_sign = 1.0 if signed_left else -1.0

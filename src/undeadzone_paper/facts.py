@@ -35,7 +35,7 @@ class Fact(NamedTuple):
 
     Attributes:
         where: the reading of the plant and the equation that it belongs to
-        what: what it is
+        what: its meaning
         measured: as the code computes it
         closed_form: as theory has it
     """
@@ -97,8 +97,8 @@ def _riccati_facts(linear: Matrices) -> list[Fact]:
     Also compute the alpha from which A - B K is unstable.
 
     In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
-    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2),
-    f^2 - 2 g = p^2 - 2 q + 2 alpha, where A - L C has s^2 + p s + q.
+    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2), f^2 - 2 g = p^2 - 2
+    q + 2 alpha, with s^2 + p s + q the polynomial of A - L C.
     """
     A, B, C = linear
     drift = A - np.array([L_POLES]).T @ C
@@ -130,7 +130,7 @@ def _control_gain(alpha: float) -> tuple[float, float]:
 def _certificate_facts(linear: Matrices) -> list[Fact]:
     """Compute min Re(1 + G(jw)) for L = (12, 15), and compare its sign with the certificate.
 
-    G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1; v = w^2.
+    G = C (sI - A)^-1 L = (b s + a) / (s + 1)^2 with a = 2 l1 + l2, b = l1, v = w^2.
     """
     A, _, C = linear
     L = np.array([L_POLES]).T

@@ -101,7 +101,7 @@ def plot_paper_figure(number: int, runs: RunTrio, reference: str) -> Figure:
 
 
 def plot_tracking(runs: RunTrio, reference: str) -> Figure:
-    """Plot z beside the desired trajectory, of which the text of figures 3 and 4 speaks."""
+    """Plot z beside the desired trajectory, as in the text of figures 3 and 4."""
     title = f"Output z and desired trajectory, {reference}"
     return _plot_pair(title, _TRACKING, runs, _TRACKING[1])
 
@@ -175,7 +175,7 @@ def _plot_sorted_errors(
     axes: Axes, outcomes: Sequence[TheoremOutcome], mismatch: str, colour: str
 ) -> None:
     """Plot the errors of the readings of (29) as printed, in their order."""
-    errors = [outcome.error for outcome in select_outcomes(outcomes, mismatch)]
+    errors = [outcome.worst_error for outcome in select_outcomes(outcomes, mismatch)]
     values = np.sort(errors)
     shown = np.isfinite(values)
     axes.set_yscale("log")

@@ -35,8 +35,8 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
 
     Attributes:
         L: observer gains (n) in (29) and (34).
-        widths: d = right, left [z], as the proof of Theorem 4.1 knows it; default: chi (d - d^) is
-            taken from (28) with x^ = x, which makes it -(y - y^).
+        widths: d = right, left [z], as the proof of Theorem 4.1 knows it (default: chi (d - d^) is
+            taken from (28) with x^ = x, which makes it -(y - y^)).
         alpha, Q: of (34).
         sharpness: k_s of (8).
         sign: 1 as printed, -1 for the sign of the left half of (42).

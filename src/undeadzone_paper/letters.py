@@ -12,7 +12,7 @@ class Letter(NamedTuple):
 
     Attributes:
         paper: the letter
-        meaning: what it is, and where
+        meaning: its meaning, and its place
         ours: what this package calls it
         key: of the scenario
         c: field of the exported C code

@@ -39,7 +39,7 @@ class Printed(Options, frozen=True, kw_only=True, tag="printed"):
         sigma: adaptation gain.
         alpha, Q: of (34).
         sharpness: k_s of (8).
-        widths0: d^(0) = right, left [z]; A2 sets it to the truth.
+        widths0: d^(0) = right, left [z] (A2 sets it to the truth).
         feed_input: add the B u that (16) lacks.
         left_sign: -1 as printed, +1 with a signed d_l.
     """

@@ -72,7 +72,7 @@ class AuditFigures(NamedTuple):
     """Files of the audit's figures.
 
     Attributes:
-        silence: why the sensor says nothing
+        silence: why the samples are censored
         theorem: Theorem 4.1 with its own law
         diagrams: figures 1 and 2
         numbered: figures 3-8, z beside the reference, and V, by reference
@@ -101,12 +101,12 @@ def write_audit_figures(
 
     Args:
         paper: the audit
-        folder: where the files go; created if needed
+        folder: folder of the files (created if needed)
         progress: called with 1 for each figure written
 
     Returns:
-        silence.svg; theorem.svg; figure_1.svg, figure_2.svg; figure_3.svg ... figure_8.svg,
-        tracking.svg, V.svg for r = 5 sin; figure_3_2sin.svg ... for r = 2 sin.
+        silence.svg, theorem.svg, figure_1.svg, figure_2.svg, figure_3.svg ... figure_8.svg,
+        tracking.svg, V.svg for r = 5 sin, figure_3_2sin.svg ... for r = 2 sin.
     """
     evidence = paper.evidence
 
@@ -146,7 +146,7 @@ def write_audit_page(
         paper: the audit
         images: as `write_audit_figures` gave them
         path: of the page
-        origin: what it takes to get the same again; None: nobody can
+        origin: data to compute the same again (None: unknown)
     """
     intro = (
         "What the paper's second-order example does when it is run as printed, what was repaired, "
@@ -256,7 +256,7 @@ _VARIANT: Final = (
 def _variants_section(paper: Paper) -> list[Html]:
     """Return the results of the variants as printed, and the stand-ins for missing parts."""
     head = ("equation", "plant", "start", "variants", "leave the zone", "move d^", "diverge")
-    counts = [(READINGS[count.plant].words, *count) for count in paper.counts]
+    counts = [(READINGS[count.plant].words, *count) for count in paper.count_variants]
     leaving = []
     for outcome in paper.variants:
         if outcome.leaves_zone and outcome.variant.start.startswith("from rest"):

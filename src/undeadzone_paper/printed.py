@@ -2,7 +2,7 @@
 
 A variant picks L of three, the observer with or without B u, the sign of sigma, the sign of the PD
 law (the two halves of (42) contradict each other) and the sign convention of d_l: 48 for each plant
-and start. The loop's graph is built once; plant, gains and signs are its run-time parameters.
+and start. The loop's graph is built once. Plant, gains and signs are its run-time parameters.
 """
 
 from __future__ import annotations
@@ -65,8 +65,8 @@ class Variant(NamedTuple):
         L: one of `GAINS`
         feeds_input: whether the observer has B u
         sigma: its sign
-        pd_sign: +1: -k_p (y - y^) - ..., the right half of (42); -1: its left half, alpha B'P y~
-        left_sign: -1: (25) with d_l > 0; +1: with a signed d_l < 0
+        pd_sign: +1: -k_p (y - y^) - ..., the right half of (42) (-1: its left half, alpha B'P y~)
+        left_sign: -1: (25) with d_l > 0 (+1: with a signed d_l < 0)
     """
 
     plant: str
@@ -83,11 +83,11 @@ class Outcome(NamedTuple):
 
     Attributes:
         variant: which one
-        steady: max |z| over the last 4 s; None: diverged
-        peak: max |z| over all, up to where it diverged
+        steady: max |z| over the last 4 s (None: diverged)
+        peak: max |z| over all, up to its divergence
         leaves_zone: whether z leaves the dead zone
         moves_widths: whether d^ moves
-        diverged_at: when a signal leaves +-LIMIT [s]; None: never
+        diverged_at: when a signal leaves +-LIMIT [s] (None: never)
     """
 
     variant: Variant
@@ -210,7 +210,7 @@ def _build_outcome(variant: Variant, signal: Outputs) -> Outcome:
 
 
 def first_divergence(signal: Outputs) -> int | None:
-    """Return the number of the first sample with a signal beyond `LIMIT`; None: there is none."""
+    """Return the number of the first sample with a signal beyond `LIMIT`, or None."""
     largest = np.abs(np.hstack([*signal[:-1], *signal.estimate])).max(axis=1)
     bad = np.flatnonzero(~(largest < LIMIT))
     return int(bad[0]) if bad.size else None

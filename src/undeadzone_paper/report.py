@@ -24,10 +24,10 @@ def write(
 
     Args:
         paper: the audit
-        folder: where the files go; created if needed
+        folder: folder of the files (created if needed)
         figures: whether figures and report are written, too
         progress: called with 1 for each figure written
-        origin: what it takes to get the same again; None: nobody can
+        origin: data to compute the same again (None: unknown)
 
     Returns:
         The paths of the files.

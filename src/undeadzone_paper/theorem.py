@@ -2,7 +2,7 @@
 
 A reading picks the plant, L, the observer with or without B u, the sign of chi_l, the start, d^(0),
 the sign of (29), and whether d - d^ is given, as the proof has it, or estimated. For either of the
-last the loop's graph is built once; plant, gains and signs are its run-time parameters.
+last the loop's graph is built once. Plant, gains and signs are its run-time parameters.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ class TheoremOutcome(NamedTuple):
 
     Attributes:
         reading: which one
-        width_error: largest |d^ - d|, last 2 s; None: diverged
-        state_error: largest |x^ - x|, last 2 s; None: diverged
-        diverged_at: when a signal leaves its limit [s]; None: never
+        width_error: largest |d^ - d|, last 2 s (None: diverged)
+        state_error: largest |x^ - x|, last 2 s (None: diverged)
+        diverged_at: when a signal leaves its limit [s] (None: never)
     """
 
     reading: TheoremReading
@@ -103,7 +103,7 @@ class TheoremOutcome(NamedTuple):
     diverged_at: float | None
 
     @property
-    def error(self) -> float:
+    def worst_error(self) -> float:
         """Return the larger of both errors, infinite if the run diverges."""
         if self.width_error is None or self.state_error is None:
             return np.inf
@@ -234,7 +234,7 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
             plant,
             total=len(group),
             diverge=count_diverging(group),
-            end_right=sum(outcome.error <= RIGHT for outcome in group),
+            end_right=sum(outcome.worst_error <= RIGHT for outcome in group),
             leave_true_widths=sum(outcome.leaves_widths for outcome in group),
         )
         for (mismatch, sign, plant), group in groups.items()

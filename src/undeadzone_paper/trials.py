@@ -71,8 +71,8 @@ class ClaimNumbers(NamedTuple):
     """Numbers measured for a claim.
 
     Attributes:
-        printed: its quantity as printed, by case; empty: no equation has it
-        repaired: its quantity as repaired; None: there is nothing to repair
+        printed: its quantity as printed, by case (empty: no equation has it)
+        repaired: its quantity as repaired (None: there is nothing to repair)
         named: numbers that its reason names
     """
 
@@ -490,7 +490,7 @@ def _theorem_claims(e: Evidence) -> Numbers:
     kind = [outcome for outcome in told if is_kindest(outcome.reading)]
     named: dict[str, Any] = {
         "diverge": count_diverging(told),
-        "right": sum(outcome.error <= RIGHT for outcome in told),
+        "right": sum(outcome.worst_error <= RIGHT for outcome in told),
         "leave": sum(outcome.leaves_widths for outcome in told),
         "survive": sum(
             outcome.reading.width == D and outcome.diverged_at is None for outcome in told
@@ -503,7 +503,10 @@ def _theorem_claims(e: Evidence) -> Numbers:
     repaired = max(*states, _worst_value(m.width_error, e.repaired))
     return {
         "theorem": ClaimNumbers(
-            {case: max(outcome.error for outcome in group) for case, group in printed.items()},
+            {
+                case: max(outcome.worst_error for outcome in group)
+                for case, group in printed.items()
+            },
             repaired,
             named,
         ),

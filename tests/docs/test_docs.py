@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from benchmarks.markdown import parted
 from PIL import Image
 
 import once
@@ -21,6 +22,7 @@ from undeadzone_arena.contest.methods import methods_for_scenarios
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SUMMARY = "## Summary: best and worst figure of each subject"
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
@@ -155,3 +157,38 @@ def test_every_doi_of_the_code_is_in_the_references() -> None:
     cited = {doi for text in sources for doi in re.findall(r"\bdoi:(\S+)", text)}
     assert len(cited) > 30
     assert cited <= listed
+
+
+def test_the_summary_of_the_results_quotes_their_tables() -> None:
+    """A table that is written anew needs its row of the summary read again."""
+    sections = parted((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
+    by_anchor = {slugify(title.removeprefix("## ")): text for title, text in sections.items()}
+    rows = [line for line in sections[SUMMARY].splitlines() if "](#" in line]
+    assert len(rows) == 10
+    for line in rows:
+        _, subject, tables, *figures, _ = (cell.strip() for cell in line.split("|"))
+        quoted = "".join(by_anchor[anchor] for anchor in re.findall(r"\]\(#([^)]+)\)", tables))
+        for figure in re.findall(r"\d[\d.,e-]*\d|\d", " ".join(figures)):
+            assert re.search(rf"(?<![\d.]){re.escape(figure)}(?![\d.]*\d)", quoted), (
+                subject,
+                figure,
+            )
+
+
+def slugify(title: str) -> str:
+    """Return the anchor of a heading, as mkdocs makes it."""
+    words = re.sub(r"[^\w\s-]", "", title.replace("`", "")).strip().lower()
+    return re.sub(r"[-\s]+", "-", words)
+
+
+HOW_TO = sorted((ROOT / "docs" / "howto").glob("*.md"))
+
+
+@pytest.mark.parametrize("page", HOW_TO, ids=lambda page: page.stem)
+def test_a_how_to_is_short_listed_and_runs(page: Path) -> None:
+    """It has at most 60 lines, code that a test above runs, and a place in the list of pages."""
+    text = page.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
+    assert re.search(r"^```(python|console)$", text, re.MULTILINE)
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    assert f"(howto/{page.name})" in index

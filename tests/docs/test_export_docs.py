@@ -1,4 +1,4 @@
-"""docs/export.md shows what the export writes."""
+"""The pages of the export, docs/export*.md, show what it writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import undeadzone as uz
 from undeadzone_export import exporting
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "export.md").read_text(encoding="utf-8")
+PAGE = "".join(page.read_text("utf-8") for page in sorted((ROOT / "docs").glob("export*.md")))
+CODE = (ROOT / "docs" / "export_accuracy.md").read_text(encoding="utf-8")
 
 
 def test_the_code_in_the_page_is_the_exported_one(
@@ -21,7 +22,7 @@ def test_the_code_in_the_page_is_the_exported_one(
     scenario = uz.read(ROOT / "examples" / "firmware.toml")
     report = uz.export(scenario, out=tmp_path / "fw").report
     code = (tmp_path / "fw" / "arm_joint.c").read_text(encoding="utf-8")
-    shown = re.findall(r"\n```c\n(.*?)```", PAGE, re.S)[-1]
+    shown = re.findall(r"\n```c\n(.*?)```", CODE, re.S)[-1]
     indented = "".join(f"    {line}\n" for line in shown.splitlines())
     assert indented in code
     counts = ", ".join(f"{count} {word}" for word, count in report["operations"].items())

@@ -20,6 +20,8 @@ from packed import wheel as built
 
 OTHERS = ("IPython", "casadi", "dask", "distributed", "matplotlib", "numpy", "scipy")
 LARGEST = 1_400_000  # bytes
+BUILT = ("pyproject.toml",)  # the builder adds it
+GIT = (ROOT / ".git").exists()  # a source distribution has none
 
 
 @pytest.fixture(scope="module")
@@ -158,6 +160,27 @@ def test_a_package_index_shows_no_link_that_leads_nowhere(wheel: Path) -> None:
         assert code in shown
     for heading in re.findall(r"^## .*$", readme, re.M):
         assert heading in shown
+
+
+def test_addresses_are_placeholders_until_the_project_has_a_place(wheel: Path) -> None:
+    """Whoever gives the project a place changes this test with the addresses."""
+    urls = email.message_from_string(text_in(wheel, "METADATA")).get_all("Project-URL") or []
+    names = [url.split(", ")[0] for url in urls]
+    assert names == ["Homepage", "Documentation", "Source", "Issues", "Changelog"]
+    for url in urls:
+        assert re.fullmatch(r"\w+, https://undeadzone\.invalid(/\w+)?", url)
+
+
+def test_a_source_distribution_has_every_folder_and_page_of_the_project() -> None:
+    """What the tests, the pages and a reviewer need is in it, and every entry exists."""
+    tracked = run("git", "ls-files", cwd=ROOT).splitlines() if GIT else []
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    included = project["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    for pattern in included:
+        assert list(ROOT.glob(pattern.lstrip("/"))), pattern
+    tops = {Path(path).parts[0] for path in tracked}
+    for top in sorted(top for top in tops if not top.startswith(".")):
+        assert any(Path("/", top).match(pattern) for pattern in included) or top in BUILT, top
 
 
 def test_every_extra_is_explained() -> None:

@@ -41,7 +41,7 @@ def test_a_registered_package_that_fails_is_named(tmp_path: Path) -> None:
     scenario.write_text('[observer]\nmethod = "mine"\n')
     done = call("run", scenario, "--no-figures", site=tmp_path)
     assert done.returncode == 2
-    assert "no class of options" in done.stderr
+    assert "not a class of options" in done.stderr
 
 
 def test_a_package_that_ends_python_or_is_damaged_is_left_out(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ READERS = {
     "run": Run.load,
     "log": read_log,
     "ensemble": saved.read_ensemble,
-    "journal": lambda path: journal.start(path, Layout(10, ("a",), 10, {})),
+    "journal": lambda path: journal.open_store(path, Layout(10, ("a",), 10, {})),
 }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -51,6 +52,7 @@ from undeadzone_arena.approximators import (
 )
 from undeadzone_arena.controllers.learned_feedback import error_weights, relative_degree
 from undeadzone_arena.gain_defaults import injection_gain
+from undeadzone_arena.observers.parts import learned_residual
 
 seeds = st.integers(0, 2**32 - 1)
 TWO = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), [[1.0, 0.0], [0.2, 1.0]])
@@ -803,3 +805,19 @@ def test_weights_of_the_adaptive_inverse_are_the_widths() -> None:
     _, estimate = observer.step(observer.params, symbols, ca.SX.zeros(TWO.m), missing)
     assert ca.DM(estimate.right).full()[:, 0].tolist() == [1.0, 0.7]
     assert ca.DM(estimate.left).full()[:, 0].tolist() == [0.4, 0.2]
+
+
+def test_the_state_moves_with_weights_that_reach_their_bounds() -> None:
+    """By the sensitivity times what each weight is moved."""
+    setup: Any = SimpleNamespace(limited=True, compensator=SimpleNamespace(size=2))
+    q: Any = SimpleNamespace(limit=ca.SX([3.0, 5.0]))
+    sensitivity = np.arange(1.0, 9.0).reshape(2, 4)
+    W = np.array([4.0, -1.0, 2.0, 7.0])  # two of each output; limits 3, 3, 5, 5
+    state = learned_residual.LearnedState(
+        ca.SX([10.0, 20.0]), ca.SX(W), ca.SX(sensitivity), ca.SX(0)
+    )
+    after = learned_residual.project_weights(setup, q, state)
+    moved = np.array([-1.0, 1.0, 0.0, -2.0])
+    np.testing.assert_allclose(ca.DM(after.W).full().ravel(), W + moved)
+    expected = np.array([10.0, 20.0]) + sensitivity @ moved
+    np.testing.assert_allclose(ca.DM(after.x).full().ravel(), expected)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -617,7 +618,7 @@ def test_full_state_is_the_truth_and_needs_it() -> None:
         float(ca.evalf(ca.SX(part[0])))
         for part in (estimate.x, estimate.z, estimate.right, estimate.left, estimate.z_inverse)
     ] == [2, 2, 1.3, 0.6, 2]
-    with pytest.raises(InputError, match="'full_state' is told the true state"):
+    with pytest.raises(InputError, match="'full_state' needs the true state"):
         built.step(built.params, None, ca.SX(0.0), Reading(ca.SX(0.7), ca.SX(1.0)))
 
 
@@ -729,7 +730,7 @@ def test_super_twisting_of_an_unstable_plant_needs_its_linear_part() -> None:
 
 def test_outputs_that_tell_the_same_are_refused() -> None:
     plant = linear(PAPER_PLANT.linear.A, PAPER_PLANT.linear.B, [[1.0, 0.0], [2.0, 0.0]])
-    with pytest.raises(StructureError, match="one of 2 outputs tells nothing new"):
+    with pytest.raises(StructureError, match="one of 2 outputs is redundant"):
         HighGain().build(plant, zone(2))
 
 
@@ -837,3 +838,41 @@ def test_the_sliding_term_saturates(e: float, expected: float) -> None:
     numbers = SlidingLaw(np.array([[1.0], [2.0]]), np.array([3.0]), np.array([0.5]))
     term = ca.DM(sliding_term(numbers, ca.SX(e))).full()[:, 0]
     assert term == pytest.approx([expected, 2 * expected])
+
+
+def test_boxes_grow_by_what_their_modes_drive_in_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of upper triangular S and no rotation: |S_ij| r_j above the diagonal, S_ii r_i on it."""
+    monkeypatch.setattr(interval_step, "radius_increase", lambda q, phi, z: np.zeros(3))
+    setup: Any = SimpleNamespace(pairs=[], model=SimpleNamespace(n=3))
+    S = np.array([[-1.0, 4.0, -0.5], [0.0, -2.0, 3.0], [0.0, 0.0, -5.0]])
+    r = np.array([0.1, 0.2, 0.3])
+    boxes = interval_step.Boxes(np.zeros(3), ca.SX(r), None, None)
+    q: Any = SimpleNamespace(S=S)
+    grown = interval_step.boxes_rate(setup, q, boxes, ca.SX.eye(3), None)
+    expected = np.abs(np.triu(S, 1)) @ r + np.diag(S) * r
+    np.testing.assert_allclose(ca.DM(grown.radius).full().ravel(), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_end_of_a_box_moves_as_far_as_the_bounds_say(sign: float) -> None:
+    """One state in [-1, 1] of which z in [0.5, 9] is known; then z in [10, 11], which none has."""
+
+    def of(lo: float, hi: float) -> tuple[float, float]:
+        low, high = sorted((sign * lo, sign * hi))
+        zero, one = ca.SX.zeros(1), ca.SX.ones(1)
+        x, radius = cut_box(zero, one, ca.SX.eye(1), ca.SX.ones(1, 1), low, high)
+        return float(x), float(radius)
+
+    assert of(0.5, 9.0) == pytest.approx((0.75 * sign, 0.25))
+    assert of(10.0, 11.0) == pytest.approx((1.0 * sign, -1.0))
+
+
+def test_an_end_of_a_box_moves_as_far_as_other_entries_let_it() -> None:
+    """z = x_0 + 2 x_1 >= 2 in the unit box: x_0 may be anything from 0, x_1 from 1/2."""
+    none, row = ca.SX.zeros(2), ca.SX([[1.0, 2.0]])
+    x, radius = cut_box(none, ca.SX.ones(2), ca.SX.eye(2), row, 2.0, 9.0)
+    low = ca.DM(x - radius).full().ravel()
+    np.testing.assert_allclose(low, [0.0, 0.5])
+    np.testing.assert_allclose(ca.DM(x + radius).full().ravel(), [1.0, 1.0])

@@ -6,6 +6,7 @@ Where they must coincide with Kalman, filterpy or least squares, and where they 
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -16,9 +17,10 @@ from benchmarks import coverage
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
+from scipy.stats import norm
 
 import undeadzone_arena.unscented as unscented
-from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
+from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, linear, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import (
     COLUMNS,
@@ -31,7 +33,7 @@ from undeadzone.interfaces import (
 )
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
-from undeadzone.numerics.gaussian import from_upper_entries, to_upper_entries
+from undeadzone.numerics.gaussian import TAIL, from_upper_entries, to_upper_entries
 from undeadzone.observers import Kalman
 from undeadzone.observers.filtering.augmented_state import (
     power_of_two_units,
@@ -51,7 +53,13 @@ from undeadzone_arena import EKF, UKF, MovingHorizon, ParticleFilter, Tobit
 from undeadzone_arena.observers import moving_horizon, particle
 from undeadzone_arena.observers.particle import systematic_indices, update_particle_weights
 from undeadzone_arena.observers.parts import window as horizon
-from undeadzone_arena.observers.parts.joint_claims import build_joint_prior
+from undeadzone_arena.observers.parts.joint_claims import (
+    CROWD,
+    JointAssumptions,
+    JointDefaults,
+    build_joint_prior,
+    glitch_probability,
+)
 from undeadzone_arena.observers.parts.window import Affine, HorizonWeights, Window
 
 seeds = st.integers(0, 2**32 - 1)
@@ -859,3 +867,24 @@ def test_readings_are_errors_and_silence_is_a_constraint() -> None:
     assert high[:6] == pytest.approx([np.inf, 0.05 - right.b[1], *[np.inf] * 4])
     assert low[:6] == pytest.approx([*[-np.inf] * 4, -0.05 - left.b[1], -np.inf])
     assert np.stack([low[6:] + d.b, high[6:] + d.b], axis=1) == pytest.approx(ranges)
+
+
+def test_the_chance_of_a_glitch_is_that_of_bayes() -> None:
+    """A reading of a Gaussian, or one that is evenly spread over reach and tails."""
+    e, std, share, reach = np.array([0.3, 2.0]), np.array([0.5, 0.4]), 0.1, 5.0
+    doubt: Any = SimpleNamespace(glitch=np.log(share / (1 - share)), reach=np.full(2, reach))
+    wrong, right = share / (reach + TAIL * std), (1 - share) * norm.pdf(e, scale=std)
+    np.testing.assert_allclose(
+        glitch_probability(doubt, e, std), wrong / (wrong + right), rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize("times", [1, 4])
+def test_the_noise_of_crowded_readings_grows_with_their_root(times: int) -> None:
+    """`times` CROWD readings in a quarter period of the paper's plant, pi / 2 s."""
+    plant = linear([[0.0, 1.0], [-1.0, -2.0]], [[0.0], [1.0]], [[1.0, 0.0]])
+    model = sample_plant(plant, np.pi / 2 / (times * CROWD))
+    sensor = resolve(Sensor(right=1.0, left=1.0), 1, 1e-2)
+    claims, defaults = JointAssumptions(right=[0.0, 2.0]), JointDefaults(0.1, 0.0, 1.0)
+    found = build_joint_prior(claims, model, sensor, defaults)
+    np.testing.assert_allclose(found.prior.R, 0.04 * times, rtol=1e-9)

@@ -135,12 +135,12 @@ def driven(
     """Outputs and memory along rows, by a program of C; NaN, which ST has not, as the largest."""
     printed = made.code
     shown = printed.step.start.size + sum(field.size for field in printed.step.outputs)
-    words = {"real": printed.real, "inputs": rows.shape[1], "shown": shown}
+    words = {"real": printed.c_type, "inputs": rows.shape[1], "shown": shown}
     (folder / "main.c").write_text(text + DRIVER.format(start=start, step=step, **words))
     program = once.program(["program", *FLAGS, *more, "main.c"], folder)
-    rows.astype(printed.kind).tofile(folder / "rows")
+    rows.astype(printed.dtype_name).tofile(folder / "rows")
     subprocess.run([program, folder / "rows", folder / "seen"], check=True)
-    seen = np.fromfile(folder / "seen", printed.kind).reshape(len(rows), shown)
+    seen = np.fromfile(folder / "seen", printed.dtype_name).reshape(len(rows), shown)
     return np.where(np.isnan(seen), np.finfo(seen.dtype).max, seen)
 
 

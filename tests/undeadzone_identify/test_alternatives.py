@@ -210,7 +210,7 @@ def test_the_gap_of_a_play_is_found(seed: int) -> None:
     assert found.verdict == "play"
     assert not found.zone
     assert found.width.low <= sum(gaps) <= found.width.high
-    assert found.width.half < 0.1
+    assert found.width.half_width < 0.1
     assert found.centre.low <= (gaps[0] - gaps[1]) / 2 <= found.centre.high
     assert found.numbers()["offsets"]["name"] == "play"
     assert found.numbers()["zone_width"] is None
@@ -228,7 +228,7 @@ def test_a_disturbance_ahead_of_an_encoder_leaves_the_gap_right(quantum: float) 
     assert detect_motion_rule(data.y, data.ok, data.start, quantum).window == 1
     gap = find_play_gap(fit_play(data, [2], 0), quantum).intervals["width"]
     assert gap.low <= 0.55 <= gap.high
-    assert gap.half < 0.1
+    assert gap.half_width < 0.1
 
 
 def test_noisy_readings_have_no_ticks() -> None:
@@ -281,7 +281,7 @@ def test_a_strong_disturbance_widens_a_servos_gap_or_withdraws_it() -> None:
     found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert found.verdict == "play"
     assert found.width.low < 0.5 < found.width.high
-    assert 0.05 < found.width.half < 0.15
+    assert 0.05 < found.width.half_width < 0.15
     u, y = behind_a_disturbance(0.9)
     found = uz.identify(t=STEP, u=u, y=y, order=2, delay=0)
     assert found.verdict == "undecided"

@@ -54,12 +54,12 @@ def test_an_integrating_plant_is_its_difference_equation(integrators: int) -> No
     data = small_data()
     simulator = PlantSimulator(data, 3, integrators)
     layout = simulator.layout
-    theta = np.zeros(layout.size)
-    theta[layout.a] = [-0.5, 0.06][: layout.a.stop]
-    theta[layout.b] = [0.1, 0.2, -0.05]
+    theta = np.zeros(layout.parameter_count)
+    theta[layout.denominator] = [-0.5, 0.06][: layout.denominator.stop]
+    theta[layout.numerators] = [0.1, 0.2, -0.05]
     theta[layout.x0.start] = 0.7
     z = simulator.simulate_z(theta)[:90]
-    whole = np.convolve(np.append(1.0, theta[layout.a]), np.poly(np.ones(integrators)))
+    whole = np.convolve(np.append(1.0, theta[layout.denominator]), np.poly(np.ones(integrators)))
     direct = lfilter(np.r_[0.0, 0.1, 0.2, -0.05], whole, data.u[:90, 0])
     direct += lfilter([0.7], whole, np.eye(90, 1)[:, 0])
     assert z == pytest.approx(direct)
@@ -71,8 +71,8 @@ def test_scores_of_tied_widths_are_differences(kind: str) -> None:
     simulator = PlantSimulator(small_data(), 2, 1)
     objective = ZoneObjective(simulator, kind, WidthLimits(tied=True))
     layout = objective.layout
-    theta = np.zeros(layout.size)
-    theta[layout.a], theta[layout.b] = -0.6, [0.05, 0.03]
+    theta = np.zeros(layout.parameter_count)
+    theta[layout.denominator], theta[layout.numerators] = -0.6, [0.05, 0.03]
     theta[layout.right : layout.right + 2] = 0.3
     theta[layout.right + 2 :] = [-1.0, 0.4 if kind == "pairs" else 0.0]
     score = objective.total_score(theta)
@@ -93,7 +93,7 @@ def test_the_width_of_an_integrating_plant() -> None:
     width = made.right + made.left
     assert answer.verdict == "dead_zone"
     assert answer.width.low <= width <= answer.width.high
-    assert answer.width.half < 0.25 * width
+    assert answer.width.half_width < 0.25 * width
     assert answer.right.value == pytest.approx(0.5 * answer.width.value)
     assert answer.centre is None
     assert np.sum(np.abs(answer.plant["poles"]) < 1e-9) == 1
@@ -113,7 +113,7 @@ def test_a_mode_that_rings_for_half_of_the_record_is_found() -> None:
     assert answer.verdict == "dead_zone"
     assert answer.right.low <= 0.6 <= answer.right.high
     assert answer.left.low <= 0.3 <= answer.left.high
-    assert answer.right.half < 0.03
+    assert answer.right.half_width < 0.03
 
 
 def test_a_pole_that_no_plant_in_continuous_time_has_is_one_pole() -> None:
@@ -234,7 +234,7 @@ def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     assert answer.answer.excitation.visits[0] == 2
     assert any("profile likelihood" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= right <= answer.right.high
-    assert answer.width.half >= answer.right.half
+    assert answer.width.half_width >= answer.right.half_width
 
 
 # --- several outputs

@@ -615,11 +615,13 @@ def test_a_column_with_the_reference_is_told(loop: loop_logs.LoopLog) -> None:
     case = answer.answer.case
     still = case._replace(grid=case.grid._replace(r=0 * case.grid.r + 2))
     assert detect_feedback(still).answered is None
-    assert _reference_remarks(still.grid, case.data.ok, detect_feedback(still)) == [
+    assert _reference_remarks(still.grid, case.record_data.ok, detect_feedback(still)) == [
         "the reference never moves: it is not used"
     ]
     swapped = case.grid._replace(y=case.grid.r[:, 0], r=case.grid.y[:, None])
-    assert "exchanged" in " ".join(_reference_remarks(swapped, case.data.ok, detect_feedback(case)))
+    assert "exchanged" in " ".join(
+        _reference_remarks(swapped, case.record_data.ok, detect_feedback(case))
+    )
 
 
 def test_a_glitch_or_a_second_record_hides_no_loop(loop: loop_logs.LoopLog) -> None:

@@ -179,7 +179,7 @@ def test_a_play_behind_a_plant_of_first_order_is_one(quantum: float) -> None:
     for interval, truth in ((found.width, 0.5), (found.right, 0.3), (found.centre, 0.05)):
         assert interval is not None
         assert interval.low - 1e-4 <= truth <= interval.high + 1e-4
-        assert interval.half < 0.02
+        assert interval.half_width < 0.02
     parse(found.scenario())
 
 
@@ -233,7 +233,7 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
     cut = identify_servo_gap(part)
     assert cut is not None
     assert cut.gap.value * log.y_scale == pytest.approx(
-        found.gap.value, abs=found.gap.half + cut.gap.half * log.y_scale
+        found.gap.value, abs=found.gap.half_width + cut.gap.half_width * log.y_scale
     )
 
 

@@ -159,15 +159,15 @@ def test_repaired_is_the_example_that_ships(five: Run) -> None:
 def test_every_variant_is_run_once(paper: Paper) -> None:
     assert len(paper.variants) == len(READINGS) * len(STARTS) * len(GAINS) * 2**4
     assert len({outcome.variant for outcome in paper.variants}) == len(paper.variants)
-    counted = {(item.plant, item.start) for item in paper.counts}
+    counted = {(item.plant, item.start) for item in paper.count_variants}
     assert counted == set(itertools.product(READINGS, STARTS))
-    assert all(item.total == 48 for item in paper.counts)
+    assert all(item.total == 48 for item in paper.count_variants)
 
 
 def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(
     paper: Paper,
 ) -> None:
-    for item in paper.counts:
+    for item in paper.count_variants:
         if item.start == "from rest, d^(0) = d":
             unity = item.plant == "unity DC gain"
             assert item.leave_zone == (48 if unity else 0)
@@ -278,7 +278,7 @@ def test_pages_say_what_the_audit_found(paper: Paper) -> None:
 def test_claims_are_counted_in_a_sentence(paper: Paper) -> None:
     verdicts = paper.summary()["verdicts"]
     said = verdict_counts_text(paper.claims)
-    assert said.startswith("No claim that the design works holds as printed. ")
+    assert said.startswith("No statement that the design works holds as printed. ")
     assert f"Of all {len(paper.claims)} statements {verdicts['holds']} hold as printed" in said
     works = [claim for claim in paper.claims if claim.text.works]
     mended = sum(claim.verdict == "holds after repair" for claim in works)
@@ -289,7 +289,7 @@ def test_the_headline_follows_the_verdicts(paper: Paper) -> None:
     works = next(claim for claim in paper.claims if claim.text.works)
     holding = works._replace(printed={"": works.text.limit})
     said = verdict_counts_text([holding])
-    assert said.startswith("1 claim that the design works holds as printed. Of 1 such, 0 hold")
+    assert said.startswith("1 statement that the design works holds as printed. Of 1 such, 0 hold")
 
 
 def test_claims_are_found_by_figure_and_by_assumption(paper: Paper) -> None:

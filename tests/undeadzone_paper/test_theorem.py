@@ -46,11 +46,11 @@ def test_given_what_its_proof_needs_the_theorem_fails(paper: Paper) -> None:
     told = select_outcomes(paper.evidence.theorem, GIVEN)
     assert len(told) == 64
     assert sum(outcome.diverged_at is not None for outcome in told) >= 10
-    assert sum(outcome.error <= 0.05 for outcome in told) <= 12
+    assert sum(outcome.worst_error <= 0.05 for outcome in told) <= 12
     assert sum(outcome.leaves_widths for outcome in told) >= 10
     kind = [outcome for outcome in told if is_kindest(outcome.reading)]
     assert len(kind) == 8
-    assert max(outcome.error for outcome in kind) > 0.5
+    assert max(outcome.worst_error for outcome in kind) > 0.5
 
 
 def test_counts_hold_every_outcome(paper: Paper) -> None:

@@ -1,7 +1,7 @@
 """Schedules: the sensor's branch over time, along a planned reference or a recorded run.
 
-docs/rates.md says what they are for. A reference is the output Q w of an exosystem w' = S w. Sides
-change where z crosses the levels between those that a noise-free sensor reads.
+Their use is described in docs/rates.md. A reference is the output Q w of an exosystem w' = S w.
+Sides change when z crosses the levels between those that a noise-free sensor reads.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ class Schedule(NamedTuple):
     Attributes:
         sides: +1 (right), 0 (silent, or at a limit of the range), -1 (left) in each span (K x p).
         spans: how long each lasts (K), in seconds, or in samples if sampled.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         periodic: whether the whole repeats.
-        grain: what a span is accurate to, in its unit (0: exact).
+        grain: accuracy of a span in its unit (0: exact).
         low, mean, high: of the true output z (p each).
         levels: the side reads right above levels[:, 0] and left below -levels[:, 1] (p x 2).
-        exact: share of the readings beyond an edge that are at no limit of the range (p); None: all
-            of them.
-        contacts: of the play ahead of each dead zone in each span (K x p): +1 right, -1 left, 0
-            where it holds; None: there is none.
+        exact: share of the readings beyond an edge that are at no limit of the range (p) (None: all
+            of them).
+        contacts: of the play ahead of each dead zone in each span (K x p): +1 right, -1 left, 0 if
+            the contact is held (None: there is none).
     """
 
     sides: Floats
@@ -77,7 +77,7 @@ def plan_schedule(
     """Return the schedule of a reference that is followed exactly, over its period if that
     exists.
 
-    In continuous time the sides change at roots of the exact signal; sampled, the sides are those
+    In continuous time the sides change at roots of the exact signal. Sampled, the sides are those
     at the samples. Spans end at corners of the reference too.
 
     Args:
@@ -85,10 +85,10 @@ def plan_schedule(
         reference: of the tracked outputs.
         tracked: which outputs these are.
         sensor: the dead zone.
-        horizon: how long the schedule is [s] where the reference has no period.
+        horizon: how long the schedule is [s] if the reference has no period.
 
     Raises:
-        TrackingError: where the reference cannot be followed.
+        TrackingError: if the reference cannot be followed.
         InputError: for a nonlinear model with untracked outputs.
     """
     rows = output_map(model, reference, tracked)
@@ -149,14 +149,15 @@ def schedule_of_record(
     """Return the schedule of a record of outputs.
 
     In continuous time a side is taken to change half way between two samples. A reading that did
-    not arrive tells no side: it counts as silence, as one at a limit of the range does.
+    not arrive gives no side: it counts as a censored sample, like a reading at a limit of the
+    range.
 
     Args:
         z: outputs (N x p), true or estimated.
         sensor: the dead zone.
         step: time between two rows [s].
-        Ts: sample time [s]; None in continuous time.
-        arrived: whether each reading did (N x p); all of them if not given.
+        Ts: sample time [s] (None in continuous time).
+        arrived: whether each reading did (N x p) (all of them if not given).
     """
     read = noiseless_reading(z, sensor)
     if arrived is not None:
@@ -190,7 +191,7 @@ def drop_rare_branches(
 
 
 def merge_equal_neighbours(schedule: Schedule) -> Schedule:
-    """Return the schedule with neighbouring spans of equal branches merged; contacts are
+    """Return the schedule with neighbouring spans of equal branches merged. Contacts are
     dropped.
     """
     first = np.concatenate([[True], (np.diff(schedule.sides, axis=0) != 0).any(axis=1)])
@@ -202,7 +203,7 @@ def output_map(model: System, reference: Exosystem, tracked: list[int]) -> Float
     """Return the matrix (p x k) such that z = output_map w while the reference is followed.
 
     Raises:
-        TrackingError: where the reference cannot be followed.
+        TrackingError: if the reference cannot be followed.
         InputError: for a nonlinear model with untracked outputs.
     """
     rows = np.zeros((model.p, reference.S.shape[0]))
@@ -220,7 +221,7 @@ def level_crossing_times(reference: Exosystem, row: Floats, level: float, ends: 
     """Return all times between ends[0] and ends[-1] at which row w meets the level [s].
 
     Intervals are halved until the exact signal and a bound on its second derivative show that one
-    holds no root, or that the signal is monotone on it; then bisection. Only a visit beyond the
+    holds no root, or that the signal is monotone on it, then bisection. Only a visit beyond the
     level by less than 1e-12 of the signal can be missed.
 
     Args:
@@ -275,21 +276,21 @@ def extreme_values(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Fl
 def _bisect_crossings(
     reference: Exosystem, row: Floats, level: float, middle: Floats, half: Floats
 ) -> Floats:
-    """Return the crossing times on intervals with a monotone signal [s]; an interval may hold
+    """Return the crossing times on intervals with a monotone signal [s]. An interval may hold
     none.
     """
     a, b = middle - half, middle + half
 
-    def above(t: Floats) -> Any:
+    def is_above_level(t: Floats) -> Any:
         """Return whether the signal is above the level at times t."""
         return reference.state(t) @ row > level
 
-    crossing = above(a) != above(b)
+    crossing = is_above_level(a) != is_above_level(b)
     a, b = a[crossing], b[crossing]
-    first = above(a)
+    first = is_above_level(a)
     for _ in range(BISECTIONS):
         middle = (a + b) / 2
-        left = above(middle) == first
+        left = is_above_level(middle) == first
         a, b = np.where(left, middle, a), np.where(left, b, middle)
     return (a + b) / 2
 
@@ -355,9 +356,9 @@ class NoiselessReading(NamedTuple):
     """Noise-free readings of outputs (N x p each).
 
     Attributes:
-        side: +1, -1 where a reading is exact, else 0.
+        side: +1, -1 if a reading is exact, else 0.
         limited: whether it is at a limit of its range.
-        contact: of a play ahead of a dead zone, in which y moves; None: there is none.
+        contact: of a play ahead of a dead zone, in which y moves (None: there is none).
     """
 
     side: Floats
@@ -365,8 +366,7 @@ class NoiselessReading(NamedTuple):
     contact: Floats | None = None
 
     def exact_share(self, weight: Floats) -> Floats:
-        """Return the share of exact readings among all beyond an edge (p); 1 if none is
-        beyond.
+        """Return the share of exact readings among all beyond an edge (p), or 1 if none is beyond.
 
         Args:
             weight: of each row (N), such as how long it lasts.
@@ -380,8 +380,8 @@ def reading_levels(sensor: Zone) -> Floats:
     """Return the levels of z (p x 2): without noise, right above the first, left below
     -second.
 
-    Of a play they are its gaps: no level of z tells its side. Of a play ahead of a dead zone they
-    are those at which z moves outwards.
+    For a play they are its gaps: no level of z determines its side. For a play ahead of a dead zone
+    they are the levels at which z moves outwards.
     """
     if sensor.kind == "play":
         return np.stack((sensor.right, sensor.left), axis=1)
@@ -404,7 +404,7 @@ def limit_levels(sensor: Zone) -> Floats | None:
 
 
 def _play_gaps(sensor: Zone) -> Floats:
-    """Return [c_r, c_l] of the play ahead of each dead zone (p x 2) [z]; 0 without a play."""
+    """Return [c_r, c_l] of the play ahead of each dead zone (p x 2) [z], or 0 without a play."""
     if sensor.play is None:
         return np.zeros((sensor.right.size, 2))
     return np.stack((sensor.play.right, sensor.play.left), axis=1)

@@ -29,7 +29,7 @@ class Inequality(NamedTuple):
         B: how b enters x' (n x b).
         supply: the supplies (each (n + b) x (n + b)).
         size: the supplies with every term replaced by its magnitude, for the bound on rounding.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         decay: rate [1/s] at which sqrt(V) must fall.
     """
 
@@ -109,8 +109,8 @@ def build_quadratic_form(
 
     Args:
         sizes: the lengths of the parts of its vector.
-        terms: (row, column, value) of each block; its mirror image is added too, if it is not on
-            the diagonal, and blocks at one place are added up.
+        terms: (row, column, value) of each block. The mirror image of an off-diagonal block is
+            added too, and blocks at one place are added up.
     """
     ends = np.cumsum([0, *sizes])
     total = np.zeros((ends[-1], ends[-1]))
@@ -156,21 +156,21 @@ def optimise_storage(
 ) -> Solution | None:
     """Return P, q of least cost'q, or deepest inside, under `family(q)` and `extra`, or None.
 
-    Each pass works in coordinates where the last P was the identity and the last matrices had a
-    unit diagonal; a stiff plant needs that. The first P is of Lyapunov's equation, or else the
-    identity. What comes back is the solver's word, no proof.
+    Each pass works in coordinates in which the last P was the identity and the last matrices had a
+    unit diagonal. A stiff plant needs that. The first P is of Lyapunov's equation, or else the
+    identity. The result is the solver's statement and not a proof.
 
     Args:
         family: q -> the inequality, affine in q.
         cost: weights of the multipliers.
         start: q that sets the scale of the first pass.
-        extra: P, q -> what must be positive semidefinite (2-D) or non-negative (1-D).
+        extra: P, q -> an array that must be positive semidefinite (2-D) or non-negative (1-D).
         deep: whether to seek the point deepest inside rather than that of least cost, as far as
             the check needs.
         passes: how many there are at most.
 
     Returns:
-        The last pass's solution; None if there is none.
+        The last pass's solution, or None if there is none.
     """
     A, Ts = family(start).A[0], family(start).Ts
     for first in (_lyapunov_storage(A, Ts), np.eye(len(A))):
@@ -231,7 +231,8 @@ def _solve_in_local_units(
 def _diagonal_scales(inequality: Inequality, P: Floats) -> list[Floats]:
     """Return the factors of rows and columns that give each matrix a diagonal of -1.
 
-    A diagonal entry whose terms cancel to nothing says nothing of its size: their magnitude does.
+    A diagonal entry whose terms cancel to nothing does not show its size: the magnitude of the
+    terms does.
     """
     scales = []
     for M, size in zip(inequality.lmi_matrices(P), inequality.term_magnitudes(P), strict=True):
@@ -241,7 +242,7 @@ def _diagonal_scales(inequality: Inequality, P: Floats) -> list[Floats]:
 
 
 def _affine_family(points: list[Inequality]) -> Family:
-    """Return q -> Inequality from its values at q = 0 and the unit vectors; only the supplies
+    """Return q -> Inequality from its values at q = 0 and the unit vectors. Only the supplies
     vary.
     """
     base = np.stack(points[0].supply)
@@ -250,9 +251,7 @@ def _affine_family(points: list[Inequality]) -> Family:
 
 
 def find_storage(inequality: Inequality) -> Floats | None:
-    """Return a candidate P (n x n) deep inside the inequality or near it; None if none is
-    found.
-    """
+    """Return a candidate P (n x n) deep inside the inequality or near it, or None."""
     found = deepest_solution(lambda q: inequality, np.zeros(0))
     return None if found is None else found.P
 
@@ -302,7 +301,7 @@ def check_inequality(inequality: Inequality, P: Floats) -> DefinitenessCheck:
     another P can be negative although A is unstable.
 
     Args:
-        inequality: what is to be proved.
+        inequality: the inequality to prove.
         P: of V = x'Px (n x n).
     """
     n = inequality.A[0].shape[0]

@@ -1,9 +1,9 @@
 """Error dynamics: switching, adaptation, and the scaling that solvers use.
 
-Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~),
-0 <= theta <= 1, where the measured side fixes S: +1 at d_r of an output read on the right, -1 at
-d_l on the left, e = 0 where it is silent. Sampled: the same with (x~+ - x~)/Ts in place of x~',
-A = (Ad - I)/Ts, L and Gamma per second (delta form).
+Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~), 0 <=
+theta <= 1, where the measured side determines S: +1 at d_r of an output read on the right, -1 at
+d_l on the left, e = 0 inside the zone. Sampled: the same with (x~+ - x~)/Ts in place of x~', A =
+(Ad - I)/Ts, L and Gamma per second (delta form).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Dynamics(NamedTuple):
     """Error dynamics: n states (those of x~), p outputs.
 
     Attributes:
-        A: the vertices (each n x n; delta form if sampled) [1/s].
+        A: the vertices (each n x n, delta form if sampled) [1/s].
         C: outputs of x~ (p x n).
         L: observer gains (n x p) [1/s].
         gamma: Gamma, adaptation gains (2p x 2p, [right, left] per output) [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
 
     A: tuple[Floats, ...]
@@ -113,7 +113,7 @@ class Storage(NamedTuple):
 
     @property
     def R(self) -> Floats:
-        """Return the weight (2p x 2p) of the width errors; 0 if a width is not adapted."""
+        """Return the weight (2p x 2p) of the width errors, or 0 if a width is not adapted."""
         rows = np.diag(self.gamma) > 0
         adapted = np.ix_(rows, rows)
         R = np.zeros_like(self.gamma)
@@ -122,7 +122,7 @@ class Storage(NamedTuple):
 
     @property
     def visible_errors(self) -> tuple[np.ndarray, Floats]:
-        """Return (mask of the entries e of [x~; d~] that enter V, M with V = e'M e)."""
+        """Return (mask of the entries e of `[x~; d~]` that enter V, M with V = e'M e)."""
         R, n = self.R, len(self.P)
         widths = np.diag(R) > 0
         M = np.zeros((n + widths.sum(), n + widths.sum()))
@@ -150,10 +150,10 @@ def build_error_dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float |
     """Return the error dynamics of a model with n states and p outputs.
 
     Args:
-        linear: A, B, C of the model; of one step if sampled.
+        linear: A, B, C of the model (of one step if sampled).
         L: observer gains (n x p) [1/s].
         gamma: adaptation gains in any form of `adaptation` [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
@@ -182,7 +182,7 @@ def adaptation_matrix(gamma: Floats, p: int) -> Floats:
 
     Raises:
         InputError: if it is negative, or a full matrix is not symmetric and positive definite.
-        ShapeError: if it has none of these shapes.
+        ShapeError: if it has another shape.
     """
     gains = require_array("gamma", gamma)
     if gains.ndim == 2 and gains.shape == (2 * p, 2 * p):

@@ -1,4 +1,4 @@
-"""Command line: a file per command; a command imports its needs when it runs."""
+"""Command line: a file per command. A command imports its needs when it runs."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Commands(click.Group):
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Return the result of a command; a broken pipe is reported here, as click has its
+        """Return the result of a command. A broken pipe is reported here, as click has its
         own exit code.
         """
         try:
@@ -84,7 +84,7 @@ class Commands(click.Group):
         return [*super().list_commands(ctx), *_list_registered_commands()]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Return a command by its name; None for an unknown name."""
+        """Return a command by its name, or None for an unknown name."""
         own = super().get_command(ctx, name)
         if own is not None:
             return own
@@ -97,16 +97,32 @@ class Commands(click.Group):
         others = set(known).difference(*BLOCKS.values())
         blocks = BLOCKS | {"Special": (*BLOCKS["Special"], *sorted(others))}
         for title, names in blocks.items():
-            with formatter.section(title):
-                formatter.write_dl(
-                    [self._command_usage(ctx, name) for name in names if name in known]
-                )
+            self._format_block(ctx, formatter, title, [name for name in names if name in known])
         with formatter.section("Options of most commands"):
             options = [each for each in run.params if each.name in OF_MOST]
             formatter.write_dl([each.get_help_record(ctx) or ("", "") for each in options])
 
+    def get_first_help(self, ctx: click.Context) -> str:
+        """Return the help of a first call: four commands, and the names of the others."""
+        formatter = ctx.make_formatter()
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        first = BLOCKS["Start"]
+        self._format_block(ctx, formatter, "Start", [n for n in first if self._is_usable(ctx, n)])
+        others = [name for name in self.list_commands(ctx) if name not in first]
+        with formatter.section("More, by undeadzone --help"):
+            formatter.write_text(", ".join(others))
+        return formatter.getvalue().rstrip("\n")
+
+    def _format_block(
+        self, ctx: click.Context, formatter: click.HelpFormatter, title: str, names: list[str]
+    ) -> None:
+        """Write some commands below a title."""
+        with formatter.section(title):
+            formatter.write_dl([self._command_usage(ctx, name) for name in names])
+
     def _is_usable(self, ctx: click.Context, name: str) -> bool:
-        """Return whether a command can be imported; where not, say so on stderr."""
+        """Return whether a command can be imported. If not, print why on stderr."""
         try:
             return self.get_command(ctx, name) is not None
         except InputError as error:
@@ -126,7 +142,7 @@ def _load_command(name: str, place: str) -> click.Command:
     """Return the command that an installed package registers. Raises InputError."""
     command = load_object(f"command {name!r}", place)
     if not isinstance(command, click.Command):
-        raise InputError(f"command {name!r} is registered at {place}, which is no command of click")
+        raise InputError(f"command {name!r} is registered at {place}, which is not a click command")
     return command
 
 
@@ -134,7 +150,7 @@ def _load_command(name: str, place: str) -> click.Command:
 def _list_registered_commands() -> dict[str, str]:
     """Return where commands are that installed packages register, by name.
 
-    `--help` asks for each; what is installed is read once, as a process is one command.
+    `--help` needs each of them. The installed packages are read once, as a process is one command.
     """
     return list_registered_places("undeadzone.commands")
 
@@ -142,8 +158,8 @@ def _list_registered_commands() -> dict[str, str]:
 @click.group(
     cls=Commands,
     invoke_without_command=True,
-    epilog="Exit codes: 0 done. 1 finished, and the answer is no (diverged, not certified, not "
-    "identifiable). 2 bad input. 70 an error of undeadzone itself. 130 Ctrl-C. 143 terminated.",
+    epilog="Exit codes: 0 done. 1 finished, and the answer is negative (diverged, not certified, "
+    "not identifiable). 2 bad input. 70 an error of undeadzone itself. 130 Ctrl-C. 143 terminated.",
     context_settings={
         "help_option_names": ["-h", "--help"],
         "max_content_width": 100,
@@ -155,7 +171,8 @@ def _list_registered_commands() -> dict[str, str]:
 def group(ctx: click.Context) -> int:
     """Estimate the true output and the width that a dead zone or backlash hides."""
     if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
+        assert isinstance(ctx.command, Commands)
+        click.echo(ctx.command.get_first_help(ctx))
     return 0
 
 
@@ -168,7 +185,7 @@ def _retain_freed_memory() -> None:
     """Keep freed memory for later allocations.
 
     A fifth of the time of `identify` on 13,000 samples went into pages that were given back and
-    cleared again (glibc; elsewhere nothing is done).
+    cleared again (glibc, elsewhere nothing is done).
     """
     with suppress(OSError, AttributeError, TypeError):
         mallopt = ctypes.CDLL(None).mallopt
@@ -177,7 +194,7 @@ def _retain_freed_memory() -> None:
 
 
 def main() -> None:
-    """Run a command; an error becomes one line on stderr and an exit code.
+    """Run a command. An error becomes one line on stderr and an exit code.
 
     Entry point of the tool.
     """

@@ -133,7 +133,7 @@ def _joint_rows(found: Survey) -> list[list[str]]:
 
 
 def _format_limit(value: float, unit: str) -> str:
-    """Return a limit with its unit as text; none if it is infinite."""
+    """Return a limit with its unit as text, "none" if it is infinite."""
     return f"{value:.4g} {unit}" if abs(value) < float("inf") else "none"
 
 

@@ -64,7 +64,7 @@ def check(scenario: Path, output: Output, confine: Path | None) -> int:
 def _advise_after_check(
     path: Path, scenario: uz.Scenario, certified: bool | None
 ) -> dict[str, str]:
-    """Return the next commands after a verdict; `certified` is None without constant gains."""
+    """Return the next commands after a verdict. Without constant gains `certified` has no value."""
     if certified is False:
         return next_line(
             f"{shell_command('undeadzone', 'design', path)} searches gains that have a proof"

@@ -40,11 +40,11 @@ VERDICT = re.compile(
 
 
 class UserPath(click.Path):
-    """Path of a file or a folder that a user names; refuses the empty string, which means the
+    """Path of a file or a folder that a user names. Refuses the empty string, which means the
     current folder.
 
     Args:
-        use: what is done there; `--untrusted` and docs/security.md go by it.
+        use: use of the path (`--untrusted` and docs/security.md go by it).
     """
 
     def __init__(self, use: str) -> None:
@@ -70,14 +70,12 @@ READ_AND_WRITTEN, LIMIT = UserPath("read and written"), UserPath("limit")
 def value_option(
     name: str, metavar: str | None, words: str, *into: str, **more: Any
 ) -> Callable[..., Any]:
-    """Return an option with a value; into: its argument, if renamed; more: keywords of click."""
+    """Return an option with a value (into: its argument, if renamed, more: keywords of click)."""
     return click.option(name, *into, metavar=metavar, help=words, **more)
 
 
 def flag_option(name: str, words: str, *into: str, **more: Any) -> Callable[..., Any]:
-    """Return an option without a value; into: its argument, if renamed; more: keywords of
-    click.
-    """
+    """Return an option without a value (into: its argument if renamed, more: keywords of click)."""
     return click.option(name, *into, is_flag=True, help=words, **more)
 
 
@@ -141,14 +139,16 @@ def add_untrusted(command: Command) -> Command:
     """Add --untrusted, which restricts the process until its end and implies --confine."""
 
     @functools.wraps(command)
-    def held(*, untrusted: Path | None, **options: Any) -> Any:
+    def run_confined(*, untrusted: Path | None, **options: Any) -> Any:
         """Run the command, in a restricted process if --untrusted is given."""
         if untrusted is None:
             return command(**options)
         from undeadzone.cli.untrusted import restrict_process
 
         if options.get("out", untrusted) is None and not options.get("no_figures"):
-            raise InputError("--untrusted: say --out too, the only folder that is written")
+            raise InputError(
+                "--untrusted: --out is missing. Give it: it is the only folder that is written"
+            )
         _bind_process(untrusted, options)
         with ExitStack() as ending:
             for word in restrict_process(untrusted, _output_folder(options), ending):
@@ -162,16 +162,16 @@ def add_untrusted(command: Command) -> Command:
         "DIR",
         "Treat DIR as hostile: read only DIR, write only --out, limit time and memory.",
         type=LIMIT,
-    )(held)
+    )(run_confined)
 
 
 def _bind_process(folder: Path, options: Mapping[str, Any]) -> None:
     """Bind this process to a stranger's folder.
 
-    What is read is looked at as it is opened; what is to be written, here.
+    Files to read are checked as they are opened, files to write are checked here.
 
     Raises:
-        InputError: `folder` is none.
+        InputError: `folder` is not a folder.
         FileError: a path to be written begins in `folder`, and leads out of it.
     """
     if not folder.is_dir():
@@ -192,19 +192,19 @@ def add_guards(command: Command) -> Command:
 def name_file_in_errors(command: Callable[..., Any]) -> Callable[..., Any]:
     """Return the command with errors that name the file of the wrong key or log.
 
-    The readers of files name them; of what is found later, such as a value that does not fit,
-    the key is known alone.
+    The readers of files name them. Errors found later, such as a value that does not fit, know only
+    the key.
     """
 
     @functools.wraps(command)
-    def named(**options: Any) -> Any:
-        """Run the command; an InputError names the file."""
+    def run_with_file_name(**options: Any) -> Any:
+        """Run the command. An InputError names the file."""
         try:
             return command(**options)
         except InputError as error:
             raise type(error)(_prefix_file(str(error), options)) from None
 
-    return named
+    return run_with_file_name
 
 
 def _prefix_file(message: str, options: Mapping[str, Any]) -> str:
@@ -231,8 +231,8 @@ def build_origin(path: Path | None, seed: int | None = None) -> Origin:
     """Return the origin of a result for its page: the command, and the scenario as given.
 
     Args:
-        path: of the scenario; None: there is none.
-        seed: of every random number; None: there is none, or several.
+        path: of the scenario (None: there is none).
+        seed: of every random number (None: there is none, or several).
     """
     from undeadzone.report.html import Origin
 
@@ -244,7 +244,7 @@ def build_origin(path: Path | None, seed: int | None = None) -> Origin:
 
 
 def shell_command(*words: object) -> str:
-    """Return a command as text for a shell; a name with a blank is quoted."""
+    """Return a command as text for a shell. A name with a blank is quoted."""
     return shlex.join(map(str, words))
 
 
@@ -259,7 +259,7 @@ def print_json(value: Mapping[str, Any], written: Sequence[Path] | None = None) 
 
     Args:
         value: the result.
-        written: files, that are named at its end; None: the command writes none.
+        written: files, that are named at its end (None: the command writes none).
     """
     files = {} if written is None else {"files": [str(path) for path in written]}
     click.echo(to_json_text(add_schema(value) | files))
@@ -276,7 +276,7 @@ def print_line(text: str = "", err: bool = False) -> None:
 
 
 def to_json_text(value: Any) -> str:
-    """Return a value as JSON; numbers that are not finite become null."""
+    """Return a value as JSON. Numbers that are not finite become null."""
     from undeadzone.util.arrays import to_json_value
 
     return json.dumps(to_json_value(value), indent=2, allow_nan=False)
@@ -289,7 +289,7 @@ def print_blocks(
     terminal.
 
     Args:
-        blocks: what is printed.
+        blocks: parts of the text.
         last: lines `name  value` at the end.
         err: whether they go to stderr.
     """
@@ -306,7 +306,7 @@ def print_blocks(
 
 
 def paint_verdicts(text: str) -> str:
-    """Return a text with coloured verdicts; lines that name a scenario stay unchanged."""
+    """Return a text with coloured verdicts. Lines that name a scenario stay unchanged."""
     lines = []
     for line in text.split("\n"):
         lines.append(line if line.startswith("scenario") else VERDICT.sub(_paint_verdict, line))

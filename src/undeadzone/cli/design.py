@@ -122,7 +122,7 @@ def design(
 
 
 def _advise_after_design(folder: Path | None) -> dict[str, str]:
-    """Return the advice on use of the written gains in a scenario; empty without a file."""
+    """Return the advice on use of the written gains in a scenario, empty without a file."""
     if folder is None:
         return {}
     return {

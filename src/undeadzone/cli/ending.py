@@ -104,7 +104,7 @@ def report_failure(error: Exception) -> int:
 
 
 def _open_closed_streams() -> bool:
-    """Open closed standard streams on the null device; return whether stdout was closed.
+    """Open closed standard streams on the null device. Return whether stdout was closed.
 
     Otherwise the next file opened takes the number of such a stream, and messages end up in it.
     """
@@ -124,7 +124,7 @@ def _open_closed_streams() -> bool:
 
 
 def _find_import_obstacle() -> str:
-    """Return the reason that libraries would fail or hang while imported; empty if none."""
+    """Return the reason that libraries would fail or hang while imported, or "" if none."""
     if not os.environ.get(EPOCH, "0").isdecimal():
         return f"{EPOCH}: expected whole seconds since 1970; set it so, or unset it"
     if sys.platform == "win32":
@@ -145,8 +145,8 @@ def _signals_raised() -> Iterator[None]:
     """Provide a block in which Ctrl-C, SIGTERM, and SIGHUP of a closed terminal end a command
     alike.
 
-    One that is raised where nothing can be raised, such as in the import of a module or as an
-    object is deleted, is raised again a moment later.
+    A signal that arrives while Python can raise no exception, such as in the import of a module or
+    as an object is deleted, is raised again a moment later.
     """
     untouched = (signal.SIG_DFL, signal.default_int_handler)
     before: dict[int, Any] = {}
@@ -170,7 +170,7 @@ def _raise_terminated(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_again(hook: Callable[[Any], Any], lost: Any) -> None:
-    """Let a signal come again whose exception was lost; pass another exception on to a hook."""
+    """Let a signal come again whose exception was lost. Pass another exception on to a hook."""
     if not issubclass(lost.exc_type, Terminated):
         hook(lost)
         return
@@ -182,7 +182,7 @@ def _raise_again(hook: Callable[[Any], Any], lost: Any) -> None:
 
 @contextmanager
 def defer_signals() -> Iterator[None]:
-    """Provide a block that a signal ends only when it is done; a second signal ends it at once."""
+    """Provide a block that a signal ends only at its end. A second signal acts at once."""
     came: list[int] = []
     handlers: dict[int, Any] = {}
 
@@ -214,7 +214,7 @@ def end_at_once_on_signals() -> None:
 
 
 def ignore_signals() -> None:
-    """Ignore signals in the last moment of Python, in which it could print nothing any more."""
+    """Ignore signals in the last moment of Python, when no message can be printed."""
     for number in END_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
@@ -280,7 +280,7 @@ def _is_stdout_error(error: OSError) -> bool:
 
 
 def _report_stdout_failure(error: OSError) -> int:
-    """Print that stdout failed, and return the exit code; a closed pipe counts as success."""
+    """Print that stdout failed, and return the exit code. A closed pipe counts as success."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return DONE

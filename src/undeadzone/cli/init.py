@@ -135,7 +135,7 @@ def example_files(name: str) -> list[Path]:
     """Return the file of an example, and then the files that it names.
 
     Args:
-        name: of the example; `.toml` may be left out.
+        name: of the example (`.toml` may be left out).
 
     Raises:
         InputError: there is no such example.

@@ -44,7 +44,7 @@ class Output(NamedTuple):
     """Output of a command's result.
 
     Attributes:
-        out: folder that --out names; None: the command's own.
+        out: folder that --out names (None: the command's own).
         as_json: whether one JSON object is printed.
         figures: whether figures and a page are drawn.
     """
@@ -54,14 +54,14 @@ class Output(NamedTuple):
     figures: bool
 
     def choose_folder(self, default: str, tables: bool = False) -> Path | None:
-        """Return the folder for the files written; None if the command writes no files.
+        """Return the folder for the files written, or None if the command writes no files.
 
         Called before the computation, so that a folder in which nothing can be written is noticed
-        then; here libraries are imported as a process of our own may import them.
+        then. Libraries are imported here, before the process is restricted.
 
         Args:
             default: name of the folder without --out.
-            tables: whether signals are asked for, figures or not.
+            tables: whether signals are wanted, figures or not.
 
         Raises:
             FileError: nothing can be written there.
@@ -87,7 +87,7 @@ class Output(NamedTuple):
             numbers: gives the object.
             blocks: gives the words.
             written: the files.
-            last: lines at the end of the words; None: those that name the files.
+            last: lines at the end of the words (None: those that name the files).
         """
         if self.as_json:
             print_json(numbers(), written)
@@ -99,11 +99,11 @@ def add_output_options(command: Callable[..., int]) -> Callable[..., int]:
     """Add --out, --json and --no-figures, passed to the command as an `Output`."""
 
     @wraps(command)
-    def given(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
+    def run_with_output(out: Path | None, as_json: bool, no_figures: bool, **options: Any) -> int:
         """Run the command with its `Output`."""
         return command(output=Output(out, as_json, not no_figures), **options)
 
-    return reduce(lambda made, option: option(made), OUTPUTS, given)
+    return reduce(lambda made, option: option(made), OUTPUTS, run_with_output)
 
 
 def add_scenario_options(command: Callable[..., int]) -> Callable[..., int]:
@@ -129,7 +129,7 @@ def require_own_table(folder: Path | None, name: str, force: bool) -> None:
     """Raise FileError for a table of signals that is not as undeadzone wrote it.
 
     Args:
-        folder: of the table; None: none is written.
+        folder: of the table (None: none is written).
         name: of the table.
         force: whether it may be replaced all the same.
     """
@@ -140,10 +140,10 @@ def require_own_table(folder: Path | None, name: str, force: bool) -> None:
 
 
 def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
-    """Return the file that contains a search until it is done; None without a folder.
+    """Return the file that contains a search until it is done, or None without a folder.
 
     Args:
-        folder: of what it writes; None: it writes nothing.
+        folder: of the written files (None: it writes nothing).
         name: of the file that it writes at its end.
         resume: whether --resume is given.
 
@@ -190,7 +190,7 @@ def _import_scipy() -> None:
 
 
 def prepare_figures() -> None:
-    """Set the style of figures, equal in every folder; called before the first figure."""
+    """Set the style of figures, equal in every folder. Call it before the first figure."""
     from undeadzone.report.style import import_default_matplotlib
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # a cache of fonts that is not kept
@@ -248,5 +248,5 @@ def _changes_for_export(scenario: uz.Scenario) -> str:
 
 
 def files_line(written: Sequence[Path]) -> dict[str, Any]:
-    """Return the line that names the written files, for `print_blocks`; empty without files."""
+    """Return the line that names the written files, for `print_blocks`, empty without files."""
     return {"written": ", ".join(map(str, written))} if written else {}

@@ -65,7 +65,7 @@ def run(
     Prints the errors over the last 2 s, the final widths with intervals, their identifiability, and
     whether a certificate holds. Writes run.npz, run.csv (up to 10 MB), figure.svg and report.html
     to DIR (default: NAME-results), and gears.xml for MuJoCo if the plant has gears. With
-    --no-figures and neither --out nor --csv it writes nothing.
+    --no-figures and without --out and --csv it writes nothing.
 
     Exit code 1: it diverged, half the step changes it by more than 1 %, or its widths cannot be
     identified.
@@ -143,7 +143,7 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
     Args:
         path: of the scenario.
         animated: whether a film is wanted, which only an arm's run gives.
-        confine: a folder outside of which the scenario may name no file; None: any.
+        confine: a folder outside of which the scenario may name no file (None: any).
     """
     if path.suffix in OF_ENSEMBLE:
         raise InputError(
@@ -152,7 +152,7 @@ def _read_scenario(path: Path, animated: bool, confine: Path | None) -> uz.Scena
         )
     scenario = uz.read(path, confine)
     if animated and scenario.plant.arm is None:
-        raise InputError("animation: this plant is no arm. Leave the option out")
+        raise InputError("animation: this plant is not an arm. Leave the option out")
     return scenario
 
 
@@ -184,7 +184,7 @@ def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[
     Args:
         path: of the ensemble.
         number: of the run.
-        confine: a folder outside of which the ensemble's scenario may name no file; None: any.
+        confine: a folder outside of which the ensemble's scenario may name no file (None: any).
     """
     from undeadzone.ensemble.run_ensemble import replay_deviation
 

@@ -41,12 +41,13 @@ def restrict_process(folder: Path, out: Path | None, ending: ExitStack) -> list[
     """Restrict this process to read strangers' files from `folder` and to write below `out`.
 
     No module comes from `folder`. Memory and CPU time are limited, unless less is allowed already.
-    Where the kernel has Landlock, nothing else can be read but what programs and libraries need,
-    and nothing else written. All of this lasts, and holds for every process started from here.
+    If the kernel has Landlock, nothing else can be read but the files that programs and libraries
+    need, and nothing else written. All of this lasts, and holds for every process started from
+    here.
 
     Args:
         folder: of the strangers.
-        out: made if missing; None: nothing is written.
+        out: created if missing (None: nothing is written).
         ending: of the command, which takes temporary files along.
 
     Returns:
@@ -79,7 +80,7 @@ def _is_untrusted_place(place: Path, folder: Path) -> bool:
 
 
 def _use_scratch_folder(out: Path, ending: ExitStack) -> None:
-    """Put temporary files below `out`; they are deleted when the command ends."""
+    """Put temporary files below `out`. They are deleted when the command ends."""
     scratch = tempfile.mkdtemp(dir=out.absolute(), prefix=".scratch-")
     # Matplotlib deletes its own folder at the interpreter's end, and this call comes after that.
     atexit.register(shutil.rmtree, scratch, ignore_errors=True)
@@ -99,7 +100,7 @@ def _empty_scratch_folder(scratch: Path) -> None:
 
 
 def _kernel_cache_folder() -> Path | None:
-    """Return the folder of cached kernels, created if missing; None on failure."""
+    """Return the folder of cached kernels, created if missing, or None on failure."""
     from undeadzone.compile.cache_folder import cache_directory
 
     place = cache_directory()
@@ -119,7 +120,7 @@ def _library_places() -> list[Path]:
 
 
 def _limit_resources() -> bool:
-    """Limit memory, CPU time and core files; return whether the system can."""
+    """Limit memory, CPU time and core files. Return whether the system can."""
     if sys.platform == "win32":
         return False
     import resource
@@ -143,7 +144,7 @@ def _raise_out_of_time(number: int, frame: FrameType | None) -> None:
 
 
 def _restrict_files(read: Iterable[Path], written: Iterable[Path]) -> bool:
-    """Remove all further rights on files; return whether the kernel can."""
+    """Remove all further rights on files. Return whether the kernel can."""
     if sys.platform != "linux":
         return False
     kernel = ctypes.CDLL(None, use_errno=True)

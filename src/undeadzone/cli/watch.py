@@ -50,7 +50,7 @@ def _check_seconds(
 ) -> float | None:
     """Return a time that can be waited for [s]. Raises BadParameter."""
     if seconds is not None and math.isnan(seconds):
-        raise click.BadParameter("nan is no time [s]", ctx, param)
+        raise click.BadParameter("nan is not a time [s]", ctx, param)
     return seconds
 
 
@@ -133,12 +133,12 @@ def watch(
 
 
 class SavedWatch:
-    """State of the watch, saved in a file; read at the start if the file exists.
+    """State of the watch, saved in a file. Read at the start if the file exists.
 
     Args:
-        path: of the file; None: nothing is kept.
+        path: of the file (None: nothing is kept).
         every: time between two savings [s].
-        follower, log: what is kept.
+        follower, log: objects whose state is saved.
     """
 
     def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
@@ -157,7 +157,7 @@ class SavedWatch:
         """Replace the file.
 
         Args:
-            when_due: only if so much time has passed; a save that fails (a full disk) is then said
+            when_due: only if this time has passed. A save that fails (a full disk) is then reported
                 on stderr, counted, and tried again after as much time.
 
         Raises:
@@ -239,7 +239,7 @@ def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json
 
 
 def _wait_for_input(stdin: Any) -> None:
-    """Wait until something can be read, if the system can say so: a signal ends this at once."""
+    """Wait until something can be read, if the system can wait. A signal ends this at once."""
     with suppress(OSError, ValueError):  # no descriptor, or none of a socket on Windows
         select.select([stdin], [], [])
 
@@ -291,7 +291,7 @@ def _to_csv_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
 
 
 def _to_json_lines(t: Floats, estimate: uz.Estimate, sides: Floats) -> bytes:
-    """Return lines of JSON; quantities that the observer does not estimate are left out."""
+    """Return lines of JSON. Quantities that the observer does not estimate are left out."""
     import msgspec
 
     parts = {

@@ -1,6 +1,6 @@
 """Compensators of an actuator's dead zone, a file for each.
 
-The names stand in `__init__.pyi`; compensators that other packages register are found here too.
+The names stand in `__init__.pyi`. Compensators that other packages register are found here too.
 """
 
 from undeadzone.registry import COMPENSATORS, attach_package

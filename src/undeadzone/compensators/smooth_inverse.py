@@ -19,8 +19,8 @@ class SmoothZoneInverse(
     """`ZoneInverse` with b^ clip(abs(v) / soft, 0, 1) for b^, to spare the actuator.
 
     Attributes:
-        soft: |v| from which the whole width is added, one or one per input [u]; default a tenth of
-            the mean width that is known, or of the middle of its range.
+        soft: |v| from which the whole width is added, one or one per input [u] (default a tenth of
+            the mean width that is known, or of the middle of its range).
     """
 
     soft: Array | None = None

@@ -10,7 +10,7 @@ from undeadzone.plants.system import System
 
 
 class ZoneInverse(Coasts, frozen=True, kw_only=True, tag="inverse"):
-    """Inverse u = v / m_r + b_r^ for v > 0, v / m_l - b_l^ for v < 0; sampled time only.
+    """Inverse u = v / m_r + b_r^ for v > 0, v / m_l - b_l^ for v < 0, sampled time only.
 
     The widths are those that the observer estimates, else those of [model.actuator].
     """

@@ -1,7 +1,7 @@
 """Assumptions of a kernel about its params, checked when the params enter.
 
-Above one edge and below another exclude each other where the edges do not cross: "right and not
-left" is then "right", and each reading is compared twice less.
+Above one edge and below another exclude each other if the edges do not cross: "right and not left"
+is then "right", and each reading is compared twice less.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class ParamBreakpoint(NamedTuple):
     """Breakpoint that is a param, its negative, or a constant.
 
     Attributes:
-        param: which one; None for a constant.
+        param: index of the param (None for a constant).
         factor: of the param, or the constant itself.
     """
 
@@ -67,9 +67,9 @@ def read_assumptions(numbers: list[list[tuple[int | None, float]]]) -> tuple[Ker
 
 
 def to_breakpoint(node: Node) -> ParamBreakpoint | None:
-    """Return a node as a breakpoint, or None if it is neither a param nor a constant."""
-    if node.value is not None:
-        return ParamBreakpoint(None, node.value)
+    """Return a node as a breakpoint, or None if it is not a param or a constant."""
+    if node.constant_value is not None:
+        return ParamBreakpoint(None, node.constant_value)
     if node.op == "input" and node.text.startswith("p"):
         return ParamBreakpoint(int(node.text[1:]), 1.0)
     if node.op != "neg":
@@ -79,7 +79,7 @@ def to_breakpoint(node: Node) -> ParamBreakpoint | None:
 
 
 def exclusion_assumption(more: Node, less: Node) -> KernelAssumption | None:
-    """Return the assumption under which high < y and y < low exclude each other, or None.
+    """Return the assumption under which high < y and y < low exclude each other, else None.
 
     None means that the two comparisons are of a different form.
     """

@@ -54,9 +54,8 @@ class Recipe:
 
     Attributes:
         key: all that the text depends on.
-        make: makes the text, LLVM's, of a module with a function `block`, compiled as it stands:
-            nothing optimises it first; and a note, what has to be known of it besides, kept with
-            the machine code.
+        make: returns the LLVM text of a module with a function `block`, compiled without further
+            optimisation, and a note that is saved with the machine code.
     """
 
     key: str
@@ -82,7 +81,7 @@ class CompiledBlock:
 
     @property
     def c_function(self) -> Any:
-        """Return the present C function; its arguments are numbers and addresses."""
+        """Return the present C function. Its arguments are numbers and addresses."""
         return self._codes[-1].function
 
     def __call__(self, *arguments: Any) -> None:
@@ -121,14 +120,14 @@ class Trial:
     """Timing trial of a function of steps, lanes and arrays with several codes of the same
     bits.
 
-    In a long run a thread compiles the others; then calls are shared out among all codes until the
-    fastest is known, which has every call from there on. Nothing is computed twice, no call waits.
+    In a long run a thread compiles the others. Then calls are shared out among all codes until the
+    fastest is known, which gets every later call. Nothing is computed twice, no call waits.
 
     Args:
         own: the function in the code that is assumed to be the fastest.
         others: what compiles the others, by name.
         group: other codes take calls whose lanes are a multiple of it.
-        keep: told the name of the fastest; "" for the assumed one.
+        keep: called with the name of the fastest ("" for the assumed one).
     """
 
     def __init__(
@@ -201,8 +200,7 @@ def load_or_compile(
 ) -> CompiledBlock:
     """Return the function `block` of a recipe, compiled now or read from disk.
 
-    Where the folder cannot be used or trusted, or what it holds is damaged, the function is
-    compiled.
+    If the folder cannot be used or trusted, or its file is damaged, the function is compiled.
 
     Args:
         recipe: of its text.
@@ -270,7 +268,7 @@ def _write_cached(key: str, kinds: tuple[str, ...], note: str, code: MachineCode
 
 
 def _require_linked(code: LinkedCode | None) -> LinkedCode:
-    """Return code compiled in this process; all functions that it calls exist."""
+    """Return code compiled in this process, whose called functions all exist."""
     assert code is not None
     return code
 
@@ -335,7 +333,7 @@ def _cache_content(note: str, code: MachineCode) -> bytes:
     """Return the content of a file: a digest of the rest, note and C function names, machine
     code.
 
-    The digest tells damage, nothing else: whoever could write the file could compute it.
+    The digest only shows damage: whoever could write the file could compute it.
     """
     rest = json.dumps([note, code.calls]).encode() + b"\n" + code.code
     return _sha256_text(rest) + b"\n" + rest

@@ -118,14 +118,14 @@ if sys.platform == "win32":
         folder.mkdir(parents=True, exist_ok=True)
 
     def _read_file(directory: Path, name: str) -> bytes:
-        """What a file holds; its time is set to now."""
+        """Return the content of a file and set the file's time to now."""
         content = (directory / name).read_bytes()
         with suppress(OSError):
             os.utime(directory / name)
         return content
 
     def _write(directory: Path, name: str, content: bytes) -> None:
-        """Write a file; the file is whole or absent."""
+        """Write a file. The file is whole or absent."""
         handle, temporary = tempfile.mkstemp(dir=directory, prefix=".", suffix=SUFFIX)
         try:
             with open(handle, "wb") as file:
@@ -161,7 +161,9 @@ else:
             raise PermissionError
 
     def _make(folder: Path) -> None:
-        """Make the folder, for this user alone; one of this user's is closed to readers."""
+        """Make the folder for this user alone. An existing one of this user is closed to
+        readers.
+        """
         folder.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError):
             os.mkdir(folder, 0o700)
@@ -183,7 +185,7 @@ else:
             return file.read()
 
     def _write(directory: int, name: str, content: bytes) -> None:
-        """Write a file that this user alone may read; it is whole or absent."""
+        """Write a file that this user alone may read. It is whole or absent."""
         temporary = f".{os.urandom(8).hex()}{SUFFIX}"
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
         try:

@@ -33,7 +33,7 @@ class Line(NamedTuple):
     Attributes:
         word: its name.
         operands: numbers of earlier lines.
-        leaf: of an input, its name and entry; of a constant, its value.
+        leaf: name and entry of an input, value of a constant.
     """
 
     word: str
@@ -107,13 +107,13 @@ def evaluate_program(
 
 
 class Rules(Protocol):
-    """Rules that build nodes from instructions on numbers; implemented in `simplify`."""
+    """Rules that build nodes from instructions on numbers, implemented in `simplify`."""
 
     nodes: Nodes
     real: str
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers; truths are 1 or 0."""
+        """Return the node of an instruction on numbers. Truths are 1 or 0."""
 
     def build_constant(self, value: float) -> Node:
         """Return the node of a constant."""
@@ -123,11 +123,11 @@ def build_nodes(function: ca.Function, rules: Rules) -> Results:
     """Return the results of a function as nodes, whether or not lanes share its inputs.
 
     Args:
-        function: with dense outputs; its inputs named p are steady.
+        function: with dense outputs. Its inputs named p are steady.
         rules: what makes the nodes.
 
     Raises:
-        InputError: an instruction that cannot be compiled; it names it.
+        InputError: names an instruction that cannot be compiled.
     """
     lines = read_program(function)
     for line in lines.lines:

@@ -1,7 +1,7 @@
 """Coefficients and constants of the elementary functions in each arithmetic.
 
 The polynomials of float64 are of least largest error, by Remez's exchange in 60 digits, with the
-weight that is named for each; those of float32 need a third of the terms. They stand in
+weight that is named for each. Those of float32 need a third of the terms. They stand in
 coefficients.toml.
 """
 
@@ -27,18 +27,18 @@ class Numbers(msgspec.Struct, frozen=True):
         half: bits of sqrt(1/2).
         far: largest argument of sine, cosine and tangent.
         quarter: pi / 2 in three parts.
-        sin: (sin r - r) / r^3 by powers of r^2, |r| <= 1.005 pi/4; weight 1 / sin.
-        cos: (cos r - 1 + r^2 / 2) / r^4 by powers of r^2, |r| <= 1.005 pi/4; weight 1 / cos.
+        sin: (sin r - r) / r^3 by powers of r^2, |r| <= 1.005 pi/4 (weight 1 / sin).
+        cos: (cos r - 1 + r^2 / 2) / r^4 by powers of r^2, |r| <= 1.005 pi/4 (weight 1 / cos).
         most, least: arguments of exp beyond which it is infinite, or 0.
         log2: log 2 in two parts.
-        exp: (e^r - 1 - r) / r^2 by powers of r, |r| <= log(2) / 2; weight r.
+        exp: (e^r - 1 - r) / r^2 by powers of r, |r| <= log(2) / 2 (weight r).
         log2_short: the same parts, the first of them short.
         log: (2 artanh(s) / s - 2) / s^2 by powers of s^2, s = f / (2 + f), sqrt(1/2) <= 1 + f <
-            sqrt(2); weight s^2.
+            sqrt(2) (weight s^2).
         certain: where erf rounds to 1.
         head: 2 / sqrt(pi), with the first of `erf`.
-        erf: -log(1 - erf a) / a - head by powers of a in [0, certain]; weight
-            a (1 - erf a) / erf a.
+        erf: -log(1 - erf a) / a - head by powers of a in [0, certain] (weight a (1 - erf a) / erf
+            a).
         atan: (atan(x) / x - 1) / x^2 by powers of x^2, |x| <= tan(pi / 8).
         pi4, pi2: pi / 4 and pi / 2, each as a number and its rest.
     """
@@ -77,17 +77,17 @@ class Numbers(msgspec.Struct, frozen=True):
         return 1 << (self.bits - 1)
 
     @property
-    def one(self) -> int:
+    def one_bits(self) -> int:
         """Return the bits of the number 1."""
         return self.bias << self.mantissa
 
     @property
-    def largest(self) -> float:
+    def largest_finite(self) -> float:
         """Return the largest finite number."""
         return (2.0 - 0.5**self.mantissa) * 2.0**self.bias
 
     @property
-    def whole(self) -> float:
+    def first_whole(self) -> float:
         """Return 2^mantissa, the size from which numbers have no fraction."""
         return 2.0**self.mantissa
 
@@ -96,7 +96,7 @@ class Numbers(msgspec.Struct, frozen=True):
         """Return the number whose addition rounds a small number to an integer in the last
         bits of the sum.
         """
-        return 1.5 * self.whole
+        return 1.5 * self.first_whole
 
 
 _TABLES: Final = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))

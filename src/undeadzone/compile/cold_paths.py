@@ -72,7 +72,7 @@ class ColdPaths:
         """Print the call for groups in which a flag is set.
 
         Args:
-            text: where it is printed.
+            text: destination of the output.
             following: the names of the states after the step, for each group.
             flags: the names of conditions, for each group.
 
@@ -83,7 +83,7 @@ class ColdPaths:
         some = marks[0]
         for mark in marks[1:]:
             some = text.add(f"or i1 {some}, {mark}")
-        text.line(f"br i1 {some}, label %rarely, label %after, !prof !0")
+        text.append_line(f"br i1 {some}, label %rarely, label %after, !prof !0")
         text.label("rarely")
         came, merged = "rarely", []
         for u, (flag, mark) in enumerate(zip(flags, marks, strict=True)):
@@ -95,11 +95,11 @@ class ColdPaths:
                 values[i] = text.add(f"phi {text.type('double')} {sources}")
             merged.append(values)
             came = text.block
-        text.line("br label %after")
+        text.append_line("br label %after")
         return came, merged
 
     def _print_group_call(self, text: Text, u: int, following: list[str], flag: str) -> list[str]:
-        """Print the call for a single group; return the names of the states that the call
+        """Print the call for a single group. Return the names of the states that the call
         writes.
         """
         for i, place in enumerate(self._read):
@@ -112,7 +112,7 @@ class ColdPaths:
         row, own = f"%row{u}_0", f"%own{u}_0" if self._shape.exogenous else "%own"
         given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")
         pointers = ", ".join(f"ptr {name}" for name in given)
-        text.line(f"call void @rare0(i64 %lanes, {pointers})")
+        text.append_line(f"call void @rare0(i64 %lanes, {pointers})")
         changed = []
         for i in range(self._written):
             changed.append(text.load(self._vector_address(text, f"%next{u}", i), vector=True))
@@ -120,22 +120,20 @@ class ColdPaths:
 
     def _vector_address(self, text: Text, base: str, i: int) -> str:
         """Return the address of a vector of an array."""
-        return text.at(base, i * self._form.lanes)
+        return text.address_of(base, i * self._form.lanes)
 
     def cold_function_texts(self, declared: dict[str, str]) -> list[str]:
         """Return the texts of the functions, given the declarations of the module."""
         return [self._cold_function_text(part, declared) for part in range(len(self._results))]
 
     def _cold_function_text(self, part: int, declared: dict[str, str]) -> str:
-        """Return the text of a part: states where the flag is set, a new flag, then the
-        next part.
-        """
+        """Return the text of a part: states if the flag is set, a new flag, then the next part."""
         text, results = Text(self._form.lanes, declared), self._results[part]
         vector, order = text.type("double"), self._orders[part]
         have: dict[Node, str] = {}
         for place, node in enumerate(self.steady):
             if node in self._uses[part]:
-                have[node] = from_double(text, node, text.load(text.at("%rare", place)))
+                have[node] = from_double(text, node, text.load(text.address_of("%rare", place)))
         print_once(text, operands_at_level(order, results, SHARED), have, entry_source(text, "w"))
         (names,) = print_lanes(text, order, [self._cold_source(text, have)], False)
         old = text.load("%flag", vector=True)
@@ -152,8 +150,8 @@ class ColdPaths:
             again = text.any_lane(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))
             given = ", ".join(f"ptr %{name}" for name in _POINTERS)
             with text.print_if(again, "again"):
-                text.line(f"call void @rare{part + 1}(i64 %lanes, {given})")
-        text.line("ret void")
+                text.append_line(f"call void @rare{part + 1}(i64 %lanes, {given})")
+        text.append_line("ret void")
         pointers = ", ".join(f"ptr noalias %{name}" for name in _POINTERS)
         head = f"define internal void @rare{part}(i64 %lanes, {pointers}) noinline #0 {{"
         return "\n".join([head, *text.lines, "}"])
@@ -177,14 +175,14 @@ class ColdPaths:
             elif place in self._shape.exogenous:
                 base, row = "%own", self._shape.exogenous.index(place)
             else:
-                return text.load(text.at("%w", place))
-            return text.load(text.at(base, text.add(f"mul i64 %lanes, {row}")), vector=True)
+                return text.load(text.address_of("%w", place))
+            return text.load(text.address_of(base, text.add(f"mul i64 %lanes, {row}")), vector=True)
 
         return source
 
 
 def _order_part(results: list[Node], form: Form) -> list[Node]:
-    """Return the instructions of a part in order; a group goes alone and has all registers."""
+    """Return the instructions of a part in order. A group goes alone and has all registers."""
     small = len(lane_instructions(results)) <= LARGE
     order = order_instructions(results, form.registers * form.streams if small else 0)
     return [*per_call_nodes(order, results), *order]

@@ -1,12 +1,12 @@
 """Elementary functions as plain arithmetic: a single text for fused lanes and for exported code.
 
-There is no branch in them and no loop, so that LLVM vectorises them over lanes; exported code calls
+They have no branches and no loops, so that LLVM vectorises them over lanes. Exported code calls
 them. Every operation rounds once by IEEE 754, so that all processors and lane widths give the same
-bits. In lanes a b + c is rounded once, which no chip without such an instruction, nor WebAssembly,
-can do at a bearable price: exported code rounds the product, too, and gives other last bits.
+bits. In lanes a b + c is rounded once, which chips without such an instruction and WebAssembly
+cannot do at a bearable price: exported code rounds the product, too, and gives other last bits.
 
-Of fused lanes errors stay below 1 ulp (erf 1.5, tanh 3); NaN, infinities, zeros of either sign and
-subnormal numbers mean what they mean in C. Docstrings are the comments of the exported C.
+Errors of fused lanes stay below 1 ulp (erf 1.5, tanh 3). NaN, infinities, zeros of either sign and
+subnormal numbers mean the same as in C. Docstrings are the comments of the exported C.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Maths:
         """Return the bits of a number as an unsigned integer."""
         return x.cast("view", self.c.word)
 
-    def number(self, x: Any) -> Any:
+    def from_bits(self, x: Any) -> Any:
         """Return the number with the given bits."""
         return x.cast("view", self.c.kind)
 
@@ -107,7 +107,7 @@ def shifted_power(m: Maths, shifted: Any, less: Any = None) -> Any:
     if m.bitless:
         return m.call("power", shifted - (m.c.shift if less is None else less))
     bits = m.bits(shifted) if less is None else m.bits(shifted) - m.bits(less)
-    return m.number((bits << m.c.mantissa) + m.c.one)
+    return m.from_bits((bits << m.c.mantissa) + m.c.one_bits)
 
 
 def reduce_exponent(m: Maths, x: Any) -> Any:
@@ -153,8 +153,8 @@ def larger_of(m: Maths, x: Any, y: Any) -> Any:
 def floor(m: Maths, x: Any) -> Any:
     """Return the largest whole number that is not larger."""
     a = abs(x)
-    near = m.call("copysign", (a + m.c.whole) - m.c.whole, x)
-    return m.select(a < m.c.whole, near - m.select(x < near, 1.0, 0.0 * a), x)
+    near = m.call("copysign", (a + m.c.first_whole) - m.c.first_whole, x)
+    return m.select(a < m.c.first_whole, near - m.select(x < near, 1.0, 0.0 * a), x)
 
 
 def ceil(m: Maths, x: Any) -> Any:
@@ -163,8 +163,8 @@ def ceil(m: Maths, x: Any) -> Any:
 
 
 def exp(m: Maths, x: Any) -> Any:
-    """Return exponential; 2^n in two factors, so that the largest numbers and subnormal ones come
-    out.
+    """Return exponential, with 2^n in two factors, so that the largest numbers and subnormal ones
+    come out.
     """
     n, shifted, part = reduce_exponent(m, clip_exponent(m, x))
     half = m.fma(n, 0.5, m.c.shift)
@@ -185,16 +185,16 @@ def split_mantissa(m: Maths, x: Any) -> Any:
     if m.bitless:
         return m.call("exponent", x), m.call("fraction", x) - 1.0
     c = m.c
-    lift, counted = c.mantissa + 2, c.whole + c.bias
+    lift, counted = c.mantissa + 2, c.first_whole + c.bias
     small = x < 2.0 ** (1 - c.bias)
-    word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one - c.half)
+    word = m.bits(m.select(small, x * 2.0**lift, x)) + (c.one_bits - c.half)
     count = (c.bias + c.mantissa) << c.mantissa  # the bits of `whole`, to which n is added
-    n = m.number((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
-    return n, m.number((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
+    n = m.from_bits((word >> c.mantissa) | count) - m.select(small, counted + lift, counted)
+    return n, m.from_bits((word & ((1 << c.mantissa) - 1)) + c.half) - 1.0
 
 
 def log(m: Maths, x: Any) -> Any:
-    """Return natural logarithm n log 2 + log(1 + f); -infinity of 0, NaN of negative numbers."""
+    """Return natural logarithm n log 2 + log(1 + f), -infinity of 0, NaN of negative numbers."""
     c = m.c
     n, f = split_mantissa(m, x)
     s = f / (2.0 + f)
@@ -204,7 +204,7 @@ def log(m: Maths, x: Any) -> Any:
     smaller = m.fma(n, c.log2_short[1], -s * m.fma(-z, m.polynomial(z, c.log), f))
     value = high + ((f - (high - whole)) + smaller)
     edge = m.select(x == 0.0, -math.inf, math.nan)
-    return m.select(x <= c.largest, m.select(x > 0.0, value, edge), x)
+    return m.select(x <= c.largest_finite, m.select(x > 0.0, value, edge), x)
 
 
 def log1p(m: Maths, x: Any) -> Any:
@@ -224,25 +224,25 @@ def erf(m: Maths, x: Any) -> Any:
 
 
 def sin(m: Maths, x: Any) -> Any:
-    """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return sine, 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, cosine, sine)
-    return m.number(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
+    return m.from_bits(m.bits(value) ^ ((n & 2) << (m.c.bits - 2)) ^ (m.bits(x) & m.c.sign))
 
 
 def cos(m: Maths, x: Any) -> Any:
-    """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return cosine, 1 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     value = m.select((n & 1) != 0, sine, cosine)
-    return m.number(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
+    return m.from_bits(m.bits(value) ^ (((n + 1) & 2) << (m.c.bits - 2)))
 
 
 def tan(m: Maths, x: Any) -> Any:
-    """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return tangent, 0 of |x| above 8000 (float) or 1e5 (double)."""
     sine, cosine, n = reduce_angle(m, x)
     odd = (n & 1) != 0
     value = m.select(odd, cosine, sine) / m.select(odd, sine, cosine)
-    return m.number(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
+    return m.from_bits(m.bits(value) ^ (n << (m.c.bits - 1)) ^ (m.bits(x) & m.c.sign))
 
 
 def atan(m: Maths, x: Any) -> Any:
@@ -409,11 +409,11 @@ def inline_functions(
     """Return, by name, builders that insert a function's instructions at the place of a call."""
     maths = Maths(nodes, numbers, inline=True)
 
-    def written(name: str) -> Callable[..., Node]:
+    def build_function(name: str) -> Callable[..., Node]:
         """Return the builder of a function."""
         return lambda *args: maths.call(name, *[Value(nodes, arg) for arg in args]).node
 
-    return {name: written(name) for name in names}
+    return {name: build_function(name) for name in names}
 
 
 def required_functions(

@@ -23,12 +23,12 @@ class Node:
     """Instruction of a graph.
 
     Attributes:
-        op: what it does: add, sub, mul, div, neg, lt, le, eq, ne; and, or, xor, shl, shr of words;
+        op: operation: add, sub, mul, div, neg, lt, le, eq, ne, and, or, xor, shl, shr of words;
             and, or, not, ne of truths; select (one of two values by a truth), convert (to another
             type), view (the same bits as another type), least and most (of two numbers, the second
-            where one is NaN or both are equal); call, input, const.
+            if one is NaN or both are equal); call, input, const.
         args: its operands.
-        text: of an input, its name; of a call, the function; of a constant, its value.
+        text: name of an input, function of a call, or value of a constant.
         kind: NumPy's name of the type of its value.
         level: how often it has to be computed.
         number: of nodes made before it.
@@ -42,7 +42,7 @@ class Node:
     number: int
 
     @property
-    def value(self) -> float | None:
+    def constant_value(self) -> float | None:
         """Return the number of a constant, or None for all further nodes."""
         return float(self.text) if self.op == "const" else None
 
@@ -63,11 +63,11 @@ class Nodes:
         self._known: dict[tuple[object, ...], Node] = {}
 
     def intern(self, op: str, *args: Node, text: str = "", kind: str = "", level: int = 0) -> Node:
-        """Return the node for an instruction; equal instructions share a node.
+        """Return the node for an instruction. Equal instructions share a node.
 
         Args:
             op, args, text: as of `Node`.
-            kind: of its value; empty for that of its last operand.
+            kind: of its value (empty for that of its last operand).
             level: the least that it may have.
         """
         kind = kind or args[-1].kind

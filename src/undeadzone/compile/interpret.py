@@ -34,7 +34,7 @@ def run_interpreted(
         state: at the beginning (states).
         exogenous: w of each step (N x inputs).
         params: p.
-        progress: told of steps done.
+        progress: called with the number of steps done.
 
     Returns:
         The outputs (N x outputs) and the final state.
@@ -63,7 +63,7 @@ def run_interpreted(
 
 
 def build_stateless_step(inputs: list[ca.SX], value: ca.SX) -> ca.Function:
-    """Return a step without a state; its output is a value of a row and of params (inputs)."""
+    """Return a step without a state. Its output is a value of a row and of params (inputs)."""
     nothing = ca.SX(0, 1)
     return ca.Function("stateless", [nothing, *inputs], [nothing, value])
 
@@ -76,7 +76,7 @@ def map_rows(step: ca.Function, rows: Floats, params: Floats) -> Floats:
 class Stepper:
     """Single step at a time, in place and without copies, for scalar steps.
 
-    Fill `w`, call, read `out`; `state` advances. There is nothing to wait for.
+    Fill `w`, call, read `out`. `state` advances. No code is compiled.
 
     Args:
         step: next, out = step(s, w, p).

@@ -39,7 +39,7 @@ class Interval(NamedTuple):
 
 
 def _round_outward(low: Floats, high: Floats) -> Interval:
-    """Return the bounds widened by a rounding; a bound that is not a number becomes infinite."""
+    """Return the bounds widened by a rounding. A bound that is not a number becomes infinite."""
     return Interval(
         np.where(np.isnan(low), -np.inf, np.nextafter(low, -np.inf)),
         np.where(np.isnan(high), np.inf, np.nextafter(high, np.inf)),
@@ -93,7 +93,7 @@ def double_interval(a: Interval) -> Interval:
 def multiply_intervals(a: Interval, b: Interval) -> Interval:
     """Return a b.
 
-    0 times infinity is no number, but then another end is 0, or both infinities are.
+    0 times infinity is not a number, but then another end is 0, or both infinities are.
     """
     products = [one * other for one, other in itertools.product(a, b)]
     ends = _round_outward(np.fmin.reduce(products), np.fmax.reduce(products))
@@ -156,8 +156,8 @@ def bound_increasing(
     least: float = -np.inf,
     greatest: float = np.inf,
 ) -> Interval:
-    """Return bounds of a function that increases on [least, greatest]; unbounded beyond this
-    domain.
+    """Return bounds of a function that increases on [least, greatest] (unbounded beyond this
+    domain).
     """
     low, high = function(a.low), function(a.high)
     inside = (a.low >= least) & (a.high <= greatest)
@@ -339,7 +339,7 @@ def build_enclosure(function: ca.Function) -> Callable[[Sequence[Interval]], lis
 
     Returns:
         bounds(boxes): from an interval (entries x boxes) per input to one (entries x boxes) per
-        output. It raises InputError where a condition or a kink is not decided on a whole box.
+        output. It raises InputError if a condition or a kink is not decided on a whole box.
 
     Raises:
         InputError: an instruction without bounds.

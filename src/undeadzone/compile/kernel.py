@@ -1,7 +1,7 @@
 """Text of a kernel: a step for many lanes as LLVM instructions.
 
-Groups of lanes are outermost and time is inside, so that a group's states stay in registers. What
-all lanes share is computed once: what is steady once a call, what is new in each step for a chunk
+Groups of lanes are outermost and time is inside, so that a group's states stay in registers. Values
+that all lanes share are computed once: steady values once a call, values of each step for a chunk
 of steps ahead. Both stand in tables of plain numbers, small enough for the nearest cache.
 """
 
@@ -61,7 +61,7 @@ class _Table:
 
     Args:
         every_use: each use has an entry for itself. LLVM then makes it an operand of the
-            instruction that uses it, where one entry would stand in a register, or be spilled.
+            instruction that uses it, whereas a shared entry would occupy a register, or be spilled.
     """
 
     def __init__(self, every_use: bool) -> None:
@@ -70,9 +70,7 @@ class _Table:
         self._every_use = every_use
 
     def place_of_use(self, node: Node) -> int:
-        """Return the index of the entry that a use of a value reads; add the entry if
-        needed.
-        """
+        """Return the index of the entry that a use of a value reads, after adding it if needed."""
         if self._every_use or node not in self._places:
             self._places[node] = len(self.entries)
             self.entries.append(node)
@@ -84,7 +82,7 @@ class _Table:
         for place, node in enumerate(self.entries):
             if node not in forms:
                 forms[node] = to_double(text, node, have[node])
-            text.store(forms[node], text.at(base, place))
+            text.store(forms[node], text.address_of(base, place))
 
 
 class KernelPrinter:
@@ -175,74 +173,74 @@ class KernelPrinter:
         print_once(text, wanted, self.have, entry_source(text, "params"))
 
     def _print_tables(self, text: Text, steps: int) -> int:
-        """Print the addresses of the tables and fill the steady tables; return the total
+        """Print the addresses of the tables and fill the steady tables. Return the total
         size [numbers].
         """
         lanes, streams = self.form.lanes, self.form.streams
-        text.line("%steady = getelementptr double, ptr %scratch, i64 0")
+        text.append_line("%steady = getelementptr double, ptr %scratch, i64 0")
         at = _round_to_cache_line(len(self.steady.entries))
-        text.line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
+        text.append_line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
         at += _round_to_cache_line(len(self.shared.entries) * steps if self.shared.entries else 0)
-        text.line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
+        text.append_line(f"%rare = getelementptr double, ptr %scratch, i64 {at}")
         at += _round_to_cache_line(len(self.rare.steady))
         if self.pieces:
-            text.line(f"%frame = getelementptr double, ptr %scratch, i64 {at}")
+            text.append_line(f"%frame = getelementptr double, ptr %scratch, i64 {at}")
             at += _round_to_cache_line(self.pieces.numbers)
         for u in range(streams if self.flag else 0):
             for name, count in self.rare.group_arrays:
-                text.line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
+                text.append_line(f"%{name}{u} = getelementptr double, ptr %scratch, i64 {at}")
                 at += _round_to_cache_line(count * lanes)
         self.steady.print_fill(text, "%steady", self.have)
         for place, node in enumerate(self.rare.steady):
-            text.store(to_double(text, node, self.have[node]), text.at("%rare", place))
-        text.line("%none = icmp slt i64 %steps, 1")
-        text.line("br i1 %none, label %end, label %chunk")
+            text.store(to_double(text, node, self.have[node]), text.address_of("%rare", place))
+        text.append_line("%none = icmp slt i64 %steps, 1")
+        text.append_line("br i1 %none, label %end, label %chunk")
         return at
 
     def _print_chunks(self, steps: int) -> list[str]:
         """Print the loop over chunks of steps with the table of shared values."""
         text = self._new_text("c")
         text.label("chunk")
-        text.line("%first = phi i64 [0, %entry], [%last, %chunked]")
-        text.line(f"%far = add i64 %first, {steps}")
-        text.line("%short = icmp slt i64 %steps, %far")
-        text.line("%last = select i1 %short, i64 %steps, i64 %far")
+        text.append_line("%first = phi i64 [0, %entry], [%last, %chunked]")
+        text.append_line(f"%far = add i64 %first, {steps}")
+        text.append_line("%short = icmp slt i64 %steps, %far")
+        text.append_line("%last = select i1 %short, i64 %steps, i64 %far")
         if self.shared.entries:
             with text.print_loop("ahead", "%first", "%last") as ahead:
                 self._print_shared_row(text, ahead)
-        text.line("br label %groups")
+        text.append_line("br label %groups")
         text.label("groups")
-        text.line("br label %group")
+        text.append_line("br label %group")
         return text.lines
 
     def _print_shared_row(self, text: Text, step: str) -> None:
         """Print a row of the table of shared values."""
         at = text.add(f"mul i64 {step}, {self.shape.sizes[1]}")
-        text.line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
+        text.append_line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
         row = text.add(f"sub i64 {step}, %first")
         have, place = dict(self.have), text.add(f"mul i64 {row}, {len(self.shared.entries)}")
         print_once(text, self.shared.entries, have, entry_source(text, "pa"))
-        self.shared.print_fill(text, text.at("%table", place), have)
+        self.shared.print_fill(text, text.address_of("%table", place), have)
 
     def _print_groups(self) -> list[str]:
         """Print the loop over groups up to the loop over time."""
         text = self._new_text("g")
         vector, (states, _, _) = text.type("double"), self.shape.sizes
         text.label("group")
-        text.line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
-        text.line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")
+        text.append_line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
+        text.append_line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")
         for u in self.groups:
-            text.line(f"%g{u} = add i64 %g, {u * self.form.lanes}")
+            text.append_line(f"%g{u} = add i64 %g, {u * self.form.lanes}")
             _print_row_addresses(
                 text, "work", f"%g{u}", f"row{u}_", states + len(self.shape.params)
             )
             for i in range(states):
-                text.line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
+                text.append_line(f"%s{u}_{i}_0 = load {vector}, ptr %row{u}_{i}, align 8")
             for i in range(len(self.shape.params)):
-                text.line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
+                text.append_line(f"%p{u}_{i} = load {vector}, ptr %row{u}_{states + i}, align 8")
         sources = [self._per_call_source(text, u) for u in self.groups]
         self.own = print_lanes(text, self.still, sources, False)
-        text.line("br label %time")
+        text.append_line("br label %time")
         return text.lines
 
     def _per_call_source(self, text: Text, u: int) -> Names:
@@ -264,28 +262,28 @@ class KernelPrinter:
         """Print the head of the loop over time."""
         text = self._new_text("h")
         text.label("time")
-        text.line("%k = phi i64 [%first, %group], [%k_next, %after]")
+        text.append_line("%k = phi i64 [%first, %group], [%k_next, %after]")
         for u in self.groups:
             for i in range(self.shape.sizes[0]):
                 sources = f"[%s{u}_{i}_0, %group], [%m{u}_{i}, %after]"
-                text.line(f"%s{u}_{i} = phi {text.type('double')} {sources}")
-        text.line("%k_next = add i64 %k, 1")
+                text.append_line(f"%s{u}_{i} = phi {text.type('double')} {sources}")
+        text.append_line("%k_next = add i64 %k, 1")
         if self.steady.entries or self.pieces:
-            text.line('%sp = call ptr asm "", "=r,0,r"(ptr %steady, i64 %k)')
+            text.append_line('%sp = call ptr asm "", "=r,0,r"(ptr %steady, i64 %k)')
         if self.shared.entries or self.pieces:
-            text.line("%kr = sub i64 %k, %first")
-            text.line(f"%kt = mul i64 %kr, {len(self.shared.entries)}")
-            text.line("%sq = getelementptr double, ptr %table, i64 %kt")
+            text.append_line("%kr = sub i64 %k, %first")
+            text.append_line(f"%kt = mul i64 %kr, {len(self.shared.entries)}")
+            text.append_line("%sq = getelementptr double, ptr %table, i64 %kt")
         if self.form.lanes == 1 or self.flag:
-            text.line(f"%kw = mul i64 %k, {self.shape.sizes[1]}")
-            text.line("%w = getelementptr double, ptr %exogenous, i64 %kw")
+            text.append_line(f"%kw = mul i64 %k, {self.shape.sizes[1]}")
+            text.append_line("%w = getelementptr double, ptr %exogenous, i64 %kw")
         for array, entries in (("own", self.shape.exogenous), ("outputs", self.shape.record)):
             if not entries:
                 continue
-            text.line(f"%k_{array} = mul i64 %k, {len(entries)}")
-            text.line(f"%j_{array} = mul i64 %k_{array}, %lanes")
+            text.append_line(f"%k_{array} = mul i64 %k, {len(entries)}")
+            text.append_line(f"%j_{array} = mul i64 %k_{array}, %lanes")
             for u in self.groups:
-                text.line(f"%i_{array}{u} = add i64 %j_{array}, %g{u}")
+                text.append_line(f"%i_{array}{u} = add i64 %j_{array}, %g{u}")
                 _print_row_addresses(text, array, f"%i_{array}{u}", f"{array}{u}_", len(entries))
         return text.lines
 
@@ -310,13 +308,13 @@ class KernelPrinter:
             came.append(last)
             merged.append(changed)
         else:
-            text.line("br label %after")
+            text.append_line("br label %after")
         text.label("after")
         for u in self.groups:
             for i in range(self.shape.sizes[0]):
                 pairs = zip(merged, came, strict=True)
                 options = ", ".join(f"[{values[u][i]}, %{block}]" for values, block in pairs)
-                text.line(f"%m{u}_{i} = phi {vector} {options}")
+                text.append_line(f"%m{u}_{i} = phi {vector} {options}")
         return text.lines
 
     def _cold_path_flags(self, text: Text, names: list[Names]) -> list[str]:
@@ -347,7 +345,7 @@ class KernelPrinter:
             if place in shape.exogenous:
                 row = shape.exogenous.index(place)
                 return text.load(f"%own{u}_{row}", vector=True)
-            return text.load(text.at("%w", place))
+            return text.load(text.address_of("%w", place))
 
         return source
 
@@ -359,7 +357,7 @@ class KernelPrinter:
         def tabled(node: Node) -> str:
             """Return the name of a table's value."""
             table, base = (self.steady, steady) if node.level == STEADY else (self.shared, "%sq")
-            one = text.load(text.at(base, table.place_of_use(node)))
+            one = text.load(text.address_of(base, table.place_of_use(node)))
             return from_double(text, node, text.splat(one, "double"), True)
 
         return tabled
@@ -367,19 +365,19 @@ class KernelPrinter:
     def _print_loop_ends(self) -> list[str]:
         """Print the ends of all loops."""
         text = self._new_text("z")
-        text.line("%done = icmp eq i64 %k_next, %last")
-        text.line("br i1 %done, label %grouped, label %time")
+        text.append_line("%done = icmp eq i64 %k_next, %last")
+        text.append_line("br i1 %done, label %grouped, label %time")
         text.label("grouped")
         for u in self.groups:
             for i in range(self.shape.sizes[0]):
                 text.store(f"%m{u}_{i}", f"%row{u}_{i}", vector=True)
-        text.line("%done_g = icmp sge i64 %g_next, %lanes")
-        text.line("br i1 %done_g, label %chunked, label %group")
+        text.append_line("%done_g = icmp sge i64 %g_next, %lanes")
+        text.append_line("br i1 %done_g, label %chunked, label %group")
         text.label("chunked")
-        text.line("%more = icmp slt i64 %last, %steps")
-        text.line("br i1 %more, label %chunk, label %end")
+        text.append_line("%more = icmp slt i64 %last, %steps")
+        text.append_line("br i1 %more, label %chunk, label %end")
         text.label("end")
-        text.line("ret void")
+        text.append_line("ret void")
         return text.lines
 
 
@@ -387,7 +385,7 @@ def _print_row_addresses(text: Text, base: str, first: str, name: str, count: in
     """Print the addresses of rows of an array, each `lanes` numbers after the previous row."""
     before = f"ptr %{base}, i64 {first}"
     for i in range(count):
-        text.line(f"%{name}{i} = getelementptr double, {before}")
+        text.append_line(f"%{name}{i} = getelementptr double, {before}")
         before = f"ptr %{name}{i}, i64 %lanes"
 
 
@@ -404,9 +402,9 @@ class KernelText(NamedTuple):
     """Text of a kernel.
 
     Attributes:
-        text: LLVM's; it defines `block`.
+        text: LLVM text, which defines `block`.
         form: how lanes are computed.
-        promises: what it takes for granted of params.
+        promises: its assumptions about params.
     """
 
     text: str
@@ -437,8 +435,8 @@ def build_graphs(
 
     Args:
         step, rare: as for `lanes.build`.
-        shape: what it is compiled for.
-        w, p: what is known of these inputs.
+        shape: sizes for which it is compiled.
+        w, p: known values of these inputs.
     """
     columns = [ca.SX.sym(name, size) for name, size in zip("swp", shape.sizes, strict=True)]
     inputs = [columns[0], _substitute_known(columns[1], w), _substitute_known(columns[2], p)]
@@ -460,12 +458,12 @@ def print_kernel(
     """Return the text of a kernel.
 
     Args:
-        functions: what it computes.
-        shape: what it is compiled for.
+        functions: functions that it computes.
+        shape: sizes for which it is compiled.
         machine: for which form is chosen.
         arithmetic: how it rounds.
         width: lanes of a block, at most.
-        form: how lanes are computed; default: as suits machine, graph and width.
+        form: arrangement of the lanes (default: as suits machine, graph and width).
         name: of the function that the text defines.
     """
     nodes = Nodes()

@@ -43,10 +43,10 @@ class Kernel(NamedTuple):
     Attributes:
         block: block(steps, lanes, work, exogenous, params, own, outputs), of flat arrays, lanes
             last.
-        shape: what it was compiled for.
+        shape: sizes for which it was compiled.
         form: how lanes are computed, until a long run finds a faster one (`cache.Trial`).
         width: lanes of a block, at most.
-        promises: what it takes for granted of params.
+        promises: its assumptions about params.
     """
 
     block: Any
@@ -62,7 +62,7 @@ class _Schedule(NamedTuple):
     Attributes:
         every: the outputs of each so many-th step are kept.
         chunk: steps of one call of the kernel, a multiple of `every`.
-        progress: told of lanes x steps done.
+        progress: called with the number of lanes x steps done.
     """
 
     every: int
@@ -88,28 +88,30 @@ def build_kernel(
     """Compile a step, or read the kernel from disk if it was compiled before.
 
     Args:
-        step: next, out = step(s, w, p); with rare parts next, out, flag = step(s, w, p).
+        step: next, out = step(s, w, p), or with rare parts next, out, flag = step(s, w, p).
         rare: where flag is not 0, the first entries of next and a new flag are rare[0](s, w, p),
             and so on, the last flag being without meaning.
         exogenous, params: entries of w and p that differ from lane to lane.
-        record: entries of out to keep; default: all.
+        record: entries of out to keep (default: all).
         known_exogenous, known_params: entries that have these values throughout (0 and 1 make the
             kernel shorter).
-        width: lanes of a block, at most; 1 for a single run, without vectors; default: as suits
-            caches.
+        width: lanes of a block, at most, 1 for a single run, without vectors (default: as suits
+            caches).
         fused: multiply and add with one rounding: faster, within rounding of CasADi's virtual
             machine where otherwise every bit agrees. Right and left edges given by params are taken
             not to cross.
-        portable: elementary functions of exported code in place of the C library's: with neither
-            exceptions nor zeros of the other sign in its numbers, the bits of exported C.
-        form: how lanes are computed; default: what `machine.told_form` says, else what was
-            measured here in a long run of a step of this size, else what is assumed, and measured.
-        hurry: of a large graph, code that is compiled in a quarter of the time and half as fast, at
-            once; the best one takes its place when a thread has it.
+        portable: elementary functions of exported code in place of the C library's: unless its
+            numbers contain NaN, infinities or zeros of the other sign, they give the bits of
+            exported C.
+        form: arrangement of the lanes (default: that of `machine.environment_form`, else the one
+            measured here in a long run of a step of this size, else an assumed one, which is then
+            measured).
+        hurry: compile a large graph first into code that takes a quarter of the time to compile and
+            is half as fast. The best one takes its place when a thread has it.
 
     Raises:
-        InputError: an entry that is not there, an instruction that cannot be compiled, or a form
-            that is none.
+        InputError: an entry that is not there, an instruction that cannot be compiled, or an
+            invalid form.
     """
     if form is None and width != 1:
         form = environment_form()
@@ -139,8 +141,8 @@ class _Plan(NamedTuple):
     """Properties of a kernel besides its form.
 
     Attributes:
-        functions: what it computes.
-        shape: what it is compiled for.
+        functions: functions that it computes.
+        shape: sizes for which it is compiled.
         width: lanes of a block, at most.
         arithmetic: how it rounds.
     """
@@ -240,7 +242,7 @@ def run_lanes(
         lane_params: replaces the entries of p that differ by lane (lanes x own params).
         every: keep the outputs of each so many-th step, the first included.
         threads: default one per processor.
-        progress: told of lanes x steps done, from any thread.
+        progress: called with the number of lanes x steps done, from any thread.
 
     Returns:
         The outputs (lanes x kept steps x recorded) and the final states (lanes x states).
@@ -279,8 +281,8 @@ def run_single_lane(
     params: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Floats, Floats]:
-    """Run a single lane, as `interpret.run_interpreted`; return outputs (N x outputs) and
-    final state (states).
+    """Run a single lane, as `interpret.run_interpreted`, and return outputs (N x outputs) and final
+    state (states).
     """
     outputs, finals = run_lanes(kernel, state, exogenous, params, threads=1, progress=progress)
     return outputs[0], finals[0]
@@ -339,7 +341,7 @@ def _run_block(
     spare: list[_BlockArrays],
     start: int,
 ) -> None:
-    """Run the lanes of the block from `start` on; the results are written in place."""
+    """Run the lanes of the block from `start` on. The results are written in place."""
     states_each, every = kernel.shape.sizes[0], schedule.every
     total, lanes = len(inputs.exogenous), len(inputs.states)
     end = min(start + width, lanes)

@@ -1,9 +1,9 @@
 """Lowering of a graph's nodes to the instructions of a kernel.
 
-Without fusion every instruction means to the last bit what it means on CasADi's virtual machine,
-NaN, infinities and the sign of zero included; elementary functions are those of the C library, as
-there. Fused, sums of products round once per product, and functions of `elementary` take the C
-library's place, so that all of a lane is vectorised.
+Without fusion every instruction gives the bits that it gives on CasADi's virtual machine, NaN,
+infinities and the sign of zero included. Elementary functions are those of the C library, as there.
+Fused, sums of products round once per product, and functions of `elementary` take the C library's
+place, so that all of a lane is vectorised.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Arithmetic(NamedTuple):
     """Rounding of a kernel.
 
     Attributes:
-        fused: gather what is steady, sums of products with one rounding per product (`fma`), and
+        fused: gather steady values, sums of products with one rounding per product (`fma`), and
             functions of `elementary`: faster, and rounded otherwise than on the virtual machine.
         portable: functions of `elementary` as exported code has them, without `fma`.
     """
@@ -49,14 +49,14 @@ def lower_function(
     """Return the results of a function as instructions.
 
     Args:
-        function: with dense outputs; its inputs named p are finite numbers.
+        function: with dense outputs. Its inputs named p are finite numbers.
         nodes: where instructions are made.
         levels: of its inputs.
         arithmetic: how it rounds.
-        granted: promises that are taken for granted, which fused lanes do; grows.
+        granted: promises that are taken for granted, which fused lanes do (grows).
 
     Raises:
-        InputError: an instruction that the engine lacks; it names it.
+        InputError: names an instruction that the engine lacks.
     """
     fused = arithmetic.fused
     rules = FusedRules(Nodes(), granted) if fused else ExactRules(Nodes())
@@ -87,7 +87,7 @@ def build_portable_nodes(function: ca.Function, kind: str) -> Results:
         kind: NumPy's name of the type of numbers: float32 or float64.
 
     Raises:
-        InputError: an instruction that no code can be made of; it names it.
+        InputError: names an instruction that no code can be made of.
     """
     return build_nodes(function, PortableRules(Nodes(), kind))
 
@@ -99,7 +99,7 @@ class Term(NamedTuple):
         place: number of the last node that it needs.
         minus: whether it is subtracted.
         factor: None without one.
-        value: what is added, or multiplied by the factor.
+        value: number that is added, or multiplied by the factor.
         truth: None without one.
     """
 
@@ -123,7 +123,7 @@ class Term(NamedTuple):
 
 def _is_gate(node: Node) -> bool:
     """Return whether a node selects a number or 0 by a truth and is not a truth as a number."""
-    return node.op == "select" and node.args[2].value == 0.0 and to_condition(node) is None
+    return node.op == "select" and node.args[2].constant_value == 0.0 and to_condition(node) is None
 
 
 def _absorbed_nodes(order: list[Node], counts: Counter[Node]) -> set[Node]:
@@ -201,7 +201,7 @@ class _Lowering(NamedTuple):
         made, op = self.nodes.intern, "least" if word == "fmin" else "most"
         if _is_never_nan(a):
             return made(op, b, a)
-        if _is_never_nan(b) and (self.fused or b.value):
+        if _is_never_nan(b) and (self.fused or b.constant_value):
             return made(op, a, b)  # the sign of zero apart
         better = made("le", *((a, b) if word == "fmin" else (b, a)), kind="bool")
         if not _is_never_nan(b):
@@ -211,10 +211,10 @@ class _Lowering(NamedTuple):
     def _lower_sum(self, node: Node) -> Node:
         """Return a sum, built term by term.
 
-        A term is added as soon as it is known, and what it needs can be forgotten; a plain one
-        comes first where it costs no waiting, for a product then needs no instruction of its own;
-        one under a truth is added where it holds: a single masked instruction where the processor
-        has them.
+        A term is added as soon as it is known, so that its operands can be forgotten. A plain term
+        comes first if it costs no waiting, as a product then needs no instruction of its own. A
+        term under a truth is added if the truth holds, by a single masked instruction if the
+        processor has them.
         """
         made = self.nodes.intern
         waiting = sorted(_sum_terms(self.taken, node, False), key=Term.sort_key)

@@ -1,4 +1,4 @@
-"""Host processor and its lanes; LLVM text compiled and linked for it."""
+"""Host processor and its lanes, and LLVM text compiled and linked for it."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ class Form(NamedTuple):
     """Arrangement of a kernel's lanes, which changes no bit.
 
     Attributes:
-        lanes: of a vector; 1 for plain numbers.
+        lanes: of a vector (1 for plain numbers).
         streams: groups side by side, so that one works while the other waits.
         slots: each use of a shared number has an entry of a table for itself, which becomes an
             operand of its instruction (AVX-512).
-        registers: numbers of a group that may wait for their use; 0 for each instruction right
-            behind what it needs.
-        branches: instructions of one condition that are worth a branch, of groups that go alone; 0
-            for no branches.
-        piece: instructions of a function, where a group goes alone through a step of more than
-            `WHOLE` of them.
+        registers: numbers of a group that may wait for their use (0 for each instruction right
+            behind its operands).
+        branches: instructions of one condition that are worth a branch, of groups that go alone (0
+            for no branches).
+        piece: instructions of a function, if a group goes alone through a step of more than `WHOLE`
+            of them.
     """
 
     lanes: int
@@ -60,7 +60,7 @@ class Form(NamedTuple):
 
     @property
     def setting_text(self) -> str:
-        """Return the form as `FIXED` contains it, for example 8,2,0,20; `piece` has no
+        """Return the form as `FIXED` contains it, for example 8,2,0,20. `piece` has no
         text.
         """
         told = self[: 5 if self.branches else 4]
@@ -217,7 +217,7 @@ class LinkedCode(NamedTuple):
 
 
 def compile_text(text: str, effort: int = MOST) -> MachineCode:
-    """Compile a module with LLVM's effort 0 (four times sooner, half as fast) to 3; return
+    """Compile a module with LLVM's effort 0 (four times sooner, half as fast) to 3, and return
     machine code.
     """
     from llvmlite import binding

@@ -53,8 +53,8 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
     """Convert white noise to first-order coloured noise, in place.
 
     Args:
-        numbers: as `fill` left them (steps x channels x lanes); at least one step.
-        state: the last numbers (channels x lanes), overwritten; at step 0 it is not read.
+        numbers: as `fill` left them (steps x channels x lanes) (at least one step).
+        state: the last numbers (channels x lanes), overwritten (at step 0 it is not read).
         first: number of the first step.
         memory, drive: `noise.colour`.
 
@@ -112,7 +112,7 @@ def _module_text(text: Text) -> str:
 
 
 def _print_run_loops(text: Text, group: int) -> Iterator[str]:
-    """Print loops over whole groups of runs and over the remaining runs; yield their counts."""
+    """Print loops over whole groups of runs and over the remaining runs. Yield their counts."""
     for name, wide, begin, end in (("many", group, "0", "%whole"), ("few", 1, "%whole", "%lanes")):
         text.lanes = wide
         with text.print_loop(name, begin, end, wide) as loop:
@@ -129,7 +129,7 @@ def fill_text(group: int) -> str:
     text.block = "entry"
     below = [*operands_at_level(order, results, STEADY), *operands_at_level(order, results, SHARED)]
     last = text.add("add i64 %first, %steps")
-    text.line(f"%whole = and i64 %lanes, -{group}")
+    text.append_line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")
     begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
     with text.print_loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
@@ -147,7 +147,7 @@ def fill_text(group: int) -> str:
                 for node, (asked, first) in zip(results, rows, strict=True):
                     with text.print_if(asked, f"of{text.lanes}.{node.number}"):
                         place = text.add(f"add i64 {first}, {at}")
-                        text.store(names(node), text.at("%numbers", place), vector=True)
+                        text.store(names(node), text.address_of("%numbers", place), vector=True)
     return _module_text(text)
 
 
@@ -168,7 +168,7 @@ def _normal_nodes() -> list[Node]:
 
 
 def _print_row_start(text: Text, counter: str, i: int, last: str, row: str) -> tuple[str, str]:
-    """Print whether the i-th step of a counter is requested and the index of its first number;
+    """Print whether the i-th step of a counter is requested and the index of its first number, and
     return both.
     """
     k = text.add(f"add i64 {text.add(f'mul i64 {counter}, 4')}, {i}")
@@ -183,7 +183,7 @@ def _run_source(text: Text, have: dict[Node, str], count: str) -> Names:
     def source(node: Node) -> str:
         """Return the name of a value."""
         if node.level == LANES:
-            return text.load(text.at("%runs", count), "i64", vector=True)
+            return text.load(text.address_of("%runs", count), "i64", vector=True)
         return text.splat(have[node], TYPES[node.kind])
 
     return source

@@ -21,7 +21,7 @@ def reference_evaluator(results: Results) -> Evaluate:
     """Return the results as a function of inputs by name (numbers or arrays of a type).
 
     Args:
-        results: the nodes; there is at least one.
+        results: the nodes. There is at least one.
     """
     (kind,) = {node.kind for node in itertools.chain(*results)}
     return _build_evaluator(results, elementary_functions(kind))
@@ -39,7 +39,7 @@ def elementary_functions(kind: str) -> dict[str, Callable[..., Any]]:
 def _build_function(
     name: str, kind: str, functions: dict[str, Callable[..., Any]]
 ) -> Callable[..., Any]:
-    """Return an elementary function; the functions that it calls are built before."""
+    """Return an elementary function. The functions that it calls are built before."""
     shape = build_formula(name, kind)
     evaluate = _build_evaluator([[shape.result]], functions)
 

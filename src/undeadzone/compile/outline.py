@@ -1,7 +1,7 @@
 """Outlining of a long step into functions of some thousand instructions each.
 
-LLVM takes the longer for an instruction the longer its function is. What a function is given, and
-what it leaves for a later one or for the end of the step, stands in a frame: vectors of doubles.
+LLVM takes the longer for an instruction the longer its function is. The inputs of a function, and
+its results for a later function or for the end of the step, stand in a frame: vectors of doubles.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class OutlinedStep:
 
     Args:
         order: of the instructions.
-        results: what is wanted of them.
+        results: nodes that they compute.
         form: of the kernel.
     """
 
@@ -53,9 +53,7 @@ class OutlinedStep:
         return last | {node: len(self._orders) for node in results if node in self._made}
 
     def _assign_places(self) -> int:
-        """Assign a place in the frame to each value that needs it; return the number of
-        places.
-        """
+        """Assign a place in the frame to each value that needs it. Return the number of places."""
         begin: dict[int, list[Node]] = defaultdict(list)
         end: dict[int, list[Node]] = defaultdict(list)
         for node, last in self._last.items():
@@ -71,17 +69,17 @@ class OutlinedStep:
         return next(fresh)
 
     def print_calls(self, text: Text, source: Names) -> Names:
-        """Print the calls; return the source of names for the results.
+        """Print the calls. Return the source of names for the results.
 
         Args:
-            text: where they are printed; %frame, %sp and %sq are there.
+            text: destination of the output (%frame, %sp and %sq are defined).
             source: names what functions are given.
         """
         for node in self._last:
             if node not in self._made:
                 self._print_frame_store(text, node, source(node))
         for at in range(len(self._orders)):
-            text.line(f"call void @piece{at}({_pointer_arguments('ptr')})")
+            text.append_line(f"call void @piece{at}({_pointer_arguments('ptr')})")
         return self._frame_source(text, self._made, source)
 
     def outlined_texts(
@@ -90,7 +88,7 @@ class OutlinedStep:
         """Return the texts of the functions.
 
         Args:
-            declared: what the module declares, by name.
+            declared: declarations of the module, by name.
             tables: gives what names values of lower levels in a function, from %sp and %sq.
         """
         numbered = enumerate(self._orders)
@@ -124,7 +122,7 @@ class OutlinedStep:
 
     def _print_frame_store(self, text: Text, node: Node, name: str) -> None:
         """Print the instructions that store a value in the frame."""
-        address = text.at("%frame", self._places[node] * self._lanes)
+        address = text.address_of("%frame", self._places[node] * self._lanes)
         text.store(to_double(text, node, name, vector=True), address, vector=True)
 
     def _frame_source(self, text: Text, within: Container[Node], otherwise: Names) -> Names:
@@ -136,7 +134,7 @@ class OutlinedStep:
             """Return the name of a value."""
             if node not in within:
                 return otherwise(node)
-            address = text.at("%frame", self._places[node] * self._lanes)
+            address = text.address_of("%frame", self._places[node] * self._lanes)
             return from_double(text, node, text.load(address, vector=True), vector=True)
 
         return source

@@ -64,7 +64,7 @@ def box_muller(a: Any, b: Any, m: Any = np) -> Any:
     """Return two independent standard normal numbers (float32): radius sqrt(-2 log u), angle
     from b.
 
-    u = (a + 1/2) / 2^32; from 3/4 on it is taken as 1 - v, v as precise as a small u, so that small
+    u = (a + 1/2) / 2^32. From 3/4 on it is taken as 1 - v, v as precise as a small u, so that small
     radii (from 1.5e-5) are as fine as large ones (up to 6.76). The angle lies within pi/4 of an
     axis, which two bits of b choose.
 

@@ -19,7 +19,7 @@ def absolute_value(m: Maths, x: Any) -> Any:
 
 
 def copy_sign(m: Maths, x: Any, y: Any) -> Any:
-    """Return |x| with the sign of y; only where x is 0, too, does a 0 have one."""
+    """Return |x| with the sign of y. Only where x is 0, too, does a 0 have one."""
     a = abs(x)
     zero = (a == 0.0) & (y == 0.0)
     return m.select(zero, y, m.select(y < 0.0, -a, a))
@@ -44,7 +44,7 @@ def power_of_two(m: Maths, x: Any) -> Any:
 
 
 def split_exponent(m: Maths, x: Any) -> Any:
-    """Return n and 2^-n x; the latter lies in [edge, 2 edge) with edge^2 = 1/2."""
+    """Return n and 2^-n x. The latter lies in [edge, 2 edge) with edge^2 = 1/2."""
     edge = math.sqrt(0.5)
     n: Any = 0.0
     for step in exponent_steps(m):
@@ -77,7 +77,7 @@ def extend_odd(m: Maths, value: Any, x: Any) -> Any:
 
 
 def portable_sine(m: Maths, x: Any) -> Any:
-    """Return sine; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return sine, 0 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = reduce_angle(m, x)
     q = modulo_four(m, n)
     value = m.select((q == 1.0) | (q == 3.0), across, along)
@@ -85,7 +85,7 @@ def portable_sine(m: Maths, x: Any) -> Any:
 
 
 def portable_cosine(m: Maths, x: Any) -> Any:
-    """Return cosine; 1 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return cosine, 1 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = reduce_angle(m, x)
     q = modulo_four(m, n)
     value = m.select((q == 1.0) | (q == 3.0), along, across)
@@ -93,7 +93,7 @@ def portable_cosine(m: Maths, x: Any) -> Any:
 
 
 def portable_tangent(m: Maths, x: Any) -> Any:
-    """Return tangent; 0 of |x| above 8000 (float) or 1e5 (double)."""
+    """Return tangent, 0 of |x| above 8000 (float) or 1e5 (double)."""
     along, across, n = reduce_angle(m, x)
     q = modulo_four(m, n)
     crossed = (q == 1.0) | (q == 3.0)

@@ -46,9 +46,9 @@ class Grammar(NamedTuple):
         types: of values, by NumPy's names.
         signs: of instructions on numbers and words.
         of_truths: of instructions on truths.
-        turned: what stands before a truth that is turned.
+        turned: text before a truth that is negated.
         own: functions that an export brings along.
-        constant: what is written down for a constant.
+        constant: function that writes a constant.
         library: the name of a function that every compiler has, in a type of numbers.
         apart: of nodes in order, those that a local holds, however they are used.
         statement: what fills the local of a node.
@@ -70,7 +70,7 @@ class Text(NamedTuple):
 
     Attributes:
         text: the expression.
-        sign: its outermost operator; empty: it needs no parentheses anywhere.
+        sign: its outermost operator (empty: it needs no parentheses anywhere).
     """
 
     text: str
@@ -82,7 +82,7 @@ class Text(NamedTuple):
         return f"({self.text})" if self.sign else self.text
 
     def as_operand(self, sign: str, second: bool = False) -> str:
-        """Return the expression as an operand; only sums in sums and products in products
+        """Return the expression as an operand. Only sums in sums and products in products
         lack parentheses.
         """
         if self.sign == "neg" and not second:
@@ -93,7 +93,7 @@ class Text(NamedTuple):
 
 
 def c_literal(value: float, kind: str) -> str:
-    """Return the text of a number, clipped to the type's range; the text represents exactly
+    """Return the text of a number, clipped to the type's range. The text represents exactly
     these bits.
     """
     return _c_number(round_to_type(value, kind), kind)
@@ -140,7 +140,7 @@ class Expressions:
         self._written: dict[Node, Text] = {}
 
     def write_node(self, node: Node) -> Text:
-        """Return the expression of a node, written once; locals among its operands are
+        """Return the expression of a node, written once. Locals among its operands are
         named before.
         """
         if node in self.names:
@@ -177,7 +177,7 @@ class Expressions:
         )
 
     def _function_name(self, node: Node) -> str:
-        """Return the name of a function; record the export's own functions as used."""
+        """Return the name of a function, and record the export's own functions as used."""
         name, language = node.text or ("number" if node.is_real else "bits"), self.style.language
         if node.op == "call" and name not in language.own.functions:  # exact by IEEE 754
             return language.library(name, self.style.kind)
@@ -188,7 +188,7 @@ class Expressions:
 def _c_constant(node: Node) -> Text:
     """Return the text of a constant."""
     if node.kind == "bool":
-        return Text("true" if node.value else "false")
+        return Text("true" if node.constant_value else "false")
     if not node.is_real:
         number = int(node.text)
         return Text(f"{number}u" if number < 256 else f"0x{number:x}u")
@@ -207,8 +207,9 @@ class Names(NamedTuple):
         results: for each result, where each of its entries goes (an lvalue).
         locals: for each result, the local that holds each of its entries.
         meanings: further names of locals.
-        kept: the input that stands where a result will, by that lvalue; its expression is a local.
-        calls: what writes the calls of repeated parts; None: there are none.
+        kept: the input that is stored in the place of a result, by that lvalue. Its expression is a
+            local.
+        calls: writer of the calls of repeated parts (None: there are none).
     """
 
     inputs: dict[str, str]
@@ -234,8 +235,8 @@ class Body(NamedTuple):
 def build_body(results: Results, style: Style, names: Names) -> Body:
     """Return the statements that compute results and store them.
 
-    In long ones an input is read where it is first used, and a result stored once it is there and
-    what it overwrites is used no more: so less is alive at a time.
+    In long bodies an input is read at its first use, and a result is stored once it is computed and
+    the value that it overwrites is used no more. So fewer values are alive at a time.
     """
     labels: dict[Node, str] = {}  # the first result of a node names it
     for nodes, wanted in zip(results, names.locals, strict=True):
@@ -293,8 +294,8 @@ class Local(NamedTuple):
     """Local variable that holds a node.
 
     Attributes:
-        name: what it is called.
-        node: what it holds.
+        name: its name.
+        node: the node that it stores.
         lines: the statement that fills it.
     """
 
@@ -304,7 +305,7 @@ class Local(NamedTuple):
 
 
 def find_locals(results: Results, expressions: Expressions, labels: dict[Node, str]) -> list[Local]:
-    """Return the locals, each after the locals that it needs; `expressions` gets their names.
+    """Return the locals, each after the locals that it needs. `expressions` gets their names.
 
     Args:
         results: the nodes.
@@ -398,7 +399,7 @@ class Style(NamedTuple):
 
     Attributes:
         kind: NumPy's name of the type of numbers.
-        prefix: what the names of the export's own functions begin with.
+        prefix: first part of the names of the export's own functions.
         language: its grammar.
     """
 

@@ -1,7 +1,7 @@
-"""Calls of repeated parts in C: what differs between copies is passed, by address if it can be.
+"""Calls of repeated parts in C: differences between copies are passed, by address if possible.
 
 Numbers that stand in an array in the same order for each copy, as states do, are passed by their
-address; results go where the caller wants them. Only the rest is copied into arrays.
+address. Results go to the places that the caller gives. Only the rest is copied into arrays.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class _Parameter(NamedTuple):
     """Parameter of a function, an array.
 
     Attributes:
-        name: what it is called in the function, and behind a prefix at a call.
+        name: its name in the function, and behind a prefix at a call.
         kind: of its entries.
         entries: numbers of the arguments or results that it holds, by their indices.
-        array: what it points into; empty of a copy.
+        array: array into which it points (empty for a copy).
         starts: the first index there for each call.
         is_shared: whether all calls have the same copy.
     """
@@ -60,7 +60,7 @@ class _Parameter(NamedTuple):
     is_shared: bool = False
 
     @property
-    def size(self) -> int:
+    def entry_count(self) -> int:
         """Return the number of entries."""
         return 1 + max(self.entries.values())
 
@@ -151,10 +151,10 @@ class CalledPart:
         return Body([*head, "{", *body.lines, "}"], body.functions)
 
     def print_call(self, name: str, node: Node, expressions: Expressions) -> list[str]:
-        """Return the statements of a call; its results get their names.
+        """Return the statements of a call. Its results get their names.
 
         Args:
-            name: what the names of its arrays begin with.
+            name: first part of the names of its arrays.
             node: of the call.
             expressions: how nodes are written.
         """
@@ -166,14 +166,14 @@ class CalledPart:
                     expressions.write_node(node.args[number]).text for number in each.entries
                 )
                 lines += wrap_statement(
-                    f"const {TYPES[each.kind]} {copy}[{each.size}] = {{ {texts} }};"
+                    f"const {TYPES[each.kind]} {copy}[{each.entry_count}] = {{ {texts} }};"
                 )
             passed.append(_address(each, k) or copy)
         self._has_shared = True
         for each in self._results:
             copy = f"{name}_{each.name}"
             if not each.array:
-                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.size}];")
+                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.entry_count}];")
             for number, index in each.entries.items():
                 result = self._taken[k].get(number)
                 if result is not None:

@@ -42,8 +42,8 @@ class Text:
     """Body of a function, line by line.
 
     Args:
-        lanes: of a vector; 1 for plain numbers.
-        declared: what the module declares, by name; functions share it.
+        lanes: of a vector (1 for plain numbers).
+        declared: declarations of the module, by name (shared by its functions).
         prefix: of the names of values, another one for each part of a function.
     """
 
@@ -53,7 +53,7 @@ class Text:
         self.block = ""  # the label of the block that is being printed
         self._prefix, self._fresh = prefix, 0
 
-    def line(self, text: str) -> None:
+    def append_line(self, text: str) -> None:
         """Append a line without a value."""
         self.lines.append(f"  {text}")
 
@@ -63,7 +63,7 @@ class Text:
         self.lines.append(f"{name}:")
 
     def add(self, text: str) -> str:
-        """Append a line; return the name of its value."""
+        """Append a line, and return the name of its value."""
         self._fresh += 1
         name = f"%{self._prefix}.{self._fresh}"
         self.lines.append(f"  {name} = {text}")
@@ -73,21 +73,21 @@ class Text:
         """Return the type of a vector of lanes, or of a single number."""
         return f"<{self.lanes} x {of_one}>" if vector and self.lanes > 1 else of_one
 
-    def at(self, base: str, index: int | str) -> str:
+    def address_of(self, base: str, index: int | str) -> str:
         """Return the address of an entry of an array."""
         if index == 0:
             return base
         return self.add(f"getelementptr double, ptr {base}, i64 {index}")
 
     def load(self, address: str, of_type: str = "double", vector: bool = False) -> str:
-        """Load the numbers at an address; return the name of the value."""
+        """Load the numbers at an address, and return the name of the value."""
         return self.add(
             f"load {self.type(of_type, vector)}, ptr {address}, align {_SIZES[of_type]}"
         )
 
     def store(self, name: str, address: str, vector: bool = False) -> None:
         """Store numbers at an address."""
-        self.line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
+        self.append_line(f"store {self.type('double', vector)} {name}, ptr {address}, align 8")
 
     def splat(self, name: str, of_type: str) -> str:
         """Return the name of a vector with a number in every lane."""
@@ -99,7 +99,7 @@ class Text:
         return self.add(f"shufflevector {vector} {one}, {vector} poison, {zeros}")
 
     def constant_text(self, node: Node, vector: bool = True) -> str:
-        """Return the text of a constant; a float is written as the double of the same
+        """Return the text of a constant. A float is written as the double of the same
         value.
         """
         of_type, text = TYPES[node.kind], node.text
@@ -121,10 +121,10 @@ class Text:
         return "zeroinitializer" if self.lanes > 1 else "0.0"
 
     def print_node(self, node: Node, names: Names, vector: bool = True) -> str:
-        """Print an instruction; return the name of its value.
+        """Print an instruction, and return the name of its value.
 
         Args:
-            node: the instruction, neither input nor constant.
+            node: the instruction, not an input or a constant.
             names: of its operands.
             vector: in every lane, else once.
         """
@@ -151,14 +151,14 @@ class Text:
     def print_select(
         self, condition: str, value: str, yes: str, no: str, vector: bool = True
     ) -> str:
-        """Print a selection of two values of a type by a condition; return the name of the
+        """Print a selection of two values of a type by a condition, and return the name of the
         value.
         """
         truth = self.type("i1", vector)
         return self.add(f"select {truth} {condition}, {value} {yes}, {value} {no}")
 
     def _print_conversion(self, node: Node, name: str, vector: bool) -> str:
-        """Print a conversion of a number to the node's type; return the name of the value."""
+        """Print a conversion of a number to the node's type, and return the name of the value."""
         source = node.args[0]
         old, new = TYPES[source.kind], TYPES[node.kind]
         if old == new:
@@ -167,7 +167,7 @@ class Text:
         return self.add(f"{word} {self.type(old, vector)} {name} to {self.type(new, vector)}")
 
     def _print_intrinsic(self, node: Node, args: list[str], vector: bool) -> str:
-        """Print a call of an LLVM intrinsic; return the name of its value."""
+        """Print a call of an LLVM intrinsic, and return the name of its value."""
         of_one = TYPES[node.kind]
         value = self.type(of_one, vector)
         lanes = f"v{self.lanes}" if vector and self.lanes > 1 else ""
@@ -176,7 +176,7 @@ class Text:
         return self._print_call(name, value, args)
 
     def _print_library_call(self, function: str, args: list[str], vector: bool) -> str:
-        """Print calls of a C function, lane by lane; return the name of the value."""
+        """Print calls of a C function, lane by lane, and return the name of the value."""
         numbers = ", ".join(["double"] * len(args))
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
@@ -189,27 +189,27 @@ class Text:
         return whole
 
     def _print_call(self, function: str, kind: str, args: list[str]) -> str:
-        """Print a call of a function of numbers of a kind; return the name of its value."""
+        """Print a call of a function of numbers of a kind, and return the name of its value."""
         given = ", ".join([f"{kind} {arg}" for arg in args])
         return self.add(f"call {kind} @{function}({given})")
 
     @contextmanager
     def print_loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[str]:
-        """Print a loop; its count goes from `begin` by strides while it is below `end`.
+        """Print a loop. Its count goes from `begin` by strides while it is below `end`.
 
         Args:
             name: of its blocks.
-            begin, end, stride: of the count; both ends are at least 0.
+            begin, end, stride: of the count. Both ends are at least 0.
         """
         came, count = self.block, f"%{name}.count"
-        self.line(f"br label %{name}")
+        self.append_line(f"br label %{name}")
         self.label(name)
         head = len(self.lines)
-        self.line(f"%{name}.more = icmp ult i64 {count}, {end}")
+        self.append_line(f"%{name}.more = icmp ult i64 {count}, {end}")
         self._enter_if(f"%{name}.more", name)
         yield count
-        self.line(f"%{name}.next = add i64 {count}, {stride}")
-        self.line(f"br label %{name}")
+        self.append_line(f"%{name}.next = add i64 {count}, {stride}")
+        self.append_line(f"br label %{name}")
         counts = f"[{begin}, %{came}], [%{name}.next, %{self.block}]"
         self.lines.insert(head, f"  {count} = phi i64 {counts}")
         self.label(f"{name}.past")
@@ -224,14 +224,14 @@ class Text:
         """
         self._enter_if(truth, name)
         yield
-        self.line(f"br label %{name}.past")
+        self.append_line(f"br label %{name}.past")
         self.label(f"{name}.past")
 
     def _enter_if(self, truth: str, name: str) -> None:
         """Start the block that runs if a truth holds, with a jump past the block
         otherwise.
         """
-        self.line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
+        self.append_line(f"br i1 {truth}, label %{name}.do, label %{name}.past")
         self.label(f"{name}.do")
 
     def any_lane(self, condition: str) -> str:
@@ -246,7 +246,7 @@ def print_once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source
     """Print required values as plain numbers, with all further values that they need.
 
     Args:
-        text: where it is printed.
+        text: destination of the output.
         wanted: values of levels below the lanes'.
         have: the names of values that are there, which grow.
         source: prints an input.
@@ -289,8 +289,8 @@ def print_lanes(
     """Print the lanes' instructions for several groups of lanes side by side.
 
     Args:
-        text: where they are printed.
-        order: of the instructions; branches for one group only.
+        text: destination of the output.
+        order: of the instructions (branches for one group only).
         sources: for each group, what names an input of lanes, or a value of a lower level.
         every_use: values of lower levels are named anew at every use.
 
@@ -353,7 +353,7 @@ def _print_branch(text: Text, branch: Branch, have: dict[Node, str], name: Names
 
 def entry_source(text: Text, array: str) -> Names:
     """Return a source that loads an input, such as p3, from entry 3 of an array."""
-    return lambda node: text.load(text.at(f"%{array}", int(node.text[1:])))
+    return lambda node: text.load(text.address_of(f"%{array}", int(node.text[1:])))
 
 
 def _conversion_word(source: Node, target: Node) -> str:

@@ -1,7 +1,7 @@
 """Nodes as Structured Text of IEC 61131-3, a language without access to the bits of numbers.
 
 Each selection is an IF with a statement in either branch. In single precision each operation that
-rounds has a statement of its own: compilers that keep an expression in a wider type round where it
+rounds has a statement of its own: compilers that keep an expression in a wider type round when it
 is stored, and of + - * / and square roots of floats in double or wider that gives float's bits.
 """
 
@@ -38,7 +38,7 @@ _SCALE: Final = 2.0**120
 
 
 def st_literal(value: float, kind: str) -> str:
-    """Return a number with its type for an expression; the text represents exactly these bits.
+    """Return a number with its type for an expression that represents exactly these bits.
 
     Of infinity, and of NaN, it is the largest number.
     """
@@ -48,7 +48,7 @@ def st_literal(value: float, kind: str) -> str:
 
 
 def assign_number(name: str, value: float, kind: str) -> list[str]:
-    """Return statements that store a number; beyond the range of REAL they are exact products."""
+    """Return statements that store a number. Beyond the range of REAL they are exact products."""
     size, factor = _clip_to_type(value, kind), 1.0
     count = 0
     while kind == "float64" and abs(size) > float(_LIMITS.max):
@@ -82,7 +82,7 @@ def _decimal_digits(size: float, kind: str) -> str:
 def _st_constant(node: Node) -> Text:
     """Return the text of a constant."""
     if node.kind == "bool":
-        return Text("TRUE" if node.value else "FALSE")
+        return Text("TRUE" if node.constant_value else "FALSE")
     text = st_literal(float(node.text), node.kind)
     return Text(text, "neg" if text.startswith("-") else "")
 
@@ -106,7 +106,7 @@ def _nodes_in_locals(order: list[Node]) -> set[Node]:
 
 
 def _constant_statements(node: Node) -> list[str]:
-    """Return the statements that store a constant; empty for other nodes."""
+    """Return the statements that store a constant, "" for other nodes."""
     is_number = node.op == "const" and node.is_real
     return assign_number("", float(node.text), node.kind) if is_number else []
 

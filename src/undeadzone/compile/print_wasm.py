@@ -1,6 +1,6 @@
 """Return the module, which exports the functions and the memory as "memory".
 
-Every instruction is the one of IEEE 754 double precision; elementary functions are those of
+Every instruction is the one of IEEE 754 double precision. Elementary functions are those of
 exported C. Binary format: WebAssembly Core Specification 1.0, section 5.
 """
 
@@ -40,7 +40,7 @@ class Function(NamedTuple):
     """Function whose inputs and results are stored in memory.
 
     Attributes:
-        name: what it is exported as.
+        name: its exported name.
         results: the nodes.
         inputs: where each input stands [bytes], by its name.
         targets: where each entry of each result goes [bytes].
@@ -56,7 +56,7 @@ def build_module(functions: Sequence[Function], size: int) -> bytes:
     """Return the module: it exports the functions, and the memory as "memory".
 
     Args:
-        functions: what it computes.
+        functions: functions that it computes.
         size: bytes of memory that they use.
 
     Raises:
@@ -114,7 +114,7 @@ def _elementary_body(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
 
 
 class _Writer:
-    """Writer of the instructions of nodes; a value that is used more than once is stored in a
+    """Writer of the instructions of nodes. A value that is used more than once is stored in a
     local.
 
     Args:

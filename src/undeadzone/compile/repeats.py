@@ -1,7 +1,7 @@
 """Repeated parts of a graph as functions: the same instructions on the same operands.
 
-A part grows from instructions that are alike whatever inputs and constants stand below them: down
-to operands, then up to users. What differs between its copies becomes an argument.
+A part grows from instructions that are alike for any inputs and constants below them: down to
+operands, then up to users. Differences between its copies become arguments.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Part(NamedTuple):
     """Function made of a repeated part.
 
     Attributes:
-        name: what a call has as its text.
+        name: text of a call.
         inputs: its arguments, inputs named a0, a1 and so on.
-        results: what it computes.
+        results: nodes that it computes.
     """
 
     name: str
@@ -69,7 +69,7 @@ class _Graph:
                 self.users[arg].append(node)
 
     def find_seeds(self) -> Iterator[Row]:
-        """Yield what a part may grow from, the largest first."""
+        """Yield the rows from which a part may grow, the largest first."""
         members = defaultdict[int, list[Node]](list)
         for node in self.order:
             if node.args and node.op not in ("apply", "part"):
@@ -133,7 +133,7 @@ class _Region:
         return elsewhere or node in self.graph.wanted
 
     def _take(self, waiting: list[Row]) -> list[Row]:
-        """Add rows and all rows of operands that fit; return those added."""
+        """Add rows and all rows of operands that fit, and return those added."""
         added = []
         while waiting:
             row = waiting.pop()
@@ -152,7 +152,7 @@ class _Region:
         return all((each.op, each.text, each.kind) == alike and each not in self.at for each in row)
 
     def _operands(self, row: Row) -> list[Row]:
-        """Return the rows of operands; those of sums and products in orders that correspond."""
+        """Return the rows of operands, those of sums and products in orders that correspond."""
         first, *others = map(self._sorted_operands, row)
         given = [first]
         for args in others:
@@ -206,7 +206,7 @@ class _Region:
         return tuple(found)
 
     def _score(self, user: Node, other: Node, k: int) -> int:
-        """Return how well a node corresponds to one of the first copy; -1: not at all."""
+        """Return the score of a node against a node of the first copy (-1: no correspondence)."""
         classes = self.graph.classes
         if other in self.at or user in self.at or classes[user] != classes[other]:
             return -1
@@ -249,7 +249,7 @@ class _Region:
         return wrong
 
     def _drop(self, rows: set[Row]) -> bool:
-        """Leave rows out; return whether there were any."""
+        """Leave rows out. Return whether there were any."""
         for row in rows:
             del self.rows[row]
             for node in row:

@@ -39,9 +39,9 @@ define void @block(ptr noalias %memory) nounwind {{
 class CompiledStepper:
     """Machine code for `interpret.Stepper`: the same bits in a fraction of the time.
 
-    All numbers stand in one array, so that a call takes one address. It is compiled once, whatever
-    the numbers, and kept on disk. Until then the virtual machine runs the samples, then code of no
-    effort; the code is exchanged between two samples.
+    All numbers stand in one array, so that a call takes one address. It is compiled once for all
+    numbers and cached on disk. Until then the virtual machine runs the samples, then code compiled
+    without effort. The code is exchanged between two samples.
 
     Args:
         step: next, out = step(s, w, p).
@@ -50,8 +50,8 @@ class CompiledStepper:
         brief: of a single run: code of no effort, before the first sample, and no better one.
 
     Attributes:
-        engine: what runs a sample: "compiled"; "compiled, first form" while a faster one is made;
-            "virtual machine" and why it is that.
+        engine: engine that runs a sample: "compiled", "compiled, first form" while a faster one is
+            made, "virtual machine" and the reason.
 
     Raises:
         InputError: an instruction that cannot be compiled, of a brief one.
@@ -97,7 +97,7 @@ class CompiledStepper:
         return call
 
     def _compile(self, recipe: cache.Recipe) -> None:
-        """Compile, and exchange what is called each time that there is a better code."""
+        """Compile, and exchange the called code each time that better code is ready."""
         try:
             block = cache.load_or_compile(recipe, KINDS, True)
         except InputError as error:

@@ -1,7 +1,7 @@
 """Order of a lane's instructions, and branches that skip instructions.
 
-As many go at once as registers hold. What only one truth needs is gathered: it is skipped where no
-lane of a group needs it.
+As many go at once as registers hold. Instructions that only one truth needs are gathered, and
+skipped if no lane of a group needs them.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def _find_users(order: list[Node]) -> Users:
 def order_instructions(results: list[Node], registers: int) -> list[Node]:
     """Return the lanes' instructions in order, by list scheduling if registers are counted.
 
-    First comes what is farthest from the end, until that many numbers are waiting for their use;
-    then what makes a register free.
+    The instruction farthest from the end comes first, until that many numbers wait for their use.
+    Then the one that frees a register.
     """
     made = lane_instructions(results)
     if not registers:
@@ -87,7 +87,7 @@ class _ListSchedule(NamedTuple):
         at: the cycle from which each can begin.
         left: how many users of each are not placed.
         live: the numbers that wait for a use.
-        ready: what can be placed.
+        ready: instructions that can be placed.
     """
 
     users: Users
@@ -156,8 +156,8 @@ class Branch(NamedTuple):
     """Instructions that count only if a truth holds, or only if it does not hold.
 
     Attributes:
-        truth: which is asked of all lanes of a group.
-        holds: whether they count where it holds.
+        truth: condition, tested in all lanes of a group.
+        holds: whether they count if it holds.
         nodes: the instructions, in order.
         leaving: those whose values are used after it.
     """
@@ -175,8 +175,8 @@ def gather_branches(order: list[Node], results: list[Node], least: int) -> list[
     """Return the same instructions with branches.
 
     Args:
-        order: the instructions, each after what it needs.
-        results: what is wanted of them.
+        order: the instructions, each after its operands.
+        results: nodes that they compute.
         least: instructions that are worth a branch.
     """
     users = _find_users(order)

@@ -1,9 +1,9 @@
 """Simplification rules: the same values by fewer instructions.
 
-`Exact` changes no bit. `Plain`, for exported code, changes the sign of zero, and what is 0 times
-infinity: conditions select instead of multiplying by 0 and 1, and NaN is left in results alone.
-`Gathered`, for fused lanes, rounds otherwise: conditions move into products, inverses of what is
-steady and products with it are gathered.
+`Exact` changes no bit. `Plain`, for exported code, changes the sign of zero, and the value of 0
+times infinity: conditions select instead of multiplying by 0 and 1, and NaN is left in results
+alone. `Gathered`, for fused lanes, rounds otherwise: conditions move into products, inverses of
+steady values and products with them are gathered.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class ExactRules:
     Args:
         nodes: where nodes are made.
         real: the type of numbers.
-        granted: promises that may be taken for granted; grows. None: none may.
+        granted: promises that may be taken for granted (grows). None: none may.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class ExactRules:
         self._implied: dict[tuple[Node, Node], bool] = {}
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers; truths are 1 or 0."""
+        """Return the node of an instruction on numbers. Truths are 1 or 0."""
         if word in _COMPARED:
             return self.to_number(self.compare_numbers(word, *args))
         truths: dict[str, Callable[..., Node]] = {
@@ -70,8 +70,8 @@ class ExactRules:
 
     def to_number(self, truth: Node) -> Node:
         """Return a truth as the number 1 or 0."""
-        if truth.value is not None:
-            return self.one if truth.value else self.zero
+        if truth.constant_value is not None:
+            return self.one if truth.constant_value else self.zero
         return self.nodes.intern("select", truth, self.one, self.zero)
 
     def to_truth(self, number: Node) -> Node:
@@ -80,15 +80,15 @@ class ExactRules:
 
     def negate_truth(self, truth: Node) -> Node:
         """Return the negation of a truth."""
-        if truth.value is not None:
-            return self.no if truth.value else self.yes
+        if truth.constant_value is not None:
+            return self.no if truth.constant_value else self.yes
         return truth.args[0] if truth.op == "not" else self.nodes.intern("not", truth)
 
     def join_truths(self, a: Node, b: Node) -> Node:
         """Return the conjunction of two truths."""
         for one, other in ((a, b), (b, a)):
-            if one.value is not None:
-                return other if one.value else self.no
+            if one.constant_value is not None:
+                return other if one.constant_value else self.no
             if self.implies(one, other):
                 return one
         return self.nodes.intern("and", a, b)
@@ -96,8 +96,8 @@ class ExactRules:
     def either_truth(self, a: Node, b: Node) -> Node:
         """Return the disjunction of two truths."""
         for one, other in ((a, b), (b, a)):
-            if one.value is not None:
-                return self.yes if one.value else other
+            if one.constant_value is not None:
+                return self.yes if one.constant_value else other
             if self.implies(one, other):
                 return other
         return self.nodes.intern("or", a, b)
@@ -105,7 +105,7 @@ class ExactRules:
     def implies(self, one: Node, other: Node) -> bool:
         """Return whether a truth is known to imply a second truth.
 
-        Each pair is asked once: truths share their parts, and have more paths than nodes.
+        Each pair is tested once: truths share their parts, and have more paths than nodes.
         """
         if (one, other) not in self._implied:
             self._implied[one, other] = self._check_implication(one, other)
@@ -113,7 +113,7 @@ class ExactRules:
 
     def _check_implication(self, one: Node, other: Node) -> bool:
         """Determine `implies` from the parts of two truths."""
-        if one is other or other.value == 1.0:
+        if one is other or other.constant_value == 1.0:
             return True
         every, some = {"and": all, "or": any}, {"and": any, "or": all}
         if other.op in every and every[other.op](self.implies(one, part) for part in other.args):
@@ -126,7 +126,7 @@ class ExactRules:
         """Return the truth of a comparison of numbers."""
         compare, (x, y), (this, that) = (
             _COMPARED[word],
-            (a.value, b.value),
+            (a.constant_value, b.constant_value),
             map(to_condition, (a, b)),
         )
         if x is not None and y is not None:
@@ -186,8 +186,8 @@ class ExactRules:
 
     def select_number(self, truth: Node, yes: Node, no: Node) -> Node:
         """Return the selection of two numbers by a truth."""
-        if truth.value is not None:
-            return yes if truth.value else no
+        if truth.constant_value is not None:
+            return yes if truth.constant_value else no
         inner = to_condition(yes)
         if inner is not None and no is self.zero:
             return self.to_number(self.join_truths(truth, inner))
@@ -208,8 +208,8 @@ class ExactRules:
 class PortableRules:
     """Rules for exported code.
 
-    A value that is NaN where a truth fails is a selection of NaN, and whatever is computed with it
-    is one, too: the code computes with numbers alone.
+    A value that is NaN if a truth fails is a selection of NaN, and all that is computed with it is
+    one, too: the code computes with numbers alone.
     """
 
     def __init__(self, nodes: Nodes, real: str) -> None:
@@ -220,7 +220,7 @@ class PortableRules:
         )
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers; truths are 1 or 0."""
+        """Return the node of an instruction on numbers. Truths are 1 or 0."""
         numbers, there = zip(*map(self._number_and_validity, args), strict=True)
         if all(each is self.exact.yes for each in there):
             return self._build_valid(word, *numbers)
@@ -266,7 +266,7 @@ class PortableRules:
         return self.exact.select_number(truth, number, self.nan)
 
     def _nonzero_number(self, node: Node) -> Node:
-        """Return 1 if a number is not 0 or is NaN, else 0; the result is never NaN."""
+        """Return 1 if a number is not 0 or is NaN, else 0. The result is never NaN."""
         number, there = self._number_and_validity(node)
         absent = self.exact.negate_truth(there)
         return self.exact.to_number(self.exact.either_truth(absent, self.exact.to_truth(number)))
@@ -281,7 +281,7 @@ class PortableRules:
         )
 
     def _extreme_of_valid(self, both: Node, a: tuple[Node, Node], b: tuple[Node, Node]) -> Node:
-        """Return the minimum or maximum of two numbers; a number takes precedence over
+        """Return the minimum or maximum of two numbers. A number takes precedence over
         NaN.
         """
         if a[1] is b[1]:
@@ -345,9 +345,9 @@ class PortableRules:
         constant.
         """
         for number, bound in ((a, b), (b, a)):
-            if bound.value is None:
+            if bound.constant_value is None:
                 continue
-            if bound.value == (self.largest if word == "fmin" else -self.largest):
+            if bound.constant_value == (self.largest if word == "fmin" else -self.largest):
                 return number
             compared = (number, bound) if word == "fmin" else (bound, number)
             return self._select_positive(self.exact.compare_numbers("lt", *compared), number, bound)
@@ -358,8 +358,8 @@ def round_to_type(value: float, real: str) -> float:
     """Return a number rounded to a type, with finite values for infinite and large numbers.
 
     Infinity is the largest number. Other numbers beyond the type stand in its upper half, in their
-    order, so that comparisons with them and among them mean what they mean in double. Of float,
-    what is too small is the least normal number.
+    order, so that comparisons with them and among them have the same result as in double. For
+    float, a number that is too small becomes the least normal number.
     """
     if math.isnan(value):
         return value
@@ -384,7 +384,7 @@ class FusedRules:
         self.real, self.two = self.exact.real, nodes.intern_constant(2.0)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers; truths are 1 or 0."""
+        """Return the node of an instruction on numbers. Truths are 1 or 0."""
         if word == "if_else_zero":
             return self._gate_gathered(self.exact.to_truth(args[0]), args[1])
         if word == "div" and _is_steady(args[1]) and not _is_steady(args[0]):
@@ -416,7 +416,7 @@ class FusedRules:
         return self.nodes.intern("mul", a, b)
 
     def _gate_gathered(self, truth: Node, value: Node) -> Node:
-        """Return the value if a truth holds, else 0; a steady factor and a sign stay
+        """Return the value if a truth holds, else 0. A steady factor and a sign stay
         outside.
         """
         factor, rest = _split_steady_factor(value)
@@ -448,8 +448,8 @@ def _is_steady(number: Node) -> bool:
 
 
 def _split_steady_factor(number: Node) -> tuple[Node | None, Node]:
-    """Return the steady factor and the rest of a product; None and the number if a steady
-    factor is absent.
+    """Return the steady factor and the rest of a product, None and the number without such a
+    factor.
     """
     if not _is_steady(number) and number.op == "mul" and _is_steady(number.args[0]):
         return number.args[0], number.args[1]

@@ -41,7 +41,7 @@ class Value:
     """Number whose operators build nodes.
 
     Args:
-        nodes: where they are made.
+        nodes: graph that interns them.
         node: the number.
     """
 

@@ -1,6 +1,6 @@
 """Controllers that the tool recommends, a file for each (docs/which.md).
 
-The names stand in `__init__.pyi`; controllers that other packages register are found here too.
+The names stand in `__init__.pyi`. Controllers that other packages register are found here too.
 """
 
 from undeadzone.registry import CONTROLLERS, attach_package

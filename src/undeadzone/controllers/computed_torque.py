@@ -1,13 +1,13 @@
 """Computed torque: a rigid arm becomes as many double integrators as joints.
 
-Behind gears motors lead their links, and cross the gaps in time. A link follows its path where its
+Behind gears motors lead their links, and cross the gaps in time. A link follows its path if its
 motor stands on the flank that carries the load, theta = q_ref - c + a sign(tau_ref) with tau_ref =
-M a_ref + h, payload included. Where that changes sign the link needs no torque: there the motor is
-led across (`feedforward.flank_path`). A link that needs hardly any floats in its gap, off its path:
-so a_ref has what brings it back from where it is estimated to be once the gap is crossed, with half
-of the motors' bandwidth, where it is off by more than a quarter of its gap: less may be the
-estimate's own noise. Gap, friction and payload are those of the model, or what the observer makes
-of them.
+M a_ref + h, payload included. When that changes sign the link needs no torque: then the motor is
+led across (`feedforward.flank_path`). A link that needs hardly any torque floats in its gap, off
+its path. So a_ref contains a term that brings it back from its estimated position once the gap is
+crossed, with half of the motors' bandwidth, if it is off by more than a quarter of its gap (less
+may be the estimate's own noise). Gap, friction and payload are those of the model, or the
+observer's estimates of them.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ ROUNDING = 1e-9  # [N m] of a torque that has no sign
 
 
 class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
-    """Computed torque for a rigid arm: Craig; Slotine and Li (1991).
+    """Computed torque for a rigid arm: Craig (1986), and Slotine and Li (1991).
 
     u = M(q^) (a_ref + K_d (v_ref - v^) + K_p (q_ref - q^)) + h(q^, v^) + friction(v^). With the
     model right and x^ = x the error obeys e'' + K_d e' + K_p e = 0. Either a bandwidth w and a
-    damping z, K_p = w^2 and K_d = 2 z w; or k_p and k_d.
+    damping z, K_p = w^2 and K_d = 2 z w, or k_p and k_d are given.
 
     Example:
         >>> uz.ComputedTorque(bandwidth=10.0).bandwidth
@@ -52,9 +52,9 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         damping: z, one or one per joint.
         k_p: K_p, one or one per joint [1/s^2].
         k_d: K_d, one or one per joint [1/s].
-        reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, take it
-            into account.
-        crossing: w, of an arm with gears: their gaps are crossed with both poles at -w, where the
+        reject: if the observer estimates what its model leaves out, x' = f(x, u) + w^, take it into
+            account.
+        crossing: w, of an arm with gears: their gaps are crossed with both poles at -w, when the
             torque that a link needs changes sign [1/s].
     """
 
@@ -73,12 +73,12 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
         Raises InputError.
         """
         arm = model.arm
-        if arm is None or arm.size != model.m:
+        if arm is None or arm.joint_count != model.m:
             raise InputError(
                 "controller.method: 'computed_torque' needs an arm whose every joint has its "
                 "motor. Use 'state_feedback' or 'lqr'"
             )
-        N = arm.size
+        N = arm.joint_count
         k_p, k_d = self._joint_gains(N)
         if model.Ts is not None:
             _require_fine_step(k_p, k_d, model.Ts)
@@ -141,7 +141,7 @@ def path_accelerations(arm: Arm, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N = arm.size
+    N = arm.joint_count
     return along_targets(
         lambda x, u: forward_dynamics(arm, ca.SX(params), x[:N], x[N:], u),
         target,
@@ -188,7 +188,8 @@ def build_gear_controller(
         model: the model.
         k_p, k_d: gains of the motors' error (N) [1/s^2, 1/s].
         crossing: w, of the way across a gap [1/s].
-        reject: whether to take into account what the observer says that the model leaves out.
+        reject: whether to take into account the observer's estimate of the effects that the model
+            leaves out.
 
     Raises:
         InputError: w cannot be.
@@ -196,7 +197,7 @@ def build_gear_controller(
     gears, Ts = model.gears, model.Ts
     assert gears is not None
     assert Ts is not None
-    N = gears.size
+    N = gears.joint_count
     numbers = doubly_integrated(require_number(KEY, crossing, above=0.0), Ts, KEY)
     ahead = round(LEAD / crossing / Ts)
 
@@ -261,7 +262,7 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N, p = gears.size, ca.SX(params)
+    N, p = gears.joint_count, ca.SX(params)
 
     def turned_together(x: Any, u: Any) -> Any:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""

@@ -37,12 +37,12 @@ class LinearController(Options, frozen=True, tag="linear"):
         PID, StateFeedback
 
     Attributes:
-        A: (k x k) [1/s]; in Python also a system of scipy or python-control, for all of them.
+        A: (k x k) [1/s] (in Python also a system of scipy or python-control, for all of them).
         B: (k x p).
         C: (m x k).
-        D: (m x p); default 0.
+        D: (m x p) (default 0).
         numerator, denominator: of the transfer function from e to u, highest power first.
-        Ts: sample time of a controller in discrete time [s]; default: continuous time.
+        Ts: sample time of a controller in discrete time [s] (default: continuous time).
         feedforward: whether u_ff, which makes the model follow r exactly, is added.
     """
 
@@ -208,7 +208,7 @@ def _discretise_tustin(numbers: Params, Ts: float) -> Params:
 
     This is the bilinear rule.
 
-    Raises InputError where it has a pole at 2/Ts.
+    Raises InputError if it has a pole at 2/Ts.
     """
     A, B, C, D = numbers
     identity = np.eye(A.shape[0])

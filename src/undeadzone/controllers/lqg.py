@@ -34,8 +34,8 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
     Attributes:
         Q: weight of the states, a number, one per state, or a matrix.
         R: weight of the inputs, a number, one per input, or a matrix.
-        integral: weight of the integral of z^ - r, a number, one per output, or a matrix; default:
-            no integral. It takes away what a constant disturbance leaves.
+        integral: weight of the integral of z^ - r, a number, one per output, or a matrix (default:
+            no integral). It removes the error that a constant disturbance leaves.
     """
 
     Q: Array = 1.0

@@ -24,7 +24,7 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
 
     The sum of e'Q e + v'R v over the samples is least, e = x - x_ref, v = u - u_ff. e follows the
     linearisation of the sampled model along (x_ref, u_ff): Bryson and Ho (1975), Anderson and Moore
-    (1990). For any plant that has a feedforward; of a linear one K is constant.
+    (1990). It suits any plant that has a feedforward. For a linear plant K is constant.
 
     Example:
         >>> uz.LQR(Q=[1.0, 0.0], R=[0.1]).Q
@@ -89,7 +89,7 @@ def trajectory_gains(model: System, params: Params, target: Target) -> Floats:
         target: the trajectory, a row per instant.
 
     Raises:
-        StructureError: where the end has no gain.
+        StructureError: if the end has no gain.
     """
     Q, R, stride = params
     if not model.nonlinear:

@@ -27,7 +27,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
     Attributes:
         k_p, k_d: gains of the innovation and of its derivative, one or one per output.
         alpha, Q: of (34), where k_p and k_d are not given.
-        L: observer gain in (34) (2) [1/s]; default 0.
+        L: observer gain in (34) (2) [1/s] (default 0).
         filter_time: time constant of the filter that gives y' - y^' [s].
     """
 
@@ -78,7 +78,7 @@ class PD(Options, frozen=True, kw_only=True, tag="pd"):
         return k_p, k_d
 
     def _riccati_gains(self, model: System) -> Floats:
-        """Return [k_p; k_d] (2 x 1), alpha B'P of (34). Raises InputError, StructureError."""
+        """Return `[k_p; k_d]` (2 x 1), alpha B'P of (34). Raises InputError, StructureError."""
         A, B, C = model.linear
         if (model.n, model.m) != (2, 1) or model.Ts is not None:
             raise InputError(

@@ -29,7 +29,7 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
     The derivative is filtered.
 
     z^ is the observer's estimate of the hidden output, so that the loop acts inside the dead zone
-    too. Input i acts on output i. Where `limits` cut u off, the integral follows what is left by
+    too. Input i acts on output i. If `limits` cut u off, the integral follows the rest by
     back-calculation (Astrom and Hagglund, Advanced PID Control, 2006).
 
     Example:
@@ -40,12 +40,13 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         LinearController, StateFeedback
 
     Attributes:
-        k_p, k_i, k_d: gains, one or one per output [u/z, u/(z s), u s/z]; default of k_i and k_d 0.
+        k_p, k_i, k_d: gains, one or one per output [u/z, u/(z s), u s/z] (default of k_i and k_d
+            0).
         filter_time: time constant of the filter of the derivative [s].
         reference_weights: [b, c], shares of r in the proportional and the derivative term.
-        limits: [least u, largest u], or one such pair per input; default none.
-        tracking_time: time constant of the anti-windup [s]; default sqrt(k_d / k_i), or k_p / k_i
-            where there is no k_d.
+        limits: [least u, largest u], or one such pair per input (default none).
+        tracking_time: time constant of the anti-windup [s] (default sqrt(k_d / k_i), or k_p / k_i
+            if k_d is 0).
         feedforward: whether u_ff, which makes the model follow r exactly, is added.
     """
 
@@ -145,7 +146,7 @@ class Params(NamedTuple):
     """Parameters of the controller.
 
     Attributes:
-        k_p, k_i, k_d: gains (p); k_i per step when sampled.
+        k_p, k_i, k_d: gains (p) (k_i per step when sampled).
         tau: time constants of the filter (p) [s].
         rate: rates of the filter (p) [1/s], per step when sampled.
         b, c: weights of the reference.

@@ -45,11 +45,11 @@ class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
     """Feedback u = u_ff - K (x^ - x_ref) with at most one of:
 
-    K; poles; alpha and Q of (34); speed.
+    K, poles, alpha and Q of (34), or speed.
 
-    With alpha, K = alpha B'P where A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of
-    A - L C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and
-    Moore 1971). Sampled models get the sampled counterpart of the same choice.
+    With alpha, K = alpha B'P with A'P + PA - 2 alpha P B B' P = -Q: (34) with A in place of A - L
+    C. With a speed, poles p of A slower than half of it move to -speed - p (Anderson and Moore
+    1971). Sampled models get the sampled counterpart of the same choice.
 
     Example:
         >>> uz.StateFeedback(poles=[-2.0, -3.0]).poles
@@ -62,13 +62,13 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         K: gains (m x n).
         poles: poles of A - B K (n) [1/s].
         alpha: of (34).
-        speed: speed of A - B K [1/s]; default, where none of the others is given, five mean poles
-            of the plant.
+        speed: speed of A - B K [1/s] (default, if the others are absent, five mean poles of the
+            plant).
         Q: of (34), a number, one per state, or a matrix.
-        robust: an optional tanh term; default none.
-        reject: where the observer estimates what its model leaves out, x' = f(x, u) + w^, move
-            x_ref and u_ff so that z would follow r if w^ stayed as it is (the first m outputs where
-            there are more; Muske and Badgwell 2002).
+        robust: an optional tanh term (default none).
+        reject: if the observer estimates the effects that its model leaves out, x' = f(x, u) + w^,
+            move x_ref and u_ff so that z would follow r if w^ stayed as it is (the first m outputs
+            if there are more, Muske and Badgwell 2002).
     """
 
     K: Array | None = None
@@ -101,8 +101,6 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
         """Return Q (n x n) after checking that at most one design option is set.
 
         Raises InputError, ShapeError.
-
-        Raises InputError, ShapeError.
         """
         chosen = [name for name in CHOICES if getattr(self, name) is not None]
         if len(chosen) > 1:
@@ -117,7 +115,7 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 
         Raises:
             InputError, ShapeError: for numbers that cannot be.
-            StructureError: where a speed cannot be reached.
+            StructureError: if a speed cannot be reached.
         """
         if self.K is not None:
             K = np.atleast_2d(require_array("controller.K", self.K))
@@ -145,10 +143,10 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 
 
 def rest_response(model: System) -> Floats:
-    """Return [x; u] at rest per unit of a constant w ((n + m) x n).
+    """Return `[x; u]` at rest per unit of a constant w ((n + m) x n).
 
     There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
-    in which neither the unit of time nor that of u matters.
+    in which the units of time and of u do not matter.
     """
     flow = model.continuous
     A, B, C = flow
@@ -168,7 +166,7 @@ class Params(NamedTuple):
         K: gains (m x n).
         BtP: B'P of the robust term (m x n).
         rho, width: size and width of the robust term.
-        counter: what of u a w^ asks for (m x n).
+        counter: input u that cancels a unit of w^ (m x n).
     """
 
     K: Floats

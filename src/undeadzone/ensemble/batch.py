@@ -37,9 +37,9 @@ class Batch(NamedTuple):
         binding: what varies, bound to the loop
         measured: the loop with its metrics
         kernel: the same, compiled
-        exogenous: inputs that all runs share (N x inputs); the last two columns are time [s] and
-            1 in the tail, else 0
-        params: nominal, packed; the last one is the tolerance [z]
+        exogenous: inputs that all runs share (N x inputs) (the last two columns are time [s] and 1
+            in the tail, else 0)
+        params: nominal, packed. The last one is the tolerance [z]
         own: what each run draws for itself
         tail: number of samples in the last 2 s
     """
@@ -161,6 +161,6 @@ def constant_zero_inputs(shared: Floats, own: tuple[int, ...]) -> dict[int, floa
 
 
 def constant_params(params: Floats, varied: tuple[int, ...]) -> dict[int, float]:
-    """Return the zeros and ones among the constant packed params; they shorten a kernel, too."""
+    """Return the zeros and ones among the constant packed params (which shorten a kernel, too)."""
     values = enumerate(params.tolist())
     return {i: value for i, value in values if i not in varied and value in (0.0, 1.0)}

@@ -40,7 +40,7 @@ class ResampledPlant(NamedTuple):
     """Linear plant that is sampled anew for each run.
 
     Attributes:
-        start: where it begins among the packed params
+        start: its first place among the packed params
         AB: [A, B] (n x (n + m)) in continuous time
         Ts: sample time [s]
     """
@@ -252,7 +252,7 @@ class RunNoise(NamedTuple):
             readings
         strides: the wear of each worn edge per sample, in logarithms
         dropout: the probability of each reading that may be lost
-        disturbance: None where there is none, or it is not random
+        disturbance: None if absent or not random
         seed: of all draws
     """
 
@@ -392,7 +392,7 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
             numbers[:, wear] = exogenous.width_drift(moves)
         if losses:
             normals = numbers[:, lost].swapaxes(1, 2)
-            numbers[:, lost] = exogenous.lost(normals, own.dropout).swapaxes(1, 2)
+            numbers[:, lost] = exogenous.missing_mask(normals, own.dropout).swapaxes(1, 2)
         return numbers
 
     return source

@@ -29,13 +29,13 @@ def open_dask_pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
     """Provide the workers of a cluster.
 
     Args:
-        prepare: gives the job; picklable, such as a `functools.partial` of a function of an
-            importable module
+        prepare: gives the job (picklable, such as a `functools.partial` of a function of an
+            importable module)
         cluster: address of the scheduler
 
     Raises:
         InputError: where distributed is missing
-        ClusterError: where the cluster fails
+        ClusterError: if the cluster fails
     """
     payload, here = pickle.dumps(prepare), package_versions()
     with _open_client(cluster) as client:

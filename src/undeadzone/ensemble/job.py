@@ -1,6 +1,6 @@
 """Work of an ensemble: a row of numbers for each run, in blocks of runs.
 
-Blocks are shared out among processes in batches of about a second; few batches wait at a time.
+Blocks are shared out among processes in batches of about a second. Few batches wait at a time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Layout(NamedTuple):
     Attributes:
         runs: number of rows
         columns: names of the columns
-        block: runs in a block; the last block may be shorter
+        block: runs in a block (the last block may be shorter)
         problem: everything that the numbers depend on besides the number of runs and the versions
             of packages, by name
     """
@@ -54,11 +54,11 @@ class Job(Protocol):
         """Return the layout of the blocks."""
 
     def block(self, index: int, threads: int | None = None) -> Floats:
-        """Return the rows of one block; callable from several threads.
+        """Return the rows of one block, callable from several threads.
 
         Args:
             index: of the block
-            threads: on which to compute; default: one per processor
+            threads: on which to compute (default: one per processor)
         """
 
 
@@ -86,9 +86,9 @@ def yield_block_rows(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, F
         blocks: to be computed.
 
     Raises:
-        ClusterError: where the pool fails
+        ClusterError: if the pool fails
 
-    What a block raises there is raised here.
+    An exception in a block is raised here.
     """
     finished: SimpleQueue[Any] = SimpleQueue()
     running: dict[Any, Sequence[int]] = {}  # the blocks of each batch, by its future
@@ -138,7 +138,7 @@ def compute_blocks(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]
 def _wait_for_batch(pool: Pool, finished: SimpleQueue[Any]) -> Any:
     """Return the next finished batch.
 
-    Raises ClusterError where none comes and nobody is at work.
+    Raises ClusterError if no batch comes and no worker runs.
     """
     while True:
         try:

@@ -1,8 +1,8 @@
 """Rows on disk, block by block: a job stopped at any moment (Ctrl-C, kill -9, power) can go on.
 
-One file holds a header that says of what, then the columns one after the other, then a checksum for
-each block, written after its rows. A block counts as done if its checksum is that of its rows; so
-nothing that was torn or lost is trusted.
+One file holds a header that describes the job, then the columns one after the other, then a
+checksum for each block, written after its rows. A block counts as done if its checksum is that of
+its rows. So no torn or lost block is trusted.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Store(NamedTuple):
         path: of its file
         layout: of the rows
         file: open for reading and writing
-        start: where the columns begin [bytes]
+        start: first byte of the columns [bytes]
         done: which blocks it holds
     """
 
@@ -121,7 +121,7 @@ class Store(NamedTuple):
         return range(first, first + self._checksum_offset - self.start, self.layout.runs * NUMBER)
 
     def close(self) -> None:
-        """Close and unlock; the file stays."""
+        """Close and unlock. The file stays."""
         self.file.close()
 
     def remove(self) -> None:
@@ -131,7 +131,7 @@ class Store(NamedTuple):
         self.close()
 
 
-def start(path: Path, layout: Layout, resume: bool = False) -> Store:
+def open_store(path: Path, layout: Layout, resume: bool = False) -> Store:
     """Open a store, or create it if the file does not exist.
 
     Args:
@@ -140,9 +140,9 @@ def start(path: Path, layout: Layout, resume: bool = False) -> Store:
         resume: take up what an earlier run left there
 
     Raises:
-        FileError: where it cannot be written, another process uses it, the file is something else,
-            or it is there and `resume` is not set
-        InputError: where it holds another problem
+        FileError: if it cannot be written, another process uses it, the file is something else, or
+            it is there and `resume` is not set
+        InputError: if it holds another problem
     """
     header = _build_header(layout)
     with lock_file(path, "r+") as file:
@@ -200,7 +200,7 @@ def _describe_difference(key: str, there: object, here: object) -> str:
 
 
 def _block_checksum(block: int, data: bytes) -> bytes:
-    """Return the checksum of the rows of a block; it depends on the number of the block, too."""
+    """Return the checksum of the rows of a block, which depends on its number, too."""
     return hashlib.blake2b(data, digest_size=NUMBER, salt=block.to_bytes(16, "little")).digest()
 
 

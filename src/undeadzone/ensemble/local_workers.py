@@ -2,8 +2,8 @@
 
 No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
 again by another one. A worker is this module's `main`: it computes the batches that come through
-its standard input, sends answers through what was its standard output, and ends when its input
-does, so that it does not outlive the process that started it.
+its standard input, sends answers through its former standard output, and ends when its input does,
+so that it does not outlive the process that started it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class _Crew(NamedTuple):
 
     Attributes:
         payload: the pickled function that prepares the job.
-        idle: those without work; None once all are stopped.
+        idle: those without work (None once all are stopped).
         every: all that were started and have not died.
         lock: held while one is started.
         closed: set once no more may be started.
@@ -55,11 +55,11 @@ class _Crew(NamedTuple):
 
 @contextmanager
 def open_local_pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
-    """Provide local workers; in the end all are stopped, whatever they do.
+    """Provide local workers, all of which are stopped at the end.
 
     Args:
-        prepare: gives the job; picklable, such as a `functools.partial` of a function of an
-            importable module
+        prepare: gives the job (picklable, such as a `functools.partial` of a function of an
+            importable module)
         workers: number of processes
 
     Raises:
@@ -169,9 +169,7 @@ def _discard_worker(crew: _Crew, worker: subprocess.Popen[bytes]) -> None:
 
 
 def _stop_workers(crew: _Crew, threads: int) -> None:
-    """Stop all workers, and start no more; threads: upper bound of the threads that wait for a
-    worker.
-    """
+    """Stop all workers and start no more. At most `threads` threads wait for a worker."""
     with crew.lock:
         crew.closed.set()
         for worker in crew.every:
@@ -181,7 +179,7 @@ def _stop_workers(crew: _Crew, threads: int) -> None:
 
 
 def _kill_worker(worker: subprocess.Popen[bytes]) -> None:
-    """Stop a worker, wait for its end, close its pipes; no further thread may be using the
+    """Stop a worker, wait for its end, close its pipes. No further thread may be using the
     pipes.
     """
     worker.kill()
@@ -205,7 +203,7 @@ def main() -> None:
 
 
 def _redirect_stdout() -> BinaryIO:
-    """Return the standard output, for answers alone; all further output goes to standard
+    """Return the standard output, for answers alone. All further output goes to standard
     error.
     """
     answers = os.fdopen(os.dup(1), "wb")
@@ -214,7 +212,7 @@ def _redirect_stdout() -> BinaryIO:
 
 
 def _queue_requests(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
-    """Read the batches that arrive into the queue; end the process, even at work, when the
+    """Read the batches that arrive into the queue. End the process, even at work, when the
     pipe is closed.
     """
     try:
@@ -225,7 +223,7 @@ def _queue_requests(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
 
 
 def _pickle_answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
-    """Return the pickled answer to a batch; prepared: returns the job."""
+    """Return the pickled answer to a batch (prepared: returns the job)."""
     try:
         return pickle.dumps(compute_blocks(prepared(), blocks))
     except BaseException as error:
@@ -233,7 +231,7 @@ def _pickle_answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
 
 
 def _pickle_error(error: BaseException) -> bytes:
-    """Return an exception as bytes; as a ClusterError if the exception cannot be read back."""
+    """Return an exception as bytes, as a ClusterError if the exception cannot be read back."""
     try:
         content = pickle.dumps(error)
         pickle.loads(content)

@@ -22,7 +22,7 @@ EDGES: Final = ("right", "left")
 
 
 class Tally(NamedTuple):
-    """Sums and extremes that a run has accumulated so far; the tail is the last 2 s.
+    """Sums and extremes that a run has accumulated so far. The tail is the last 2 s.
 
     Attributes:
         tracking: sum of |z - r|^2 over the tail
@@ -32,9 +32,9 @@ class Tally(NamedTuple):
         silent: number of samples without a reading, of all outputs
         effort: sum of |u|^2
         right, left: the latest d_r^, d_l^ (p each)
-        tip: of an arm, the sum over the tail of squared distances of its tip from its path [m^2];
-            empty for other plants
-        behind: of a play, the sum over the tail of |y / m - r|^2, y without noise; else empty
+        tip: of an arm, the sum over the tail of squared distances of its tip from its path [m^2]
+            (empty for other plants)
+        behind: of a play, the sum over the tail of |y / m - r|^2, y without noise (else empty)
     """
 
     tracking: Any
@@ -53,9 +53,10 @@ class LoopWithMetrics(NamedTuple):
     """Loop that also accumulates a `Tally`.
 
     Attributes:
-        step: the loop's step with three longer arguments: the state, then the tally; the exogenous
-            inputs, then time [s] and 1 in the tail; the params, then the tolerance [z] for scale 1
-        rare: the parts of the step that a change of side asks for, as in `engine.lanes.build`
+        step: the loop's step with three longer arguments: the state, then the tally, the exogenous
+            inputs, then time [s] and 1 in the tail, and the params, then the tolerance [z] for
+            scale 1
+        rare: the parts of the step that a change of side needs, as in `engine.lanes.build`
         tally: zeros, in its shape
     """
 
@@ -173,7 +174,7 @@ def metric_rows(
 
 
 class Bands(NamedTuple):
-    """Quantiles of the recorded runs over time, by name; i is the output.
+    """Quantiles of the recorded runs over time, by name (i: the output).
 
     Attributes:
         t: instants (N) [s]
@@ -190,8 +191,8 @@ def error_bands(
 ) -> Bands:
     """Return the bands of recorded runs.
 
-    A signal that is no number any more counts as infinitely far off, so that a band is one of all
-    runs.
+    A signal that is not a number any more counts as infinitely far off, so that a band is one of
+    all runs.
 
     Args:
         t: instants (N) [s]

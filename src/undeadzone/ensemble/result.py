@@ -40,14 +40,14 @@ def _influence_of_entry(one: Sensitivity) -> float:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ensemble:
-    """Many runs of a scenario as columns by name, one number a run; columns may be maps of
+    """Many runs of a scenario as columns by name, one number a run. Columns may be maps of
     files.
 
     Attributes:
         varied: the values of the varied entries
         metrics: what came of each run, with `diverged`, 0 or 1
-        info: what is known besides the columns
-        bands: quantiles over time of the recorded runs; None where none were recorded
+        info: metadata besides the columns
+        bands: quantiles over time of the recorded runs (None where none were recorded)
     """
 
     varied: dict[str, Floats]
@@ -57,9 +57,7 @@ class Ensemble:
 
     @property
     def diverged(self) -> npt.NDArray[np.bool_]:
-        """Return a mask of the diverged runs; all statistics except their share leave them
-        out.
-        """
+        """Return a mask of the diverged runs, which all statistics except their share leave out."""
         return self.metrics["diverged"] != 0
 
     @property
@@ -77,10 +75,14 @@ class Ensemble:
         These are the metrics, the errors d^ - d of the widths as `d_right_error[0]`, and the
         largest of their sizes, `d_error`.
         """
-        return [*(name for name in self.metrics if name != "diverged"), *self.errors, WIDTHS]
+        return [
+            *(name for name in self.metrics if name != "diverged"),
+            *self.width_error_names,
+            WIDTHS,
+        ]
 
     @property
-    def errors(self) -> list[str]:
+    def width_error_names(self) -> list[str]:
         """Return the names of the errors of the widths."""
         widths = [name for name in self.metrics if name.startswith(("d_right[", "d_left["))]
         return [name.replace("[", "_error[") for name in widths]
@@ -98,12 +100,14 @@ class Ensemble:
             InputError: there is no such column.
         """
         if name == WIDTHS:
-            return reduce(np.maximum, (np.abs(self.column(each)) for each in self.errors))
+            return reduce(
+                np.maximum, (np.abs(self.column(each)) for each in self.width_error_names)
+            )
         if name in self.metrics:
             return self.metrics[name]
         if name in self.varied:
             return self.varied[name]
-        if name not in self.errors:
+        if name not in self.width_error_names:
             known = ", ".join([*self.varied, *self.quantities])
             raise InputError(f"{name}: is not a column of this ensemble. There are {known}")
         return width_error(name, self.metrics, self.info.widths, self.varied, self.info.geared)
@@ -116,7 +120,7 @@ class Ensemble:
             name: as of `column`
 
         Returns:
-            Its numbers in these runs; the settling time of a run that did not settle is infinite.
+            Its numbers in these runs. The settling time of a run that did not settle is infinite.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -144,7 +148,7 @@ class Ensemble:
             name: as of `column`
 
         Returns:
-            The unit; 1 also where it is not known.
+            The unit, 1 also if it is unknown.
         """
         return unit_of_column(name, self.info.units)
 
@@ -176,7 +180,7 @@ class Ensemble:
             metric: as of `column`
 
         Returns:
-            The run; None if all diverged, or the median is infinite.
+            The run, or None if all diverged, or the median is infinite.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -196,7 +200,7 @@ class Ensemble:
             metric: as of `column`
 
         Returns:
-            Sensitivities by entry, the most influential first; none for too few runs.
+            Sensitivities by entry, the most influential first, none for too few runs.
 
         Raises:
             InputError: there is no such column, or no such run.
@@ -241,7 +245,7 @@ class Ensemble:
         """Return all statistics, ready for JSON.
 
         Returns:
-            Shares, distributions, sensitivities and worst runs; null where the runs give no bound.
+            Shares, distributions, sensitivities and worst runs (null if the runs give no bound).
         """
         diverged = self.diverged[self.independent]
         settled = self.settled[self.independent]
@@ -262,8 +266,8 @@ class Ensemble:
         return to_json_value(summary)
 
     def blocks(self, summary: dict[str, Any] | None = None) -> list[Block]:
-        """Return the tables that `undeadzone ensemble` prints; summary: its own, if
-        already computed.
+        """Return the tables that `undeadzone ensemble` prints (summary: its own, if already
+        computed).
         """
         numbers = self.summary() if summary is None else summary
         return describe_ensemble(self.info, numbers, int(self.diverged.sum()))
@@ -284,7 +288,7 @@ class Ensemble:
             The path.
 
         Raises:
-            FileError: where it cannot be written
+            FileError: if it cannot be written
             InputError: for another suffix, or where pyarrow is missing
         """
         return saved.save_ensemble_file(path, self.varied, self.metrics, self.info, self.bands)
@@ -297,10 +301,10 @@ class Ensemble:
             path: of the file
 
         Returns:
-            The ensemble; the columns of an `.npz` stay on disk and are read as they are used.
+            The ensemble. The columns of an `.npz` stay on disk and are read as they are used.
 
         Raises:
-            FileError: where it cannot be read or is no ensemble
+            FileError: if it cannot be read or is not an ensemble
             InputError: where pyarrow is missing
         """
         return cls(*saved.read_ensemble(path))

@@ -28,14 +28,14 @@ def compute_job(
 ) -> journal.Store:
     """Compute a job and keep its rows in a store on disk.
 
-    Whatever stops it (Ctrl-C, SIGTERM, an error) says what is kept. The bits are the same wherever
-    they are computed.
+    If something stops it (Ctrl-C, SIGTERM, an error), a message names the stored blocks. The bits
+    do not depend on the computer that computes them.
 
     Args:
-        prepare: gives the job; picklable where workers or a cluster compute
+        prepare: gives the job (picklable if workers or a cluster compute)
         path: of the store
         resume: keep the blocks that an earlier run left there
-        workers: number of local processes that compute; default: this one
+        workers: number of local processes that compute (default: this one)
         cluster: address of a Dask cluster that computes instead
         progress: called with the number of runs just done
 
@@ -48,7 +48,7 @@ def compute_job(
     """
     _require_one_backend(workers, cluster)
     job = prepare()
-    store = journal.start(path, job.layout, resume)
+    store = journal.open_store(path, job.layout, resume)
     report = progress or ignore_progress
     with close_on_failure(store):
         if store.runs_done:
@@ -65,7 +65,7 @@ def compute_job(
 def close_on_failure(store: journal.Store) -> AbstractContextManager[None]:
     """Close the store if an exception stops the work inside.
 
-    What stops it then says what is kept; a store without runs is removed.
+    The message of the exception then names the stored blocks. A store without runs is removed.
     """
     return answers.report_saved_on_stop(functools.partial(_leave_store, store))
 

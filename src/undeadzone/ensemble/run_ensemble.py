@@ -1,4 +1,4 @@
-"""From a scenario to its ensemble, computed block by block; from an ensemble to a run's signals."""
+"""Computation of a scenario's ensemble, block by block, and of the signals of one of its runs."""
 
 from __future__ import annotations
 
@@ -58,19 +58,19 @@ def run_ensemble(
 
     Args:
         scenario: with a table [ensemble]
-        path: of the result, `.npz` or `.parquet`; None: in memory
+        path: of the result, `.npz` or `.parquet` (None: in memory)
         resume: continue what an interrupted call left there, and leave a finished file as it is
-        workers: number of local processes that compute; default: this one
+        workers: number of local processes that compute (default: this one)
         cluster: address of a Dask cluster that computes instead
-        progress: called from this thread with the number of runs just done; None: a bar in a
-            notebook
+        progress: called from this thread with the number of runs just done (None: a bar in a
+            notebook)
 
     Returns:
-        The ensemble; the columns of a saved one stay on disk and are read as they are used.
+        The ensemble. The columns of a saved one stay on disk and are read as they are used.
 
     Raises:
-        InputError or a subclass: FileError where a file cannot be read or written, ClusterError
-            where the cluster fails
+        InputError or a subclass: FileError if a file cannot be read or written, ClusterError if the
+            cluster fails
 
     Example:
         >>> varied = {"sensor.right": uz.Distribution(uniform=(0.5, 1.5))}
@@ -117,7 +117,7 @@ def _compute_on_disk(
 def replay_run(result: Ensemble, run: int) -> Run:
     """Return a run of an ensemble with all its signals.
 
-    Its states are to the last bit what they were in the ensemble, if nothing has changed since
+    Its states equal those in the ensemble to the last bit, if nothing has changed since
     (`deviation`).
 
     Args:
@@ -128,7 +128,7 @@ def replay_run(result: Ensemble, run: int) -> Run:
         The run, as `simulate` returns it.
 
     Raises:
-        InputError: or a subclass, for what is wrong with the scenario.
+        InputError: or a subclass, for errors in the scenario.
 
     Example:
         >>> uz.replay_run(ensemble, 3).z.shape == run.z.shape
@@ -148,10 +148,10 @@ def replay_deviation(result: Ensemble, run: int) -> float:
         run: number of the run, from 0
 
     Returns:
-        The largest relative difference of its values and metrics; 0: none differs by a bit.
+        The largest relative difference of its values and metrics (0: all bits are equal).
 
     Raises:
-        InputError: or a subclass, for what is wrong with the scenario.
+        InputError: or a subclass, for errors in the scenario.
     """
     kept = result.row(run)
     batch = prepare_batch(parse(result.info.scenario))
@@ -192,7 +192,7 @@ def _load_finished(path: Path, batch: Batch) -> Ensemble | None:
 
 
 def _build_ensemble(batch: Batch, store: Store) -> Ensemble:
-    """Return the result of a complete store; its columns are those of the store, on disk."""
+    """Return the result of a complete store. Its columns are those of the store, on disk."""
     columns = store.map_columns()
     info = _build_info(batch)
     varied = {name: columns.pop(name) for name in batch.binding.names_of_columns}
@@ -294,7 +294,7 @@ def _record_outputs(
 
 
 def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
-    """Return the kernel called for `every` steps at a time; it records state and drawn inputs.
+    """Return the kernel called for `every` steps at a time. It records state and drawn inputs.
 
     It records its states and own inputs before each call.
     """

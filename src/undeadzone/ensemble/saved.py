@@ -1,6 +1,6 @@
 """Files of ensembles, `.npz` or `.parquet`: columns and metadata.
 
-An `.npz` has the same bytes for the same numbers and is read as a map; a `.parquet` is for other
+An `.npz` has the same bytes for the same numbers and is read as a map. A `.parquet` is for other
 tools.
 """
 
@@ -36,9 +36,9 @@ _DAMAGE: Final = (ValueError, KeyError, struct.error, zipfile.BadZipFile, msgspe
 
 
 def require_ensemble_path(path: Name) -> Path:
-    """Return the path. Raises InputError for another suffix than .npz or .parquet.
+    """Return the path if a table can be written to it.
 
-    Raises InputError where no table can be written: its suffix, or no pyarrow.
+    Raises InputError for another suffix than .npz or .parquet, and without pyarrow for the latter.
     """
     path = to_path(path)
     if path.suffix not in (".npz", ".parquet"):
@@ -76,8 +76,8 @@ def _load_npz(file: BinaryIO) -> tuple[str, Columns, Columns]:
 
 
 def _map_member(file: BinaryIO, offset: int) -> Any:
-    """Return the array of an uncompressed member of a zip file, as a map; offset: of its local
-    header.
+    """Return the array of an uncompressed member of a zip file, as a map (offset: of its local
+    header).
     """
     file.seek(offset + ZIP_SIZES)
     name_size, extra_size = struct.unpack("<HH", file.read(4))
@@ -94,7 +94,7 @@ def _select_arrays(kind: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_parquet(path: Path, header: str, columns: Columns, attached: Columns) -> None:
-    """Write the columns as Parquet; header and other arrays become its metadata."""
+    """Write the columns as Parquet, with header and other arrays as its metadata."""
     arrow = _require_arrow()
     import pyarrow.parquet as parquet
 
@@ -134,7 +134,7 @@ def _load_parquet(file: BinaryIO) -> tuple[str, Columns, Columns]:
 
 
 def _metadata_checksum(metadata: Mapping[str, str | bytes], columns: Sequence[str]) -> str:
-    """Return the checksum of metadata and column names; metadata of other programs does not
+    """Return the checksum of metadata and column names. Metadata of other programs does not
     count.
 
     Args:
@@ -177,7 +177,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         tracked: the outputs that follow a reference
         widths: the nominal right and left width of each output in turn (2p)
         geared: whether these are the gaps of an arm's gears
-        scenario: the scenario as TOML; with a run's number it replays the run
+        scenario: the scenario as TOML (with a run's number it replays the run)
         version: of undeadzone
         recorded: number of the first runs, those behind the bands
         numbers: a digest of what all runs share
@@ -204,7 +204,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def unit_of_column(name: str, units: Units) -> str:
-    """Return the unit of a column, or 1 if it is not known; units: of output and input."""
+    """Return the unit of a column, or 1 if it is not known (units: of output and input)."""
     if name.endswith("(relative)"):
         return "1"
     stem = name.partition("[")[0]
@@ -242,7 +242,7 @@ def save_ensemble_file(
 
 
 def read_ensemble(path: Name) -> tuple[Columns, Columns, Info, Bands | None]:
-    """Return the fields of an ensemble. Raises FileError; InputError if pyarrow is missing."""
+    """Return the fields of an ensemble. Raises FileError, InputError if pyarrow is missing."""
     path = to_path(path)
     try:
         get = _load_parquet if path.suffix == ".parquet" else _load_npz

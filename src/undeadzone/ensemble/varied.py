@@ -1,6 +1,6 @@
 """Addresses of [ensemble] and the packed numbers of the loop that they set in each run.
 
-Where the loop holds a number of the sensor is found by building it again with other numbers.
+The slots of the sensor's numbers in the loop are found by building it again with other numbers.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Quantity(NamedTuple):
 
     Attributes:
         nominal: its value in the scenario, in the scenario's unit
-        slots: where it stands among the packed numbers [params, state] of the loop
+        slots: its slots among the packed numbers [params, state] of the loop
         gain: the packed numbers are gain times the value
         least: the least value that it may have
     """
@@ -77,8 +77,8 @@ class UncertainNumber(NamedTuple):
     Attributes:
         name: its column, such as `sensor.right[0]` or `plant.A[1,0] (relative)`
         spread: its distribution
-        slots: pairs (slot of the packed [params, state], factor); it sets each slot to the factor
-            times its value
+        slots: pairs (slot of the packed [params, state], factor) (it sets each slot to the factor
+            times its value)
     """
 
     name: str
@@ -119,9 +119,9 @@ def _find_sensor_slots(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...
     """Return the slots in the packed params of each width, gap, threshold and limit of the
     sensor, by address.
 
-    The sensor's own place comes first, then those where its observer holds the same number: widths
-    if it knows them, gaps unless [model] tells them. They are where the number stands in a loop
-    that is built with other numbers, all of them different.
+    The sensor's own place comes first, then those of its observer that hold the same number: widths
+    if it knows them, gaps unless [model] gives them. They are found in a loop that is built with
+    other numbers, all of them different.
     """
     others = _perturb_sensor(problem)
     scenario, model = problem.scenario, problem.model
@@ -304,7 +304,7 @@ def _require_settable(address: str, names: list[str], known: dict[str, Quantity]
 def _select_scalable(
     address: str, parts: list[str], names: list[str], known: dict[str, Quantity]
 ) -> list[str]:
-    """Return the names whose quantities a factor changes: neither 0 nor infinite.
+    """Return the names whose quantities a factor changes: those that are finite and not 0.
 
     Raises InputError if none is left, or for a quantity that the address names by itself.
     """

@@ -111,7 +111,7 @@ def _format_share(share: dict[str, Any]) -> str:
 
 
 def _format_metric_interval(metric: dict[str, Any]) -> str:
-    """Return a metric and its interval; a settling time without a bound never ends."""
+    """Return a metric and its interval. A settling time without a bound never ends."""
     low, high = (format_number(metric[end], none="") for end in ("low", "high"))
     if metric["value"] is not None:
         return format_bounds(format_number(metric["value"]), low, high)

@@ -1,10 +1,10 @@
-"""The way across a gap, led so that what drives and what is driven belong together on it.
+"""Path of the input across a gap, led so that motor and load stay consistent with each other.
 
-What should be on one flank of a gap at first and on the other later is moved by a step of the gap's
-width. The step passes a copy of a linear model with all poles at -w, so that state and input on the
-way belong to each other. `controllers.parts.behind_play` leads the input of a play across where the
-reference turns, `controllers.computed_torque` motors of an arm where the torque that their
-links need changes sign: there a link needs none, and may be free.
+An input that must be on one flank of a gap first and on the other later is moved by a step of the
+gap's width. The step passes a copy of a linear model with all poles at -w, so that state and input
+on the way belong to each other. `controllers.parts.behind_play` leads the input of a play across
+when the reference turns, `controllers.computed_torque` motors of an arm when the torque that their
+links need changes sign: then a link needs none, and may be free.
 """
 
 from __future__ import annotations
@@ -63,16 +63,16 @@ def crossing(linear: Matrices, w: float, Ts: float | None, key: str) -> Crossing
 
 
 def doubly_integrated(w: float, Ts: float, key: str) -> Crossing:
-    """Return the filter of an acceleration held over a sample; arguments as of `crossing`."""
+    """Return the filter of an acceleration held over a sample, with the arguments of `crossing`."""
     A, B = np.array([[1.0, Ts], [0.0, 1.0]]), np.array([[Ts**2 / 2], [Ts]])
     return crossing(Matrices(A, B, np.eye(1, 2)), w, Ts, key)
 
 
 def choose_flank(sign: Any, before: Any) -> Any:
-    """Return the flank that is wanted (...): where nothing turns, the one before.
+    """Return the wanted flank (...), the previous one if the sign is 0.
 
     Args:
-        sign: the flank that is asked for, 0 where none is.
+        sign: the flank that the load needs, 0 if neither.
         before: the last flank.
     """
     return ca.if_else(sign != 0, sign, before)
@@ -84,7 +84,7 @@ def step_filters(numbers: Crossing, moved: Any, wanted: Any) -> tuple[Any, Any]:
     Args:
         numbers: of the filter.
         moved: their states (n x k).
-        wanted: places where they shall come (1 x k).
+        wanted: targets of the filters' outputs (1 x k).
     """
     push = numbers.gain * wanted - numbers.K @ moved
     return push, numbers.A @ moved + numbers.B @ push

@@ -1,6 +1,6 @@
 """From a path of an arm's tip to the path of its joints (inverse kinematics).
 
-The joints meet the equations that put the tip where it should be.
+The joints meet the equations that put the tip on its target.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def joint_path(
     """Return the joints' path q, with two derivatives, that moves an arm's tip along a path.
 
     It holds for 0 <= t <= duration + step. An arm in space with six joints or more keeps the
-    orientation that its tip has at the start; joints beyond those needed keep their part in the
+    orientation that its tip has at the start. Joints beyond those needed keep their part in the
     null space of the Jacobian at `start` (extended Jacobian: Baillieul 1985).
 
     Args:
@@ -63,14 +63,14 @@ def joint_path(
 
     def derivatives(at: Floats) -> Floats:
         if at.size == 0:
-            return np.empty((0, 3, arm.size))
+            return np.empty((0, 3, arm.joint_count))
         if at.max() > t[-1]:
             raise TrackingError(
                 f"reference: the joints' path is known up to t = {t[-1]:g} s, not at {at.max():g} s"
             )
         return _refine_path(equations, task, at, nearby(at))
 
-    path = piecewise_exosystem(derivatives, arm.size)._replace(corners=task.corners)
+    path = piecewise_exosystem(derivatives, arm.joint_count)._replace(corners=task.corners)
     period = task.period if _closes(path, task.period, t[-1]) else None
     return path._replace(period=period)
 
@@ -80,7 +80,7 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
 
     Args:
         path: the path, which begins at rest.
-        swing: what the joints do first.
+        swing: motion that the joints make first.
 
     Raises:
         InputError: or a subclass, for points and times that cannot be.
@@ -113,7 +113,8 @@ def _interpolate_nodes(
 ) -> tuple[Floats, Floats]:
     """Return positions and speeds (N x joints) at times t [s].
 
-    Raises TrackingError where the tip cannot get, and where the arm is singular or its joints jump.
+    Raises TrackingError if the tip cannot reach the path, if the arm is singular, or if its joints
+    jump.
     """
     goals = equations.goals(task.output_at(t))
     q = follow_path(equations, goals, start)
@@ -151,9 +152,7 @@ def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Float
 
 
 def _closes(path: Exosystem, period: float | None, end: float) -> bool:
-    """Return whether the joints are back where they began after a period [s], known up to `end`
-    [s].
-    """
+    """Return whether the joints return to their start after a period [s], known up to `end` [s]."""
     if period is None or period > end:
         return False
     both_ends = path.output_at(np.array([0.0, period]))
@@ -161,7 +160,7 @@ def _closes(path: Exosystem, period: float | None, end: float) -> bool:
 
 
 def require_range(chain: Chain, t: Floats, q: Floats, v: Floats) -> None:
-    """Raise TrackingError where positions or speeds lie beyond what the joints allow.
+    """Raise TrackingError if positions or speeds lie beyond the joints' limits.
 
     Args:
         chain: the arm's links.
@@ -176,7 +175,7 @@ def require_range(chain: Chain, t: Floats, q: Floats, v: Floats) -> None:
 
 
 def require_torque(model: System, path: Exosystem, t: Floats) -> None:
-    """Raise TrackingError where a path needs more torque than the motors have.
+    """Raise TrackingError if a path needs more torque than the motors have.
 
     Args:
         model: a continuous model of an arm.
@@ -193,7 +192,7 @@ def require_torque(model: System, path: Exosystem, t: Floats) -> None:
 def _blocking_reason(
     equations: Equations, task: Exosystem, t: Floats, before: Floats, missed: bool
 ) -> TrackingError:
-    """Why the tip cannot follow the path.
+    """Return the error that names the reason why the tip cannot follow the path.
 
     Args:
         equations: the equations of the arm.
@@ -227,7 +226,7 @@ def _blocking_reason(
 
 
 def _shortfall(equations: Equations, positions: Floats, start: Floats) -> Floats:
-    """How far the tip stays from each of N positions, whatever the joints do (N) [m]."""
+    """Return the distance that remains between the tip and each of N positions (N) [m]."""
     short, angles = np.zeros(len(positions)), start
     for i, position in enumerate(positions):
         goal = position / equations.reach
@@ -244,7 +243,8 @@ def _require_within(
 
     It names the joint and the first instant that are farthest off.
 
-    words: what a path needs of the joints, its unit, and advice where a joint cannot.
+    words: name of the quantity that a path needs of the joints, its unit, and advice if a joint
+    cannot.
     """
     what, unit, advice = words
     excess = np.round(np.maximum(values - bounds[:, 1], bounds[:, 0] - values), 6)
@@ -260,7 +260,7 @@ def _require_within(
 class Equations(NamedTuple):
     """place(q) = goal, as many equations as joints.
 
-    They are the tip's position over the arm's reach, then what the arm keeps at 0.
+    They are the tip's position over the arm's reach, then the residuals that the arm keeps at 0.
 
     Attributes:
         place: q -> its value and Jacobian.
@@ -284,32 +284,32 @@ class Equations(NamedTuple):
 
 def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     """Return the equations of an arm that sets out from `start`. Raises TrackingError."""
-    q, v = ca.SX.sym("q", arm.size), ca.SX.sym("v", arm.size)
+    q, v = ca.SX.sym("q", arm.joint_count), ca.SX.sym("v", arm.joint_count)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
-    if arm.size < tip.numel():
+    if arm.joint_count < tip.numel():
         raise TrackingError(
-            f"reference.space: an arm with {arm.size} joint{'s' * (arm.size > 1)} cannot move its "
-            f"tip along a path in {tip.numel()} coordinates. Give the joints' path "
+            f"reference.space: an arm with {arm.joint_count} joint{'s' * (arm.joint_count > 1)} "
+            f"cannot move its tip along a path in {tip.numel()} coordinates. Give the joints' path "
             "(space = 'joint')"
         )
     reach = float(np.linalg.norm(np.diff(arm.points(params, start).full(), axis=0), axis=1).sum())
     place = tip / reach
-    if tip.numel() == 3 and arm.size >= 6:
+    if tip.numel() == 3 and arm.joint_count >= 6:
         W = ca.DM(arm.turn(params, start)).T @ arm.turn(numbers, q)  # turn since the start
         # 2 tan(angle / 2) about the axis: 0 at W = I alone.
         turned = 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
         place = ca.vertcat(place, turned)
-    free = arm.size - place.numel()  # joints to spare
+    free = arm.joint_count - place.numel()  # joints to spare
     _, J = evaluate_at_inputs(_with_jacobian(q, place), start[None])
     if singular(J).any():
         raise TrackingError(
-            f"reference: the arm is singular where the path starts from, "
+            f"reference: the arm is singular at the start of the path, "
             f"q = {list_numbers(start)}: "
             "its tip cannot move in every direction there. "
             "Let it start from another configuration (plant.x0)"
         )
-    null_space = np.linalg.svd(J[0])[2][arm.size - free :]
+    null_space = np.linalg.svd(J[0])[2][arm.joint_count - free :]
     place = ca.vertcat(place, null_space @ (q - start))
     swing = ca.jtimes(ca.jtimes(place, q, v), q, v)
     return Equations(
@@ -340,7 +340,7 @@ def solve_jacobians(J: Floats, goals: Floats) -> Floats:
 
 
 def singular(J: Floats) -> np.ndarray:
-    """Which of N matrices are nearly singular, or turn over.
+    """Return the mask of those of N matrices that are nearly singular, or turn over.
 
     Then the determinant has another sign than that of the first one.
     """
@@ -382,7 +382,7 @@ def _first(equations: Equations, follow: ca.Function, goal: Floats, start: Float
 def nearest(function: ca.Function, goal: Floats, start: Floats) -> Floats:
     """Return the joint angles, from `start` on, at which a function comes nearest to its goal.
 
-    function: q -> value and Jacobian; nearest in the sense of least squares.
+    function: q -> value and Jacobian. Nearest is meant in the sense of least squares.
     """
     from scipy.optimize import least_squares
 

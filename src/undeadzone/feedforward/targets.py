@@ -22,7 +22,7 @@ INVERTED = 1e-9  # largest relative gap between the reference and what Newton's 
 
 
 class Target(NamedTuple):
-    """What to follow, at one instant or at N of them (N x ...).
+    """Quantity to follow, at one instant or at N of them (N x ...).
 
     Attributes:
         r: values of the tracked outputs.
@@ -108,7 +108,7 @@ def moves(S: Floats, Ts: float | None) -> Floats:
 
     Args:
         S: dynamics of the exosystem (k x k) [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     if Ts is None:
         return S

@@ -1,8 +1,8 @@
 """Exact discretisation: zero-order hold, its derivatives, and the noise of a step.
 
 Matrices are balanced first: a plant in an odd unit of time has entries that are far apart, and the
-exponential of such a matrix loses digits, its derivative all of them. Of many plants at once each
-gets the same bits whatever the others are.
+exponential of such a matrix loses digits, its derivative all of them. In a batch of plants, the
+bits of each do not depend on the others.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices, balance_states, change_state_units
 from undeadzone.util.arrays import Floats
 
@@ -34,6 +35,40 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
     units = _balancing_units(block, n)
     both = change_state_units(expm(change_state_units(block, units)), 1 / units)
     return Matrices(both[:n, :n], both[:n, n:], linear.C)
+
+
+def undo_zoh(sampled: Matrices, Ts: float) -> Matrices:
+    """Return the plant in continuous time whose zero-order hold is the given one.
+
+    Poles beyond the Nyquist frequency are mapped below it, as no sampled plant contains them.
+
+    Args:
+        sampled: Ad, Bd, C.
+        Ts: time for which u is held [s].
+
+    Raises:
+        InputError: a pole that no such plant has: at 0 (a delay), or negative and real.
+    """
+    from scipy.linalg import logm
+
+    n, m = sampled.B.shape
+    poles = np.linalg.eigvals(sampled.A)
+    is_real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)
+    if np.any(np.abs(poles) < 1e-6):
+        raise InputError(
+            "plant: a sampled pole lies at 0, a delay, which a plant in continuous time with these "
+            "states does not have"
+        )
+    negative = poles.real[is_real & (poles.real < 0)]
+    if negative.size:
+        raise InputError(
+            f"plant: a sampled pole lies at {negative[0]:.3g}, and no plant in continuous time has "
+            "a negative real one"
+        )
+    block = np.eye(n + m)
+    block[:n, :n], block[:n, n:] = sampled.A, sampled.B
+    both = np.real(logm(block)) / Ts
+    return Matrices(both[:n, :n], both[:n, n:], sampled.C)
 
 
 def zoh_slopes(AB: Floats, directions: Sequence[Floats], Ts: float) -> Floats:
@@ -94,7 +129,7 @@ def discretise_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
 
 
 def _augment_inputs(A: Floats, B: Floats) -> Floats:
-    """Return [[A, B], [0, 0]], the dynamics of [x; u] with constant u."""
+    """Return [[A, B], [0, 0]], the dynamics of `[x; u]` with constant u."""
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
@@ -102,7 +137,7 @@ def _augment_inputs(A: Floats, B: Floats) -> Floats:
 
 
 def _balancing_units(block: Floats, n: int) -> Floats:
-    """Return the units of [x; u] that balance `_augment_inputs`.
+    """Return the units of `[x; u]` that balance `_augment_inputs`.
 
     A unit of u moves x as much as x itself.
     """
@@ -114,7 +149,7 @@ def _balancing_units(block: Floats, n: int) -> Floats:
 
 
 def _size_ratio(M: Floats, A: Floats) -> float:
-    """Return |M| / |A| as a power of two; 1 if either is 0."""
+    """Return |M| / |A| as a power of two, or 1 if either is 0."""
     sizes = np.abs(M).max(initial=0.0), np.abs(A).max(initial=0.0)
     if not all(0 < size < np.inf for size in sizes):
         return 1.0

@@ -1,6 +1,6 @@
-"""Linear systems as matrices: x' = A x + B u, z = C x; and the scale of each state.
+"""Linear systems as matrices, x' = A x + B u, z = C x, and the scale of each state.
 
-The scale tells what is small from what is in a small unit.
+The scale distinguishes small values from values in a small unit.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def delta_form(linear: Matrices, Ts: float | None) -> Matrices:
     -> 0.
 
     Args:
-        linear: a linear system; of one step if sampled.
-        Ts: sample time [s]; None in continuous time, where nothing changes.
+        linear: a linear system (of one step if sampled).
+        Ts: sample time [s] (None in continuous time, which leaves all unchanged).
     """
     if Ts is None:
         return linear
@@ -62,13 +62,13 @@ def companion_form(a: Any, b: Any = (1.0,)) -> Matrices:
 def state_response_sizes(A: Floats, B: Floats, omega: float = 0.0) -> Floats:
     """Return the size of each state of x' = A x + B u under a unit input near a frequency (n).
 
-    In these units plants differ by neither their unit of time nor those of their states. States
+    In these units a plant does not depend on its unit of time or on the units of its states. States
     that B does not reach get the least size of the others.
 
     Args:
         A: (n x n).
         B: (n x m).
-        omega: the frequency [rad/s]; 0: near the poles of A.
+        omega: the frequency [rad/s] (0: near the poles of A).
 
     Returns:
         The sizes (n).
@@ -86,7 +86,7 @@ def balance_states(A: Floats) -> Floats:
     """Return units of the states of x' = A x, powers of two, that balance rows and columns of
     A.
 
-    LAPACK's gebal (Parlett and Reinsch 1969); 1 where A is not finite.
+    LAPACK's gebal (Parlett and Reinsch 1969). All units are 1 unless A is finite.
 
     References:
         B. N. Parlett, C. Reinsch (1969), doi:10.1007/BF02165404

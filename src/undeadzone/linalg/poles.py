@@ -16,7 +16,7 @@ def parse_poles(key: str, poles: Array, n: int) -> np.ndarray:
 
     Args:
         key: named in errors.
-        poles: n numbers, complex ones perhaps, or pairs; closed under conjugation.
+        poles: n numbers, complex ones perhaps, or pairs (closed under conjugation).
         n: poles expected.
 
     Raises:
@@ -120,15 +120,15 @@ def state_gain(
 
     Args:
         linear: the model, continuous or sampled.
-        poles: n poles [1/s]; those of a sampled model are placed at e^{p Ts}.
-        Ts: step of a sampled model [s]; None: continuous.
+        poles: n poles [1/s] (those of a sampled model are placed at e^{p Ts}).
+        Ts: step of a sampled model [s] (None: continuous).
         key: named in errors.
 
     Returns:
         K (m x n).
 
     Raises:
-        InputError, ShapeError: poles that are none of a stable system.
+        InputError, ShapeError: poles that are not those of a stable system.
         StructureError: the poles cannot be placed.
     """
     continuous = parse_poles(key, poles, linear.A.shape[0])
@@ -145,14 +145,14 @@ def observer_gain(linear: Matrices, poles: Array, Ts: float | None) -> Floats:
 
     Args:
         linear: the model, continuous or sampled.
-        poles: n poles [1/s]; those of a sampled model are placed at e^{p Ts}.
-        Ts: step of a sampled model [s], and L is per step; None: continuous.
+        poles: n poles [1/s] (those of a sampled model are placed at e^{p Ts}).
+        Ts: step of a sampled model [s], and L is per step (None: continuous).
 
     Returns:
         L (n x p).
 
     Raises:
-        InputError, ShapeError: poles that are none of a stable system.
+        InputError, ShapeError: poles that are not those of a stable system.
         StructureError: the poles cannot be placed.
     """
     return state_gain(linear.dual, poles, Ts, "observer.poles").T

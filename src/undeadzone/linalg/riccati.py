@@ -1,6 +1,6 @@
 """Riccati equation (34), as printed and for control, with the related Lyapunov equations.
 
-They give the least gain that makes A - L C as fast as asked; by duality, A - B K.
+They give the least gain that makes A - L C as fast as required and, by duality, A - B K.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def require_weight(key: str, Q: Array, n: int, why: str = "states x states") -> 
 
     Args:
         key: named in errors.
-        Q: the matrix; a number q means q I, n numbers its diagonal.
+        Q: the matrix (a number q means q I, n numbers its diagonal).
         n: its size.
-        why: what the rows and columns are, for the error.
+        why: meaning of the rows and columns, for the error.
 
     Raises:
         InputError: not numbers, not symmetric, or not positive definite.
@@ -73,17 +73,17 @@ def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = Non
     """Return the stabilising P of A'P + PA - P B R^-1 B'P + Q = 0 and K = R^-1 B'P.
 
     Sampled, P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q and K = (R + B'PB)^-1 B'PA. scipy's answer is
-    improved by Newton's method (Kleinman 1968; Hewer 1971) for as long as the residual falls.
+    improved by Newton's method (Kleinman 1968, Hewer 1971) for as long as the residual falls.
 
     References:
         D. L. Kleinman (1968), doi:10.1109/TAC.1968.1098829
         G. A. Hewer (1971), doi:10.1109/TAC.1971.1099755
 
     Args:
-        linear: the model, continuous or sampled; any number of inputs.
+        linear: the model, continuous or sampled (any number of inputs).
         Q: weight of the states (n x n).
         R: weight of the inputs (m x m).
-        Ts: step of a sampled model [s]; None: continuous.
+        Ts: step of a sampled model [s] (None: continuous).
 
     Raises:
         StructureError: there is no stabilising solution.
@@ -160,7 +160,7 @@ def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
     """Return P of A'P + PA - 2 alpha P B B' P = -Q, (34), and K = alpha B'P.
 
     Args:
-        A: whatever stands for A, (A - L C as printed) (n x n).
+        A: matrix in the place of A, (A - L C as printed) (n x n).
         B: (n x m).
         alpha: weight of the quadratic term.
         Q: (n x n).
@@ -179,14 +179,14 @@ def paper_riccati(A: Floats, B: Floats, alpha: float, Q: Floats) -> Riccati:
 def paper_feedback(linear: Matrices, alpha: float, Q: Floats, Ts: float | None) -> Floats:
     """Return K of (34) with A, or its sampled counterpart, which tends to K as Ts -> 0.
 
-    K = alpha B'P is half the optimal gain for R = 1 / (2 alpha); sampled: half of
+    K = alpha B'P is half the optimal gain for R = 1 / (2 alpha). Sampled: half of
     (R + B'PB)^-1 B'PA of the discrete equation with Q Ts, R Ts.
 
     Args:
         linear: the model, continuous or sampled.
         alpha: weight of the quadratic term.
         Q: (n x n).
-        Ts: step of a sampled model [s]; None: continuous.
+        Ts: step of a sampled model [s] (None: continuous).
 
     Returns:
         K (m x n).
@@ -214,7 +214,7 @@ def lyapunov_of_loop(linear: Matrices, K: Floats, Q: Floats, Ts: float | None) -
         linear: the model, continuous or sampled.
         K: the gain (m x n).
         Q: (n x n).
-        Ts: step of a sampled model [s]; None: continuous.
+        Ts: step of a sampled model [s] (None: continuous).
 
     Returns:
         P (n x n).
@@ -237,7 +237,7 @@ def storage_of(A: Floats, Q: Floats, Ts: float | None) -> Floats:
     Args:
         A: of a stable system, of one step if sampled (n x n).
         Q: how fast x'Px falls (n x n), per step if sampled.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
@@ -253,10 +253,10 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
         speed: speed [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Raises:
-        StructureError: where the outputs hardly show some state.
+        StructureError: if the outputs hardly show some state.
     """
     A, _, C = linear
     flow = delta_form(linear, Ts).A
@@ -279,10 +279,10 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     Args:
         linear: the model, of the sampled one Ad, Bd, C.
         speed: speed [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Raises:
-        StructureError: where the inputs hardly move some state.
+        StructureError: if the inputs hardly move some state.
     """
     try:
         return fast_gain(linear.dual, speed, Ts).T
@@ -294,9 +294,7 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 
 def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
-    """Return the Riccati gain of A shifted right by speed / 2 (n x p); 0 if no solution
-    exists.
-    """
+    """Return the Riccati gain of A shifted right by speed / 2 (n x p), or 0 if none exists."""
     n, p = A.shape[0], C.shape[0]
     noise = 1e-8 * np.eye(n)
     with warnings.catch_warnings():

@@ -60,7 +60,7 @@ def require_structure(linear: Matrices, key: str) -> None:
         key: named in errors.
 
     Raises:
-        StructureError: (A, C) is unobservable or (A, B) uncontrollable; it names the mode.
+        StructureError: (A, C) is unobservable or (A, B) uncontrollable. It names the mode.
     """
     modes = unobservable_modes(linear.A, linear.C)
     if modes:
@@ -85,7 +85,7 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
         C: (p x n).
 
     Raises:
-        StructureError: they do not tell the whole state.
+        StructureError: they do not determine the whole state.
     """
     n, p = A.shape[0], C.shape[0]
     unit = 1 / state_response_sizes(A.T, C.T)
@@ -107,8 +107,8 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
         latest = [(plain @ A, even @ scaled / rate) for plain, even in latest]
     if len(kept) < n or not all(rows):
         raise StructureError(
-            f"plant: the outputs and their derivatives tell {len(kept)} of {n} states, "
-            f"or one of {p} outputs tells nothing new"
+            f"plant: the outputs and their derivatives determine {len(kept)} of {n} states, "
+            f"or one of {p} outputs is redundant"
         )
     return OutputChains(np.array(kept), rows)
 

@@ -97,7 +97,7 @@ class Clock:
         intervals = np.diff(self._first)
         return usual_step(intervals[intervals > 0])
 
-    def place(
+    def place_samples(
         self, samples: Samples, unread: Sequence[Fault], timed: bool, last: bool
     ) -> Iterator[Piece]:
         """Yield the samples one step apart, as far as they can be judged; those in gaps are
@@ -120,7 +120,7 @@ class Clock:
             faults += [Fault(k, "no_time", "it has no time") for k in without if k not in known]
         if self._strict and faults:
             before = samples.lines < min(faults).line
-            yield from self._place_counted(samples.part(before), timed, last=False)
+            yield from self._place_counted(samples.select_rows(before), timed, last=False)
         for fault in sorted(faults):
             self.faults.add(fault)
         yield from self._place_counted(samples, timed, last)
@@ -132,16 +132,16 @@ class Clock:
             self._count += len(t)
             yield Piece(False, samples.regular._replace(t=t))
             return
-        samples = samples.part(np.isfinite(samples.t))
+        samples = samples.select_rows(np.isfinite(samples.t))
         ends = [count - self._first.size for count in TESTS]
         inner = [end for end in ends if 0 < end < len(samples.t)]
         for part in np.split(np.arange(len(samples.t)), inner):
-            yield from self._judge_times(samples.part(part), last=False)
+            yield from self._judge_times(samples.select_rows(part), last=False)
             self._test(samples.t[part])
         if last:
             if np.isnan(self.last) and self._first.size > 1:
                 require_step(self.measured, self._step, TOLERANCE, self._source)
-            yield from self._judge_times(samples.part(slice(0)), last=True)
+            yield from self._judge_times(samples.select_rows(slice(0)), last=True)
 
     def _test(self, t: Floats) -> None:
         """Compare the usual step of the first lines. Raises FileError where it is another one."""
@@ -181,7 +181,7 @@ class Clock:
             elif end < size or last:
                 kind = self._kind(steps, t[k], t[end] if end < size else None)
             else:
-                self._waiting = samples.part(slice(k, size))
+                self._waiting = samples.select_rows(slice(k, size))
                 return
             yield Run(slice(k, end), max(steps, 1.0), kind)
             if kind != "time":
@@ -218,7 +218,7 @@ class Clock:
         steps = np.ones(rows.size)
         steps[np.cumsum([0, *lengths[:-1]])] = [run.steps for run in runs]
         self.gaps += int(steps.sum()) - rows.size
-        regular = samples.part(rows).regular
+        regular = samples.select_rows(rows).regular
         return Piece(runs[0].kind == "jump", fill_gaps(regular, steps, self._step))
 
     def _fault(self, samples: Samples, run: Run) -> Fault:

@@ -209,7 +209,7 @@ def layout_of_titles(
     """
     _refuse_others(chosen, p, m)
     header = _Header(titles, chosen, source)
-    time = header.time()
+    time = header.find_time_column()
     readings = header.signals("y", p, READINGS)
     inputs = header.signals("u", m, INPUTS, readings)
     if m is None and not _of_signal(chosen, "u"):
@@ -280,7 +280,7 @@ class _Header(NamedTuple):
 
     def with_reference(self, layout: Layout) -> Layout:
         """Return the layout with the reference: a column that is nothing else. Raises FileError."""
-        same = [self.same(name) for name in REFERENCES]
+        same = [self.find_equal_names(name) for name in REFERENCES]
         tags = [_plain(title.name).endswith(" sp") for title in self.titles]
         same.append([k for k, is_tag in enumerate(tags) if is_tag])
         if "r" in self.chosen:
@@ -298,12 +298,12 @@ class _Header(NamedTuple):
         name = self.titles[column].name
         return FileError(f"{self.source}: column {name!r} would be used twice")
 
-    def time(self) -> int | None:
+    def find_time_column(self) -> int | None:
         """Return the number of the column of times; None where there is none. Raises FileError."""
         if "t" in self.chosen:
             return self.column_of_name("t")
         for name in TIMES:
-            same = self.same(name)
+            same = self.find_equal_names(name)
             if len(same) > 1:
                 many = f"several columns are named {name!r}"
                 raise FileError(f"{self.source}: {many}; --columns t=NUMBER")
@@ -325,7 +325,7 @@ class _Header(NamedTuple):
         if signal == "y" and self.is_driven_by_output():
             usual = [name for name in usual if name not in OF_INPUTS[0]]
         if count is None:
-            count = len(_of_signal(self.chosen, signal)) or self.count(usual)
+            count = len(_of_signal(self.chosen, signal)) or self.count_columns(usual)
         wanted = [f"{signal}[{i}]" for i in range(count)]
         named = [key for key in wanted if key in self.chosen]
         if named and len(named) < count:
@@ -348,7 +348,7 @@ class _Header(NamedTuple):
         require_table(self.source)
         raise FileError(
             f"{self.source}: no name says which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{self.near(usual)}. Say which "
+            f"{_list_columns(self.titles)}{self.hint_near_names(usual)}. Say which "
             f"by --columns {self.to_be_named()}"
         )
 
@@ -387,10 +387,10 @@ class _Header(NamedTuple):
                 wanted.append(f"{signal}=NAME")
         return ",".join(wanted).replace("[0]", "")
 
-    def count(self, usual: Sequence[str]) -> int:
+    def count_columns(self, usual: Sequence[str]) -> int:
         """How many columns a signal seems to have: those with an index, else one."""
         for name in usual:
-            if self.same(name):
+            if self.find_equal_names(name):
                 return 1
             if indexed := self.usual(name, 1):
                 return len(indexed)
@@ -400,7 +400,7 @@ class _Header(NamedTuple):
         """Return the columns of a usual name: the one of that name, or those with an index, in
         order.
         """
-        same = self.same(name)
+        same = self.find_equal_names(name)
         if same and (count == 1 or len(same) > 1):
             return same
         indexed = []
@@ -410,7 +410,7 @@ class _Header(NamedTuple):
                 indexed.append((int(match[2]), k))
         return [k for _, k in sorted(indexed)] or same
 
-    def same(self, name: str) -> list[int]:
+    def find_equal_names(self, name: str) -> list[int]:
         """Return the columns of that name, be they written large or small."""
         return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
 
@@ -421,7 +421,7 @@ class _Header(NamedTuple):
         """
         name = self.chosen[key]
         exact = [k for k, title in enumerate(self.titles) if title.name == name]
-        same = exact or self.same(name)
+        same = exact or self.find_equal_names(name)
         if len(same) == 1:
             return same[0]
         if not same and name.isdigit() and 1 <= int(name) <= len(self.titles):
@@ -430,10 +430,10 @@ class _Header(NamedTuple):
         raise FileError(
             f"{self.source}: --columns {key}: {how} {name!r}. "
             f"There are {_list_columns(self.titles)}"
-            f"{self.near([name])}"
+            f"{self.hint_near_names([name])}"
         )
 
-    def near(self, names: Sequence[str]) -> str:
+    def hint_near_names(self, names: Sequence[str]) -> str:
         """Return a hint at the names of columns that are near some names."""
         lower = {title.name.lower(): title.name for title in self.titles}
         for name in names:

@@ -36,11 +36,11 @@ class RangeEnds(NamedTuple):
         return self.number > 0
 
     @property
-    def text(self) -> str:
+    def range_text(self) -> str:
         """Return the range as a scenario has it."""
         return f"[{self.low:.9g}, {self.high:.9g}]"
 
-    def at(self, y: Floats, ok: np.ndarray) -> np.ndarray:
+    def find_readings_at_ends(self, y: Floats, ok: np.ndarray) -> np.ndarray:
         """Which readings are at an end (N, bool).
 
         Args:

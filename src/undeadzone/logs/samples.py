@@ -69,7 +69,7 @@ class Samples(NamedTuple):
     u: Floats
     lines: Lines
 
-    def part(self, rows: Any) -> Samples:
+    def select_rows(self, rows: Any) -> Samples:
         """Return some of the samples."""
         return Samples(*[part[rows] for part in self])
 
@@ -284,7 +284,7 @@ class LogReader:
             cells = dialect.cells(line)
             if len(cells) != dialect.width or layout.time is None:
                 continue
-            value = dialect.number(cells[layout.time])
+            value = dialect.parse_number(cells[layout.time])
             if value is not None and math.isfinite(value):
                 self._plain_times = True
                 return
@@ -323,7 +323,7 @@ class LogReader:
         cells = dialect.cells(line)
         if len(cells) != dialect.width:
             return Fault(number, "values", f"expected {dialect.width} values, found {len(cells)}")
-        found = [dialect.number(cells[k]) for k in layout.columns]
+        found = [dialect.parse_number(cells[k]) for k in layout.columns]
         if self._stamps is not None:
             found[0] = self._stamps.seconds(_stamp(cells, layout))
         if None in found:
@@ -346,7 +346,7 @@ def _with_index_named(dialect: Dialect, lines: Sequence[str]) -> Dialect:
     rows = [dialect.cells(line) for line in lines]
     texts = [row[0] for row in rows if len(row) == dialect.width]
     stamps = stamps_of(texts)
-    values = [dialect.number(text) for text in texts]
+    values = [dialect.parse_number(text) for text in texts]
     if all(value is None for value in values) and stamps is not None:
         values = [stamps.seconds(text) for text in texts]
     if not is_regular_time(np.array(values, float)):
@@ -406,7 +406,7 @@ def oldest_first(samples: Samples) -> Samples:
     t = samples.t[np.isfinite(samples.t)]
     if t.size < 2 or not (np.diff(t) < 0).all():
         return samples
-    return samples.part(slice(None, None, -1))
+    return samples.select_rows(slice(None, None, -1))
 
 
 def count_in_words(count: int) -> str:
@@ -484,7 +484,7 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
         return Placed(samples.regular._replace(t=np.arange(len(samples.t)) * step))
     samples, repeated = without_repeats(samples)
     kept = np.isfinite(samples.t)  # what cannot be read shows as a gap in the others' times
-    read = samples.part(kept)
+    read = samples.select_rows(kept)
     if not read.t.size:
         return Placed(read.regular)
     lines_between = np.diff(np.flatnonzero(kept))  # 1 where all could be read
@@ -509,7 +509,7 @@ def without_repeats(samples: Samples) -> tuple[Samples, int]:
     count = int(again.sum())
     if not 0 < count <= REPEATED * samples.t.size:
         return samples, 0
-    return samples.part(~again), count
+    return samples.select_rows(~again), count
 
 
 def _require_order(intervals: Floats, samples: Samples, source: str) -> None:

@@ -180,10 +180,10 @@ class Dialect(NamedTuple):
             cells.pop()
         return cells
 
-    def number(self, cell: str) -> float | None:
+    def parse_number(self, cell: str) -> float | None:
         """Return the number in a cell, NaN where it is missing; None where it cannot be read."""
         mark = "." if self.separator == "," else self.mark
-        return None if self.is_open(cell) else number(cell, mark)
+        return None if self.is_open(cell) else parse_cell(cell, mark)
 
     def is_open(self, cell: str) -> bool:
         """Return whether the only mark in a cell may stand before decimals or between thousands."""
@@ -233,7 +233,7 @@ def split_cells(line: str, separator: str) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in line.split(separator)]
 
 
-def number(cell: str, mark: str) -> float | None:
+def parse_cell(cell: str, mark: str) -> float | None:
     """Return the number in a cell, NaN where it is missing; None where it cannot be read.
 
     Args:
@@ -309,18 +309,18 @@ def lines_ahead(lines: Sequence[str]) -> int:
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
         named = [cell for cell in cells if cell]
-        if k == 0 and all(number(cell, "") is not None for cell in named):
+        if k == 0 and all(parse_cell(cell, "") is not None for cell in named):
             return 0
         if len(named) < 2 or len({*named}) < len(named):
             continue
-        if any(number(cell, "") is not None for cell in named):
+        if any(parse_cell(cell, "") is not None for cell in named):
             continue
         rows = [split_cells(other, separator) for other in behind]
         alike = [
             row
             for row in rows
             if len(row) - (not row[-1] and len(row) > len(cells)) == len(cells)
-            and any(cell and number(cell, "") is not None for cell in row)
+            and any(cell and parse_cell(cell, "") is not None for cell in row)
         ]
         if 2 * len(alike) >= len(rows):
             return k
@@ -346,7 +346,7 @@ def _heads(lines: Sequence[str], separator: str) -> int:
     """How many lines come before the numbers: 0, 1 (names) or 2 (names, units)."""
     first = split_cells(lines[0], separator)
     mark = "." if separator == "," else ""
-    if any(number(cell, mark) is not None for cell in first if cell):
+    if any(parse_cell(cell, mark) is not None for cell in first if cell):
         return 0
     if not any(first):
         return 0

@@ -35,7 +35,7 @@ def at_limit(y: Any, limits: Limits) -> Any:
     return 1.0 * (y >= high) - 1.0 * (y <= low)
 
 
-def beyond(y: Any, limits: Limits) -> Any:
+def is_beyond_range(y: Any, limits: Limits) -> Any:
     """Return 1 where a finite number lies beyond its range by more than rounding: no reading
     does.
     """

@@ -42,10 +42,10 @@ def smooth_backward(
 
     Args:
         moments: `Moments` of a filter, with arrays of a row a sample.
-        later: what the samples after these say of the belief after the last motion.
+        later: information that later samples contain on the estimate after the last motion.
 
     Returns:
-        Means (B x N), covariances (B x N x N), and what is said of the belief before the first
+        Means (B x N), covariances (B x N x N), and the information on the estimate before the first
         reading.
     """
     read_push, read_known = adjoint_information(moments.before, moments.read, moments.rows)

@@ -1,7 +1,7 @@
 """Solutions over a step with dense output, and steps that locate branch changes of the sensor.
 
-On one branch of the sensor a step is smooth; where the side changes inside it the branch is
-followed up to there, so that the order survives the kink.
+On one branch of the sensor a step is smooth. If the side changes inside it, the branch is followed
+up to there, so that the order survives the kink.
 """
 
 from __future__ import annotations
@@ -140,9 +140,7 @@ def _shift_inputs(inputs: list[ca.SX], begin: Any, rest: Any) -> list[ca.SX]:
 
 
 def _evaluate_polynomial(terms: list[ca.SX], c: Any) -> ca.SX:
-    """Evaluate terms[0] + terms[1] c + ... by Horner's rule; at c = 1, the smallest term
-    first.
-    """
+    """Evaluate terms[0] + terms[1] c + ... by Horner's rule (at c = 1, the smallest term first)."""
     at_end = isinstance(c, float) and c == 1.0
     total = terms[-1]
     for term in terms[-2::-1]:
@@ -224,7 +222,7 @@ class _OutputPath(NamedTuple):
         start, final: z at the beginning and at the end.
         slope: dz/dc at the beginning.
         turns: whether z turns back on the way.
-        turn: the fraction of the arc at which it does; 1 where it does not.
+        turn: the fraction of the arc at which it changes, 1 if it does not change.
         peak: z at the turn, or at the end.
     """
 
@@ -246,9 +244,9 @@ def locate_side_changes(
     """Return steps from x with no side change, with a simple change located, and with
     `CHANGES` changes.
 
-    The last attempt also minds where z turns. The first attempt that needs no more is right, or the
-    last. An excursion that ends before the step does is two changes. Branch-free, and the first
-    attempt costs little more than its arc.
+    The last attempt also takes turning points of z into account. The result is the first attempt
+    that needs no further one, else the last. An excursion that ends before the step does is two
+    changes. Branch-free, and the first attempt costs little more than its arc.
 
     Args:
         arc: arc(x, c, mode) is the solution on a branch from x at the fraction c of the step.
@@ -314,8 +312,8 @@ def _find_first_crossing(
     """Return the first change of each output on an arc, and the fraction of the arc at the
     change.
 
-    The fraction is 1 where there is no change. turning: mind where z turns; else it is taken to
-    move one way.
+    The fraction is 1 if there is no change. With `turning`, turning points of z are taken into
+    account, else z is assumed to move one way.
     """
     course = _build_output_path(arc, turning)
     ends = _is_on_other_side(course.final, levels, side)
@@ -328,7 +326,7 @@ def _find_first_crossing(
 
 
 def _build_output_path(arc: DenseStep, turning: bool) -> _OutputPath:
-    """Return the outputs z along an arc; without `turning`, z is assumed to be monotone."""
+    """Return the outputs z along an arc. Without `turning`, z is assumed to be monotone."""
     start, final = arc.output(0.0), arc.final
     s0, s1 = arc.slope(0.0), arc.slope(1.0)
     turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)

@@ -1,13 +1,14 @@
 """First passage of an uncertain position over an edge, and the state estimate at the passage.
 
-A position that is watched sample by sample stays short of an edge for as long as nothing is heard.
-To cut the belief at the edge in every sample is wrong: each cut takes a tail from what is cut
-already, so that it narrows as if every sample were news. The belief of one that has not arrived is
-therefore left uncut, F_k is the chance beyond the edge under it, and of what has not arrived
+A position that is sampled stays short of an edge as long as samples are censored. Truncating the
+estimate at the edge in every sample is wrong: each truncation takes a tail from a truncated
+density, so that it narrows as if every sample were new information. The estimate of a position that
+has not arrived is therefore not truncated, F_k is its probability beyond the edge, and of the
+probability that has not arrived
 
     (F_k - F_(k-1)) / (1 - F_(k-1))
 
-arrives in sample k: exact where the motion up to the edge is known, whatever the belief.
+arrives in sample k. This is exact for any estimate if the motion up to the edge is known.
 """
 
 from __future__ import annotations
@@ -29,19 +30,20 @@ def chance_beyond(belief: Gaussian, h: Any, excess: Any, R: Any) -> Any:
         belief: of x (N).
         h: row of the edge (1 x N).
         excess: by which the mean x^ lies beyond it.
-        R: variance of v, of where the edge is.
+        R: variance of v, the error of the edge's place.
     """
     std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + R)
     return normal_cdf(excess / std)
 
 
 def arrival_shares(before: Sequence[Any], now: Sequence[Any], lost: Any = 0.0) -> list[Any]:
-    """Return the shares of the not yet arrived that reach each edge in a sample; their sum is
-    <= 1.
+    """Return the shares of the not yet arrived that reach each edge in a sample (their sum is <=
+    1).
 
     Args:
         before, now: chances beyond each edge under the uncut belief, a sample ago and now.
-        lost: where the uncut belief says nothing any more of what has not arrived, it all arrives.
+        lost: if true, the uncut estimate contains no information any more on the probability that
+            has not arrived, and all of it arrives.
     """
     left = 1 - sum(before)
     gained = [ca.fmax(after - was, 0.0) for was, after in zip(before, now, strict=True)]

@@ -2,7 +2,7 @@
 bound.
 
 Readings that may be wrong, and silences that may be fake, are used by matching mean and covariance.
-docs/filters.md derives the formulas.
+docs/filter_equations.md derives the formulas.
 """
 
 from __future__ import annotations
@@ -38,9 +38,7 @@ def to_upper_entries(cov: Any, entries: ca.Sparsity) -> Any:
 
 
 def from_upper_entries(column: Any, entries: ca.Sparsity) -> Any:
-    """Return the symmetric matrix with the given `to_upper_entries`; outside these entries it
-    is 0.
-    """
+    """Return the symmetric matrix with the given `to_upper_entries`, 0 elsewhere."""
     return ca.triu2symm(ca.SX(entries, column))
 
 
@@ -59,7 +57,7 @@ class Products(NamedTuple):
     entry.
 
     Attributes:
-        G: its first rows; the others are 0 (at most N x M).
+        G: its first rows (at most N x M), the others are 0.
         Z: which products each of the M rows sums up (M x C).
         left, right: l and r.
     """
@@ -87,8 +85,8 @@ def predict(
         Q: covariance of w (N x N).
         lasting: steps for which the error of linearisation keeps its sign. It is not white, and
             counts that much more.
-        bend: bend(x) is all that is nonlinear in f(x), nearly; much cheaper than to bend f itself,
-            which is the default.
+        bend: bend(x) is nearly all nonlinear terms of f(x) (much cheaper than to bend f itself,
+            which is the default).
     """
     moved, E = linearise(change, belief.mean)
     X = ca.SX.sym("X", belief.mean.shape[0])
@@ -135,7 +133,7 @@ def predict_first_order(
         belief: of x (N).
         change: f, by which the model changes x.
         Q: covariance of w (N x N).
-        E: the Jacobian of f to take (N x N); default: that at the mean.
+        E: the Jacobian of f to take (N x N) (default: that at the mean).
     """
     moved, slope = linearise(change, belief.mean) if E is None else (change(belief.mean), E)
     return Gaussian(belief.mean + moved, propagate_covariance(belief.cov, slope, Q))
@@ -159,7 +157,7 @@ def joseph_update(belief: Gaussian, h: Any, e: Any, R: Any, use: Any) -> tuple[G
     Args:
         belief: of x (N).
         h: row of the reading (1 x N).
-        e: innovation, the reading less what was expected; a number in any case.
+        e: innovation, the reading less its prediction (never NaN).
         R: variance of v.
         use: 0 leaves the belief as it is, or the share by which each variable is moved (N).
 
@@ -179,7 +177,7 @@ def mix_gaussians(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussia
     """Return the mean and the covariance of a mixture.
 
     Args:
-        shares: of each belief; their sum is 1.
+        shares: of each belief. Their sum is 1.
         beliefs: about the same variables (N).
     """
     mean = sum(share * one.mean for share, one in zip(shares, beliefs, strict=True))
@@ -193,7 +191,7 @@ def mix_gaussians(shares: Sequence[Any], beliefs: Sequence[Gaussian]) -> Gaussia
 def truncate_to_range(mean: Any, variance: Any, low: Any, high: Any) -> tuple[Any, Any, Any]:
     """Return the effect of the condition low <= x <= high, by matching mean and variance.
 
-    Nothing changes where the probability of that is below `UNLIKELY`: it is not believed.
+    Nothing changes if the probability of the condition is below `UNLIKELY`.
 
     Returns:
         By how much a mean moves along its covariance with x, by how much a covariance is less along
@@ -249,10 +247,10 @@ class RobustUpdate(NamedTuple):
 
     Attributes:
         belief: mean and covariance of the mixture of both cases.
-        e: innovation, at most `CLIP` standard deviations; 0 of a silence.
-        std: standard deviation of what was foretold.
-        trust: probability that it is not wrong; 1 where it was not used.
-        likely: the density, or the chance, with which it was foretold; 1 where it was not used.
+        e: innovation, at most `CLIP` standard deviations (0 for a censored sample).
+        std: standard deviation of the predicted reading.
+        trust: probability that it is not wrong (1 if it was not used).
+        likely: predictive density, or probability, of the reading (1 if it was not used).
         gain: by which an innovation moved the mean (N), with its trust.
     """
 
@@ -279,19 +277,20 @@ def update_with_outliers(
 
     Mean and covariance of the mixture of both cases are matched.
 
-    A glitch says nothing of x and is evenly spread.
+    A glitch contains no information on x and is uniformly distributed.
 
     Args:
         belief: of x (N).
         h: row of the reading (1 x N).
-        e: innovation, the reading less what was expected.
+        e: innovation, the reading less its prediction.
         R: variance of v.
         use: 0 leaves the belief as it is.
-        odds: log of the odds of a glitch before the reading is seen; None: none is one.
+        odds: log of the prior odds of a glitch before the reading is seen (None: no reading is a
+            glitch).
         reach: range over which a glitch is spread, besides `TAIL` standard deviations.
-        moved: share by which the reading moves each variable (N); None: all move. What it says of
-            the others is then known given those that stay.
-        surprise: log of what else speaks for a regular reading (0) or against it (below).
+        moved: share by which the reading moves each variable (N) (None: all move). The information
+            on the moved variables is then conditional on those that stay.
+        surprise: log of further evidence for a regular reading (0) or against it (below 0).
     """
     P = belief.cov
     S = ca.fmax(h @ P @ h.T, 0.0) + R
@@ -312,9 +311,9 @@ def update_with_gain(
 ) -> RobustUpdate:
     """Update a state estimate by a measurement of known gain that may be an outlier.
 
-    The covariance loses one product k k', which rounds each entry once and leaves it as it is where
-    nothing is used; no variance falls below that of v seen through the gain, which it cannot in
-    exact numbers.
+    The covariance loses one product k k', which rounds each entry once and leaves it unchanged if
+    nothing is used. No variance falls below that of v seen through the gain, as in exact
+    arithmetic.
 
     Args:
         belief: of x (N).
@@ -349,8 +348,8 @@ def _shift_estimate(
         belief: of x (N).
         K: gain (N).
         e: innovation.
-        S: what the covariance loses along K, per share.
-        between: what it gains along the way that the mean moves, per share.
+        S: loss of the covariance along K, per share.
+        between: gain of the covariance along the shift of the mean, per share.
         R: variance of v.
         weight: the share.
         shift: the gain by which each variable is moved (N).
@@ -365,13 +364,13 @@ def _shift_estimate(
 def covariance_loss(along: Any, shift: Any, certain: Any, between: Any) -> Any:
     """Return the loss of a covariance: g certain g' - (g - s) certain (g - s)' - s between s'.
 
-    Its upper triangle; of variables that are moved fully, those of s = g, it is one product of g
-    with another vector, which only the shares of the others make longer.
+    The result is its upper triangle. For variables that are moved fully (s = g) it is one product
+    of g with another vector, which only variables moved in part make longer.
 
     Args:
         along: g, along which bounds or a reading would move the mean (N x k).
         shift: s, along which they do (N x k).
-        certain: by how much the covariance is less where they are right (k x k).
+        certain: loss of the covariance if they are right (k x k).
         between: by how much it is more, as they may be wrong (k x k).
     """
     rest = ca.sparsify(along - shift)
@@ -417,8 +416,8 @@ class TruncationUpdate(NamedTuple):
     Attributes:
         belief: mean and covariance of the mixture of both cases.
         used: whether each bound was used.
-        trust: probability that the reading is no fake, used or not.
-        likely: the chance with which it was foretold; 1 where no bound was used.
+        trust: probability that the reading is not fake, used or not.
+        likely: its predicted probability (1 if no bound was used).
     """
 
     belief: Gaussian
@@ -443,9 +442,9 @@ def truncate_at_bounds(
         bounds: one, or two that cannot both be exceeded, of one reading.
         R: variance of each v.
         limit: a bound that holds with a probability of at least Phi(limit) is not used.
-        fake: log of the probability that the reading is fake; None: it is not.
-        moved: share by which the bounds move each variable (N); None: all move. What they say of
-            the others is then known given those that stay.
+        fake: log of the probability that the reading is fake (None: it is not).
+        moved: share by which the bounds move each variable (N) (None: all move). The information on
+            the moved variables is then conditional on those that stay.
     """
     mean, P = belief
     H = ca.vertcat(*(bound.h for bound in bounds))
@@ -497,11 +496,11 @@ def _one_bound_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) ->
 def _interval_moments(bounds: Sequence[Bound], G: Any, R: Any, limit: float) -> _BoundMoments:
     """Return the moments given both ends of an interval.
 
-    Nothing is beyond both, so that the chance of the interval is Phi(a) + Phi(b) - 1, with a and b
-    how far inside of its ends the mean lies, in standard deviations; its moments follow from the
-    slope and the bend of its log. Both are used where more than 1 - Phi(limit) of what either
-    leaves is beyond the other. A belief may be such that both are exceeded at times; where these
-    are no moments for it, and far outside, the nearer end is used alone.
+    No value is beyond both, so that the probability of the interval is Phi(a) + Phi(b) - 1, with a
+    and b how far inside of its ends the mean lies, in standard deviations. Its moments follow from
+    the slope and the bend of its log. Both are used if more than 1 - Phi(limit) of the probability
+    that either leaves is beyond the other. An estimate may be such that both are exceeded at times.
+    If these moments are invalid for it, and far outside, the nearer end is used alone.
     """
     std = ca.sqrt(ca.fmax(ca.diag(G), 0.0) + R)
     alpha = ca.fmax(-ca.vertcat(*(bound.excess for bound in bounds)) / std, -CLIP)

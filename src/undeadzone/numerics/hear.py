@@ -1,8 +1,8 @@
 """`hear`: a reading of a sensor with a dead zone into anybody's Kalman filter, with NumPy alone.
 
-It is also what the graph of `Censored` computes, written to be read: a reading on a sure side is
-linear in state and widths; a silent one says on which side of both edges z is, which is matched in
-mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
+The graph of `Censored` computes the same, written for readers. A reading on a sure side is linear
+in state and widths. A censored sample shows that z lies between both edges, a condition that is
+matched in mean and covariance. docs/hear.md has examples, docs/filter_equations.md the mathematics.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ FAR = 30.0  # lengths beyond which an edge is not round any more
 
 
 class DeadzoneMemory(NamedTuple):
-    """What is kept from one reading to the next.
+    """State that `deadzone_update` passes from one reading to the next.
 
     Attributes:
-        last, previous: the last two readings, 0 where one was missing [y].
-        right, left: readings to wait until that edge is heard again.
+        last, previous: the last two readings, 0 if one was missing [y].
+        right, left: readings to wait until that edge is used again.
     """
 
     last: float = 0.0
@@ -43,20 +43,20 @@ class DeadzoneMemory(NamedTuple):
 
 
 class DeadzoneUpdate(NamedTuple):
-    """What is known after a reading.
+    """State estimate after a reading.
 
     Attributes:
         mean: in the shape that was given.
         cov: covariance (N x N).
         ear: for the next reading.
-        side: 1 or -1 where the reading was used on that side; 0: silent, unsure or missing.
-        innovation: what was read less what was expected [z]; 0 where side is 0.
-        innovation_std: standard deviation of that [z]; 0 where side is 0.
-        columns: how far the mean would move per error of the slope [1], of a reading at its edge
-            [z], and of the time of a reading [samples] (N x 3); your prediction moves them as it
-            moves the mean: F @ columns.
-        shown: covariance with what these doubts may have done to the mean (N x N); to show, not to
-            go on with.
+        side: 1 or -1 if the reading was used on that side, 0 if it was censored, unsure or missing.
+        innovation: reading less prediction [z] (0 if side is 0).
+        innovation_std: standard deviation of the innovation [z] (0 if side is 0).
+        columns: change of the mean per error of the slope [1], of a reading at its edge [z], and of
+            the time of a reading [samples] (N x 3). Your prediction moves them like the mean: F @
+            columns.
+        shown: covariance that includes the effect of these doubts on the mean (N x N), for display
+            and not for the next update.
     """
 
     mean: Floats
@@ -81,8 +81,8 @@ class Edge(NamedTuple):
 
     Attributes:
         sign: 1 on the right, -1 on the left.
-        row: that reads the width from the mean (N); 0 where it is known.
-        known: the width, where it is known [z].
+        row: row that maps the mean to the width (N), 0 if the width is known.
+        known: the width if it is known [z].
     """
 
     sign: int
@@ -116,25 +116,25 @@ def deadzone_update(
         mean: of the filter's state, after its prediction (N, or N x 1).
         cov: covariance of that (N x N).
         C: row that reads z from the mean (N).
-        y: reading [y]; NaN where it is missing, or at a limit of the sensor's range.
+        y: reading [y] (NaN if it is missing, or at a limit of the sensor's range).
         right: width d_r: a number if it is known [z], inf if there is no such edge, or the row that
             reads it from the mean (N).
         left: the same for d_l.
         noise: rms of the noise behind the zone [y].
-        ear: what the last call returned, at first `DeadzoneMemory()`. A filter that has
-            none would cut off the same tail at every sample.
-        rest: readings for which an edge is not heard again: a 25th of the plant's period, or the
+        ear: memory that the last call returned, at first `DeadzoneMemory()`. A filter without it
+            would cut off the same tail at every sample.
+        rest: readings for which an edge is not used again: a 25th of the plant's period, or the
             correlation time of its disturbance if that is longer, up to a quarter period.
         noise_before: rms of the noise ahead of the zone [z].
         slope: of the zone's branches [y/z].
-        rounding: how far about an edge the characteristic may be round [z]; 0: not at all.
-        slope_std: relative standard deviation of the slope; 0: it is known.
+        rounding: how far about an edge the characteristic may be round [z] (0: not at all).
+        slope_std: relative standard deviation of the slope (0: known).
         lag: standard deviation of an unknown delay behind the zone [samples].
-        ahead: by how much z was foretold to move in the last sample [z]; asked for by a lag.
-        columns: what the last call returned, moved by your prediction (N x 3); None: 0.
+        ahead: predicted change of z in the last sample [z] (needed for a lag).
+        columns: `columns` of the last call, moved by your prediction (N x 3) (None: 0).
 
     Returns:
-        What is known, and the ear for the next reading.
+        The estimate, and the memory for the next reading.
 
     Raises:
         InputError, ShapeError: unless shapes agree, numbers are finite, cov is a covariance and
@@ -313,11 +313,12 @@ def _require_positive(variance: float) -> None:
 def _within(
     belief: Gauss, z: Floats, edges: list[Edge], slack: float, R: float, asked: Flags
 ) -> tuple[Gauss, Flags]:
-    """Return the belief given that z is inside of both edges, and which of them were heard.
+    """Return the belief given that z is inside both edges, and a mask of the edges that were used.
 
-    Nothing is beyond both, so that the chance of that is Phi(a) + Phi(b) - 1, with a and b how far
-    inside of the edges z is, in standard deviations; its logarithm's slope and bend are the
-    moments. An edge is heard where more than 5 % of what the other one leaves is beyond it.
+    No value is beyond both, so that the probability of this is Phi(a) + Phi(b) - 1, with a and b
+    the distances of z inside the edges in standard deviations. Its logarithm's slope and bend are
+    the moments. An edge is used if more than 5 % of the probability that the other one leaves is
+    beyond it.
     """
     m, P = belief
     H = np.array([edge.sign * z - edge.row for edge in edges])
@@ -347,8 +348,8 @@ def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
     """Return whether the belief loses no more than all, and no less than nothing, in any
     direction.
 
-    `ear.h` computes the same in the same order, from the larger variance and what the other edge
-    has besides: of two edges that are nearly one the large parts cancel.
+    `ear.h` computes the same in the same order, from the larger variance and the remainder of the
+    other edge: for two nearly equal edges the large parts cancel.
 
     Args:
         pull: slope of the log of the chance along each edge (2).
@@ -367,7 +368,7 @@ def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
 
 
 def _hazard(alpha: float) -> float:
-    """Return phi(alpha) / Phi(alpha) of the standard normal distribution; far below 0 by its
+    """Return phi(alpha) / Phi(alpha) of the standard normal distribution, far below 0 by its
     series.
     """
     if alpha > -DEEP:

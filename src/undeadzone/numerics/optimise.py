@@ -1,6 +1,6 @@
 """Seeded search for minima of functions without useful gradients, with many points per call.
 
-`evolve` minimises one objective; `pareto` finds the trade-off between several.
+`evolve` minimises one objective, and `pareto` finds the trade-off between several.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def minimise_by_cmaes(
         seed: of the random numbers.
         size: points per round.
         rounds: at most.
-        start: the point to begin from (d); default: a random one, with wide steps.
+        start: the point to begin from (d) (default: a random one, with wide steps).
         spread: the first steps from `start`, as a part of the box.
 
     Returns:
@@ -87,7 +87,7 @@ def find_pareto_front(
     to run from 0 at the least to 1 at the greatest cost on the front.
 
     Args:
-        costs: takes points (b, d) and gives their costs (b, k), inf where a point is not admitted.
+        costs: takes points (b, d) and gives their costs (b, k), inf if a point is not admitted.
         low, high: the corners of the box (d).
         seed: of the random numbers.
         starts: points to begin from (s, d).
@@ -139,9 +139,7 @@ def scalar_costs(values: Floats, least: Floats, greatest: Floats, weights: Float
 
 
 def is_undominated(values: Floats) -> np.ndarray:
-    """Return which of b points, given by their costs (b, k), no other point beats in all costs
-    (b).
-    """
+    """Return a mask of b points, given by their costs (b, k), that are not dominated (b)."""
     no_better = (values[:, None] >= values).all(axis=2)
     worse = no_better & (values[:, None] > values).any(axis=2)
     return ~np.any(worse, axis=1)

@@ -20,7 +20,7 @@ def minimise_semidefinite(cost: Floats, blocks: Callable[[Floats], list[Floats]]
 
     Args:
         cost: (n).
-        blocks: affine in x; 2-D ones are to be positive semidefinite, 1-D ones non-negative. Their
+        blocks: affine in x (2-D ones are to be positive semidefinite, 1-D ones non-negative). Their
             coefficients are read off at the unit vectors.
     """
     import clarabel

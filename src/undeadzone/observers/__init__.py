@@ -1,6 +1,6 @@
 """Observers that the tool recommends, a file for each (docs/which.md).
 
-The names stand in `__init__.pyi`; observers that other packages register are found here too.
+The names stand in `__init__.pyi`. Observers that other packages register are found here too.
 """
 
 from undeadzone.registry import OBSERVERS, attach_package

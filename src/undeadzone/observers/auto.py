@@ -20,8 +20,8 @@ GAMMA = 4.5
 class Auto(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="auto"):
     """Observer that suits the assumptions. Its options are those of `Assumptions`.
 
-    Sampled: `censored`. Continuous: `certified` where disturbance, bias and tolerance are claimed
-    to be 0 and the model is linear and stable, so that there is a proof; else `high_gain`.
+    Sampled: `censored`. Continuous: `certified` if disturbance, bias and tolerance are assumed to
+    be 0 and the model is linear and stable, so that a proof exists, else `high_gain`.
 
     Example:
         >>> observer = uz.Auto(right=[0.0, 2.0], disturbance=0.2, bias=0.0)

@@ -34,10 +34,10 @@ WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it 
 class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="censored"):
     """`Kalman` with bounds on z from a silent sensor, unknown inputs and model errors.
 
-    Sampled time. Its further options are those of `Assumptions`. Defaults doubt: the
-    disturbance moves z by half of the largest width, rms, in a quarter period and the delay of
-    the further poles, the bias is a quarter of it, widths walk by a 400th of their ranges' extent
-    in 1 / |pole|; 0 is a claim.
+    Sampled time. Its further options are those of `Assumptions`. Defaults are cautious: the
+    disturbance moves z by half of the largest width, rms, in a quarter period and the delay of the
+    further poles, the bias is a quarter of it, widths walk by a 400th of their ranges' extent in 1
+    / |pole|. The value 0 is an assumption as well.
 
     Example:
         >>> uz.Censored(right=[0.0, 2.0], disturbance=0.2).disturbance
@@ -48,11 +48,11 @@ class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="
 
     Attributes:
         washout_time: time constant of a washout that takes the constant part from the disturbance
-            [s]; default none.
-        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10): of
-            three or more, four times the claimed one first, the claimed one, and each a quarter of
-            the one before; if none is claimed, from four times the default to an eighth of it.
-            1 takes the claim or default as it is.
+            [s] (default none).
+        levels: number of disturbance levels (rms) that are weighted by their likelihood (1 to 10).
+            Three or more begin with four times the assumed rms, then the assumed one, and each
+            further one is a quarter of the one before. Without an assumed rms they run from four
+            times the default to an eighth of it. 1 takes the assumed or default rms as it is.
         silence: false ignores what silent samples bound, and the ranges but as a prior.
     """
 

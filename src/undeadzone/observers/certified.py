@@ -17,7 +17,7 @@ from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_v
 
 
 class Certified(Options, frozen=True, kw_only=True, tag="certified"):
-    """Measured-branch adaptive observer; replaces (16)-(25).
+    """Measured-branch adaptive observer that replaces (16)-(25).
 
     Gains are continuous-time ones in either time.
 
@@ -30,19 +30,19 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
         design, check, Luenberger
 
     Attributes:
-        L: gains (n x p) [1/s x state/output]; default along P^-1 C', so strong that a lasting error
-            of the model moves z^ by five sixths of it; always certified, for stable plants only.
-        gamma: adaptation gain, one or one per output [1/s]; default three mean poles of the plant.
-        design: a file saved by `Design.save`, in place of L and gamma; its proof is checked again
+        L: gains (n x p) [1/s x state/output], default along P^-1 C', so strong that a lasting error
+            of the model moves z^ by five sixths of it (always certified, for stable plants only).
+        gamma: adaptation gain, one or one per output [1/s] (default three mean poles of the plant).
+        design: a file saved by `Design.save`, in place of L and gamma. Its proof is checked again
             for the model.
         start: x^(0), one number or one per state.
         widths0: initial d_r^, d_l^, one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z]; default none. The estimates are
+        width_max: d_M per side, one or one per output [z] (default none). The estimates are
             projected onto [0, d_M].
-        silence: use also that a silent sensor bounds z (certified too; its kink is not located, so
-            that the integration error falls as h^2 only).
-        adaptation: law for the widths; default the gradient; with one that is not constant no
-            certificate is claimed.
+        silence: use also that a censored sample bounds z (certified too, but its kink is not
+            located, so that the integration error falls as h^2 only).
+        adaptation: law for the widths, default the gradient (with one that is not constant there is
+            no certificate).
     """
 
     L: Array | None = None
@@ -82,8 +82,6 @@ class Certified(Options, frozen=True, kw_only=True, tag="certified"):
 
 def _load_design_gains(path: str, model: System) -> tuple[Floats, Floats]:
     """Return (L, gamma) of a design with a valid proof for the model.
-
-    Raises FileError, ProofError.
 
     Raises FileError, ProofError.
     """

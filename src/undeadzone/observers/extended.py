@@ -1,8 +1,8 @@
 """Extended Kalman filter on the measured branch, for nonlinear models of several outputs.
 
 Robot arms are among them (docs/methods/extended.md): their joints are filtered each for itself,
-with one covariance of [q_i; q_i'; d_ri; d_li; a_i]. What a joint does not know of the others is an
-unknown acceleration a_i.
+with one covariance of `[q_i; q_i'; d_ri; d_li; a_i]`. The effect of the other joints on a joint is
+an unknown acceleration a_i.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ LEVELS = 3  # of a disturbance that is not claimed
 class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     """Kalman filter on the measured branch with the model linearised at the estimate.
 
-    It is linearised sample by sample; sampled time.
+    It is linearised in each sample (sampled time only).
 
     Example:
         >>> uz.Extended(right=[0.0, 2.0], disturbance=0.2, start=[0.1, 0.0]).start
@@ -59,33 +59,34 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         Auto, Censored
 
     Attributes:
-        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
-            defaults to that of right.
-        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
-            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
-        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        start: mean of x(0), one or one per state; with a small x_std, what homing tells.
-        x_std: standard deviation of x(0), one or one per state; default what shows in z as five
-            times the largest width.
-        disturbance: rms of an unknown input, one or one per input [u]; default what moves z by half
-            of the largest width in a quarter period; 0 is a claim.
-        bias: rms of an unknown constant input, one or one per input [u]; default a quarter of the
-            disturbance's default where none is claimed, else none.
-        levels: how many rms of the disturbance are weighed by what the readings say (1 to 10), as
-            `censored` does; default 3 where none is claimed, else 1. 1 for separate joints.
-        correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
-            of the plant's period, 12.5 samples if it only integrates.
-        drift: random walk of the widths [z / sqrt(s)]; default 0.
-        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
-            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
-            A blind filter takes all for right.
+        right, left: assumed ranges [lo, hi] of d_r and d_l, one or one per output [z] (left
+            defaults to that of right).
+        centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
+            zone), or one range per output [z] (default: the range that follows from those of d_r
+            and d_l).
+        noise: rms of a reading on an active side, one or one per output [z] (default the sensor's).
+        start: mean of x(0), one or one per state (with a small x_std, the position after homing).
+        x_std: standard deviation of x(0), one or one per state (default the deviation that appears
+            in z as five times the largest width).
+        disturbance: rms of an unknown input, one or one per input [u], default the rms that moves z
+            by half of the largest width in a quarter period (the value 0 is an assumption as well).
+        bias: rms of an unknown constant input, one or one per input [u] (default a quarter of the
+            disturbance's default if none is assumed, else none).
+        levels: number of disturbance levels (rms) that are weighted by their likelihood (1 to 10),
+            as in `censored` (default 3 if none is assumed, else 1, and 1 for separate joints).
+        correlation_time: correlation time of the disturbance, first-order noise [s] (default a 16th
+            of the plant's period, 12.5 samples if it only integrates).
+        drift: random walk of the widths [z / sqrt(s)] (default 0).
+        glitches: probability that a reading is wrong, for any sensor (0 trusts all readings, as
+            textbooks do, and shows no wider intervals if they do not fit). A blind filter trusts
+            all readings.
         uncertain: standard deviations of named parameters of the model, which become constant
             unknowns.
-        silence: hear that a silent sensor bounds z, and that widths lie in their ranges.
+        silence: use that a censored sample bounds z, and that widths lie in their ranges.
         blind: take every reading for z, as if there were no dead zone.
-        joints: "separate" keeps one covariance per joint of an arm [q; q'] whose positions are
-            measured, to which the disturbance is an acceleration and all that a joint does not know
-            of the others: much cheaper, and less is claimed.
+        joints: "separate" keeps one covariance per joint of an arm `[q; q']` whose positions are
+            measured, to which the disturbance is an acceleration, as is the effect of the other
+            joints: much cheaper, with weaker assumptions.
     """
 
     right: Array
@@ -110,7 +111,7 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         if sensor.kind == "jump" and not (self.silence or self.blind):
             raise InputError(
                 "observer.silence: readings of a jump sensor only bound its widths, so that "
-                "without silence nothing tells of them"
+                "no information on them remains without silence"
             )
         prior = self._filter_prior(model, sensor)
         Ts = model.Ts
@@ -205,8 +206,8 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
 
     Each joint has a covariance of its own five unknowns.
 
-    The mean moves by the whole model, whose accelerations are taken once a sample; the variance is
-    that of the accelerations that the disturbance makes where the model was linearised.
+    The mean moves by the whole model, whose accelerations are taken once a sample. The variance is
+    that of the accelerations that the disturbance makes at the point of linearisation.
 
     Args:
         model: the sampled model of an arm.
@@ -214,7 +215,7 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
         rms: rms of the disturbance (m) [u].
 
     Raises:
-        InputError: for a model that is not [q; q'] with q measured, and for a joint without
+        InputError: for a model that is not `[q; q']` with q measured, and for a joint without
             disturbance.
     """
     N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
@@ -226,8 +227,8 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
     variance = flow.B[N:] ** 2 @ rms**2
     if not variance.all():
         raise InputError(
-            "observer.disturbance: must be positive for separate joints: it stands for what a "
-            "joint does not know of the others"
+            "observer.disturbance: must be positive for separate joints: it stands for the effect "
+            "of the other joints"
         )
     joints = Joints(rate, N, Ts)
     return Augmentation(
@@ -272,7 +273,7 @@ def joint_disturbance(joints: Joints, q: Params, extra: Any) -> Any:
 
 
 def is_mechanical(model: System) -> bool:
-    """Return whether the states are [q; q'] and the outputs q, up to a constant."""
+    """Return whether the states are `[q; q']` and the outputs q, up to a constant."""
     N = model.p
     if model.n != 2 * N or model.flow is None:
         return False

@@ -32,7 +32,7 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
             """
             if reading.x is None:
                 raise InputError(
-                    "observer.method: 'full_state' is told the true state, which exists in a "
+                    "observer.method: 'full_state' needs the true state, which exists in a "
                     "simulation only. Choose an observer"
                 )
             x, none = reading.x, ca.SX.zeros(model.p)

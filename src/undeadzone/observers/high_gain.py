@@ -23,20 +23,20 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
     """High-gain observer of Khalil and Praly (2014) in coordinates z_i, z_i', z_i'', ...
 
     The k-th derivative is corrected by binom(r, k) / epsilon^k e. The r derivatives of an output
-    are those that make the coordinates complete; for a nonlinear plant they are those of its
+    are those that make the coordinates complete. For a nonlinear plant they are those of its
     linearisation, which is exact if the states are outputs and their derivatives.
 
     References:
         H. K. Khalil, L. Praly (2014), doi:10.1002/rnc.3051
 
     Attributes:
-        epsilon: all poles tend to -1 / epsilon [s]; default a tenth of the time of the plant's
-            fastest pole, but at least four samples.
-        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 takes
-            the reading for the output.
+        epsilon: all poles tend to -1 / epsilon [s] (default a tenth of the time of the plant's
+            fastest pole, but at least four samples).
+        gamma: adaptation gain of the widths, one or one per output [1/s] (0 with widths0 = 0 takes
+            the reading for the output).
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
-            default none.
+        width_max: d_M per side, one or one per output [z]. The widths stay within [0, width_max]
+            (default none).
     """
 
     epsilon: float | None = None
@@ -72,7 +72,7 @@ class HighGain(Options, frozen=True, kw_only=True, tag="high_gain"):
 
 
 def high_gain_matrix(model: System, epsilon: float) -> Floats:
-    """Return the gain L (n x p) [1/s] in continuous time; epsilon: as in `HighGain` [s]."""
+    """Return the gain L (n x p) [1/s] in continuous time (epsilon: as in `HighGain` [s])."""
     flow = model.continuous
     chains = output_chains(flow.A, flow.C)
     gains = np.zeros((model.n, model.p))

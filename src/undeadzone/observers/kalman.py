@@ -1,4 +1,4 @@
-"""Measured-branch Kalman filter of [x; d_r; d_l]: exact if the branch of each reading is certain.
+"""Measured-branch Kalman filter of `[x; d_r; d_l]`: exact if the branch of each reading is certain.
 
 The mathematics is in docs/filters.md.
 """
@@ -26,7 +26,7 @@ SWING = 0.2  # rms, in largest widths, by which the default disturbance moves z 
 
 
 class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
-    """Kalman filter on the measured branch; sampled time.
+    """Kalman filter on the measured branch (sampled time).
 
     A nonlinear model is expanded to second order.
 
@@ -38,19 +38,21 @@ class Kalman(Options, frozen=True, kw_only=True, tag="kalman"):
         Auto, Censored, Luenberger
 
     Attributes:
-        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
-            defaults to that of right.
-        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
-            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
-        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
-            in z as five times the largest width.
+        right, left: assumed ranges [lo, hi] of d_r and d_l, one or one per output [z] (left
+            defaults to that of right).
+        centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
+            zone), or one range per output [z] (default: the range that follows from those of d_r
+            and d_l).
+        noise: rms of a reading on an active side, one or one per output [z] (default the sensor's).
+        x_std: standard deviation of x(0) about 0, one or one per state (default the deviation that
+            appears in z as five times the largest width).
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
-            [u]; default what moves z by a fifth of the largest width in a quarter period, rms, so
-            that readings count; 0 is a claim, with which z^ soon follows the model alone.
-        drift: random walk of the widths [z / sqrt(s)]; default 0.
-        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
-            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
+            [u], default the rms that moves z by a fifth of the largest width in a quarter period,
+            rms, so that readings count (the value 0 is an assumption as well, with which z^ soon
+            follows the model alone).
+        drift: random walk of the widths [z / sqrt(s)] (default 0).
+        glitches: probability that a reading is wrong, for any sensor (0 trusts all readings, as
+            textbooks do, and shows no wider intervals if they do not fit).
     """
 
     right: Array

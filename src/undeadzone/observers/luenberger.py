@@ -61,8 +61,6 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
         """Return L (n x p), per step if the model is sampled.
 
         Raises InputError, StructureError.
-
-        Raises InputError, StructureError.
         """
         if self.poles is not None and self.L is None:
             return observer_gain(model.linear, self.poles, model.Ts)
@@ -72,7 +70,7 @@ class Luenberger(Options, frozen=True, kw_only=True, tag="luenberger"):
 
 
 class Params(NamedTuple):
-    """Parameters of the observer; L (n x p) is per step if the model is sampled."""
+    """Parameters of the observer. L (n x p) is per step if the model is sampled."""
 
     model: Any
     L: Floats

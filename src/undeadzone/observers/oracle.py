@@ -19,7 +19,7 @@ class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
     """Known-width observer: it has the sensor's true widths and adapts nothing.
 
     Attributes:
-        L: gains (n x p) [1/s], as in `Certified`; default P^-1 C'.
+        L: gains (n x p) [1/s], as in `Certified` (default P^-1 C').
         silence: use also that a silent sensor bounds z.
     """
 

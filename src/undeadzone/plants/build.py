@@ -115,7 +115,7 @@ def _build_undelayed(plant: Plant, key: str) -> System:
 
 
 def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
-    """Return x(0) (n), zeros by default; for gears also from a state of the links alone.
+    """Return x(0) (n), zeros by default, for gears also from a state of the links alone.
 
     Raises ShapeError.
     """
@@ -129,7 +129,7 @@ def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
 def _require_one_form(plant: Plant, key: str) -> str:
     """Return the leading key of the plant's form.
 
-    Raises InputError where keys of another are given.
+    Raises InputError if keys of another form are given.
     """
     forms = [form for form in _FORMS if getattr(plant, form) is not None]
     if len(forms) != 1:
@@ -167,8 +167,8 @@ def _require_given_matrices(plant: Plant, key: str) -> Matrices:
 
 
 def _reshape_single(value: Any, shape: tuple[int, int]) -> Any:
-    """Return B for a single input, or C for a single output, from a plain list of n numbers;
-    else unchanged.
+    """Return B for a single input, or C for a single output, from a plain list of n numbers, else
+    unchanged.
     """
     return np.reshape(value, shape) if np.shape(value) == (max(shape),) else value
 
@@ -313,10 +313,10 @@ class _Formula(NamedTuple):
 
 
 def evaluate_formula(key: str, text: str, names: Mapping[str, Any]) -> Any:
-    """Return the value of a formula; only arithmetic and elementary functions.
+    """Return the value of a formula of arithmetic and elementary functions.
 
     Args:
-        key: where the formula stands, for messages.
+        key: key of the formula, for messages.
         text: the formula.
         names: numbers or CasADi expressions, by name.
 
@@ -343,8 +343,6 @@ def _finite_value(formula: _Formula, node: ast.expr) -> Any:
     """Return the value of a part of a formula.
 
     Raises OverflowError if it is not finite and real.
-
-    Raises OverflowError where that number is not finite.
     """
     value = _evaluate_node(formula, node)
     if isinstance(value, complex) or (isinstance(value, float) and not math.isfinite(value)):
@@ -377,7 +375,7 @@ def _evaluate_node(formula: _Formula, node: ast.expr) -> Any:
 
 
 def _lookup_name(formula: _Formula, name: str) -> Any:
-    """Return the value of a name; the plant's own names hide the constants."""
+    """Return the value of a name. The plant's own names hide the constants."""
     if name in formula.names:
         return formula.names[name]
     if name in _CONSTANTS:

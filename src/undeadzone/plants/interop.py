@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from undeadzone.errors import InputError
+from undeadzone.linalg.hold import undo_zoh
+from undeadzone.linalg.matrices import Matrices
 from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant
 
@@ -15,15 +17,16 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     """Return a `Plant` from a linear system of scipy or python-control.
 
     Args:
-        system: state space (any object with A, B, C, D) or transfer function, in continuous time,
-            with D = 0.
-        x0: initial state (n); default: 0.
+        system: state space (any object with A, B, C, D) or transfer function, with D = 0. A
+            system in discrete time is the zero-order hold of the plant, and needs its sample time.
+        x0: initial state (n) (default: 0).
 
     Returns:
         The plant, given by its matrices A, B, C.
 
     Raises:
-        InputError: no such system, one in discrete time, or a direct feedthrough D != 0.
+        InputError: no such system, an unknown sample time, a discrete system that is no zero-order
+            hold, or a direct feedthrough D != 0.
 
     Example:
         >>> import scipy.signal
@@ -34,17 +37,20 @@ def from_statespace(system: Any, x0: Any = None) -> Plant:
     See Also:
         from_control, Plant
     """
-    if getattr(system, "dt", None) not in (None, 0):
+    Ts = getattr(system, "dt", None) or 0.0
+    if Ts is True:
         raise InputError(
-            f"plant: expected a continuous-time system, found sample time {system.dt}. Give the "
-            "continuous one, simulation.step samples it"
+            "plant: the discrete system has no sample time (dt = True). Set it in seconds, "
+            "control.ss(..., dt=0.01)"
         )
     system = to_state_space(system, "plant", "Plant")
     if np.any(np.asarray(system.D)):
         raise InputError(
             "plant: D must be 0, an output deadzone with direct feedthrough is not supported"
         )
-    return Plant(A=np.asarray(system.A), B=np.asarray(system.B), C=np.asarray(system.C), x0=x0)
+    linear = Matrices(np.asarray(system.A), np.asarray(system.B), np.asarray(system.C))
+    A, B, C = undo_zoh(linear, Ts) if Ts else linear
+    return Plant(A=A, B=B, C=C, x0=x0)
 
 
 def to_state_space(system: Any, key: str, options: str) -> Any:

@@ -15,19 +15,19 @@ from undeadzone.util.toml import Kind
 
 
 class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of every rigid arm of N joints; its numbers stand in `plant.parameters`.
+    """Options of every rigid arm of N joints. Its numbers stand in `plant.parameters`.
 
     Attributes:
         measured: the joints' position q less `reference`, or their velocity.
         reference: position at which a sensor reads 0, one number or one per joint (N) [rad or m].
-        torque_max: largest torque, one number or one per joint (N) [N m]; default: of a URDF file
-            its efforts, else no limit.
-        limits: [lo, hi], or one per joint (N x 2) [rad or m], which a path must keep; default: of a
-            URDF file its limits, else none.
-        stops: stiffness [N m/rad] and damping [N m s/rad] of mechanical stops at the limits;
-            default: there are none.
+        torque_max: largest torque, one number or one per joint (N) [N m] (default: of a URDF file
+            its efforts, else no limit).
+        limits: [lo, hi], or one per joint (N x 2) [rad or m], which a path must keep (default: of a
+            URDF file its limits, else none).
+        stops: stiffness [N m/rad] and damping [N m s/rad] of mechanical stops at the limits
+            (default: there are none).
         rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].
-        gears: with a gap, between motors and links; default: there are none.
+        gears: with a gap, between motors and links (default: there are none).
     """
 
     measured: Literal["position", "velocity"] = "position"
@@ -40,7 +40,7 @@ class Rigid(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class OneLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="one_link"):
-    """One link in a plane; q from the x axis, gravity along -y (g = 0: a horizontal table)."""
+    """One link in a plane, with q from the x axis, gravity along -y (g = 0: a horizontal table)."""
 
 
 class TwoLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="two_link"):
@@ -51,13 +51,13 @@ class TwoLink(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="two_link"
 
 
 class URDF(Rigid, frozen=True, kw_only=True, tag_field="kind", tag="urdf"):
-    """Serial arm of N joints from a URDF file; needs the extra `robots`.
+    """Serial arm of N joints from a URDF file. It needs the extra `robots`.
 
     Attributes:
         path: the file, relative to the scenario's.
-        joints: names of those that move (N); default: all from the base to `tip`; the others stay
-            at 0.
-        tip: the link in which the arm ends; default: the last one.
+        joints: names of those that move (N), default: all from the base to `tip` (the others stay
+            at 0).
+        tip: the link in which the arm ends (default: the last one).
         gravity: acceleration of gravity in base coordinates (3) [m/s^2].
     """
 
@@ -77,7 +77,7 @@ class ElasticJoint(Kind, frozen=True, kw_only=True, tag="elastic_joint"):
     Attributes:
         measured: the part whose angle, less `reference`, is the output.
         reference: angle at which the sensor reads 0 [rad].
-        torque_max: largest torque of the motor [N m]; default: no limit.
+        torque_max: largest torque of the motor [N m] (default: no limit).
         rest: speed below which Coulomb friction f v / sqrt(v^2 + rest^2) fades [rad/s].
     """
 
@@ -100,7 +100,7 @@ class SecondOrder(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     Attributes:
         zeta: damping ratio [1].
         omega_n: natural frequency [rad/s].
-        gain: gain of the input [1/s^2]; omega_n^2 makes a DC gain of 1.
+        gain: gain of the input [1/s^2] (omega_n^2 makes a DC gain of 1).
     """
 
     zeta: float
@@ -123,8 +123,8 @@ class TransferFunction(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Plant in exactly one form.
 
-    The forms are: A, B, C; second_order; companion; integrators; transfer_function; f, h; or arm.
-    A plant has n states, m inputs, p outputs.
+    The forms are (A, B, C), second_order, companion, integrators, transfer_function, (f, h), and
+    arm. A plant has n states, m inputs, p outputs.
 
     Example:
         >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
@@ -142,18 +142,18 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         companion: [a_0, ..., a_{n-1}] of the last row -a of (15), with C = e_1 (n).
         integrators: n, the length of the chain (15) of integrators, 1 to 50.
         transfer_function: numerator / denominator.
-        f: x' = f(x, u), n formulas in the names of `states`, `inputs` and `parameters`; in Python
-            also a callable f(x, u) on CasADi vectors.
+        f: x' = f(x, u), n formulas in the names of `states`, `inputs` and `parameters`. In Python
+            they may be a callable f(x, u) on CasADi vectors.
         h: z = h(x), p formulas, or in Python a callable h(x).
         states: names of the states in f and h (n).
-        inputs: names of the inputs in f (m); default: u alone.
+        inputs: names of the inputs in f (m) (default: u alone).
         arm: a robot arm (docs/robots.md).
         parameters: numbers by name, in f and h or of the arm.
-        x_eq: state at which a nonlinear plant is linearised for gains (n); default: 0, of an arm at
-            rest in its position of x0.
-        u_eq: input at which a nonlinear plant is linearised for gains (m); default: 0, of an arm
-            what holds it at x_eq.
-        x0: initial state (n), or one number for every entry; default: 0.
+        x_eq: state at which a nonlinear plant is linearised for gains (n) (default: 0, of an arm at
+            rest in its position of x0).
+        u_eq: input at which a nonlinear plant is linearised for gains (m) (default: 0, of an arm
+            the torques that hold it at x_eq).
+        x0: initial state (n), or one number for every entry (default: 0).
         delay: samples by which the input acts late, of sampled time only.
     """
 

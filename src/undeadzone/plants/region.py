@@ -17,7 +17,7 @@ class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     Attributes:
         x: a range [lo, hi] of each state (n x 2).
-        u: a range [lo, hi] of each input (m x 2); default: the torque limits of an arm.
+        u: a range [lo, hi] of each input (m x 2) (default: the torque limits of an arm).
     """
 
     x: Array
@@ -25,7 +25,7 @@ class Region(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Box(NamedTuple):
-    """Ranges of x, then of u: low <= [x; u] <= high.
+    """Ranges of x, then of u: low <= `[x; u]` <= high.
 
     Attributes:
         low, high: the bounds (n + m).
@@ -35,8 +35,8 @@ class Box(NamedTuple):
     high: Floats
 
     def is_outside(self, x: Floats, x_hat: Floats, u: Floats) -> np.ndarray:
-        """Return whether state, estimate (N x n) or input (N x m) lie outside, or are no
-        numbers (N).
+        """Return whether state, estimate (N x n) or input (N x m) lie outside, or are not numbers
+        (N).
         """
         both = np.stack([np.hstack([x, u]), np.hstack([x_hat, u])])
         return np.asarray(~((both >= self.low) & (both <= self.high)).all(axis=(0, 2)))

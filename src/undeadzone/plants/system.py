@@ -43,21 +43,21 @@ class System(NamedTuple):
         output: (params, x) -> z (p).
         linear: the matrices, or those of the linearisation at (x_eq, u_eq) for a nonlinear plant.
         nonlinear: whether the plant is nonlinear.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         flow: the matrices in continuous time of a sampled plant.
-        arm: links and joints of a robot; x = [q; q'] of a rigid one.
-        gears: between motors and links of an arm; None: there are none.
-        seen: (params, x) -> what the sensor takes in the place of z (p), as encoders at the motors
-            of links z; None: z itself.
+        arm: links and joints of a robot (x = `[q; q']` of a rigid one).
+        gears: between motors and links of an arm (None: there are none).
+        seen: (params, x) -> input of the sensor in the place of z (p), as encoders at the motors of
+            links z (None: z itself).
         flat: the state and input of a robot along a path of its joints.
-        limit: largest |u| of a robot (m) [N m or N], infinite where there is none.
+        limit: largest |u| of a robot (m) [N m or N], infinite without a limit.
         names: names of the parameters of a nonlinear plant, in the order of params.
         rate: `move` before the plant was sampled.
         change: (params, x, u) -> next value less x (n) of a sampled plant, without the rounding
             that their difference would have.
-        actuator: what is known of the actuator ahead of it, whose widths an observer may estimate;
-            None: there is none.
-        delay: samples by which an input acts late; the functions above take what acts.
+        actuator: knowledge about the actuator ahead of it, whose widths an observer may estimate
+            (None: there is none).
+        delay: samples by which an input acts late. The functions above take the input that acts.
     """
 
     params: Any
@@ -127,13 +127,13 @@ class System(NamedTuple):
         state.
         """
         assert self.arm is not None
-        N = self.arm.size
+        N = self.arm.joint_count
         if self.gears is None:
             return params, x[:N]
         return self.gears.link_params(params), x[N : 2 * N]
 
     def move_with_correction(self, params: Any, x: Any, u: Any, push: Any) -> Any:
-        """Return `move` plus the effect of a correction (n); for a sampled plant one
+        """Return `move` plus the effect of a correction (n). For a sampled plant this is one
         increment of x.
         """
         if self.change is None:
@@ -241,18 +241,20 @@ def scale_states(system: System, units: Floats) -> System:
     if not system.nonlinear:
         params = ScaledMatrices(params.A, params.B, params.C, units)
 
-    def of(params: Any) -> Any:
+    def select_units(params: Any) -> Any:
         """Return the units in the params (n)."""
         return units if system.nonlinear else params.units
 
     def counted(function: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any, Any], Any]:
         """Return a function of a scaled state."""
-        return lambda params, x, u: function(params, of(params) * x, u) / of(params)
+        return lambda params, x, u: (
+            function(params, select_units(params) * x, u) / select_units(params)
+        )
 
     return system._replace(
         params=params,
         move=counted(move),
-        output=lambda params, x: output(params, of(params) * x),
+        output=lambda params, x: output(params, select_units(params) * x),
         change=counted(change),
         rate=None if rate is None else counted(rate),
         linear=_scale_matrices(system.linear, units),
@@ -330,7 +332,7 @@ def time_scale(flow: Matrices, Ts: float | None = None) -> float:
 
     Args:
         flow: the matrices in continuous time.
-        Ts: sample time [s]; None in continuous time, where a chain of integrators gets 1 s.
+        Ts: sample time [s] (None in continuous time, in which a chain of integrators gets 1 s).
     """
     poles = _find_moving_poles(flow.A)
     if not poles.size:
@@ -344,8 +346,8 @@ def arrival_time(flow: Matrices, Ts: float | None = None) -> float:
     """Return a quarter period, and 1 / |pole| for each further pole that an input passes to an
     output [s].
 
-    The poles count per output. Until then an input has moved z by about as much of what it will,
-    whatever the order. flow, Ts: as for `time_scale`; integrators are no delay.
+    The poles count per output. Until then an input has moved z by about the same share of its final
+    effect for any order. flow, Ts: as for `time_scale`. Integrators are not a delay.
     """
     further = max(_find_moving_poles(flow.A).size / flow.C.shape[0] - 1.0, 0.0)
     return time_scale(flow, Ts) * (1 + 2 / np.pi * further)
@@ -371,11 +373,11 @@ def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
     `plant_pace` (n) [x / z].
 
     State i of unit s shows in the k-th derivative of z as C A^k, which counts in units of pace^k.
-    In these units plants differ by neither their unit of time nor those of their states.
+    In these units a plant does not depend on its unit of time or on the units of its states.
 
     Args:
         flow: the matrices in continuous time.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     rate = plant_pace(flow, Ts)
     shown, seen = flow.C, np.abs(flow.C).max(axis=0)

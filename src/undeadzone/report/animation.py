@@ -52,7 +52,7 @@ class Arm(NamedTuple):
     Attributes:
         name: of its run.
         colour: its colour.
-        poses: where its joints are (frames x points x 3) [m].
+        poses: positions of its joints (frames x points x 3) [m].
         error: rms distance of its tip from the path over the last 2 s [m].
     """
 
@@ -88,7 +88,7 @@ def animation_canvas(run: Run, rival: Run | None = None) -> Html:
 def _script_data(run: Run, arms: list[Arm], grid: float) -> str:
     """Return the data for animation.js:
 
-    JSON that cannot close the script; grid [m]: between lines.
+    JSON that cannot close the script. grid: distance of the lines [m].
     """
     spatial = _is_spatial(run)
     data = {
@@ -147,11 +147,11 @@ def write_movie(
 
     Raises:
         FileError: the file cannot be written
-        InputError: the plant is no arm
+        InputError: the plant is not an arm
     """
     require_movie(path)
     if run.poses is None:
-        raise InputError("animation: this plant is no arm. Leave the option out")
+        raise InputError("animation: this plant is not an arm. Leave the option out")
     stage = _build_stage(run, _build_arms(run, rival))
     _draw_frame(stage, 0)
     stage.figure.draw_without_rendering()
@@ -178,7 +178,7 @@ def _write_mp4(stage: Stage, shown: range, path: Path, progress: Callable[[int],
 
 
 def _write_gif(stage: Stage, shown: range, path: Path, progress: Callable[[int], None]) -> None:
-    """Write a GIF of some frames, in few colours; each picture keeps the unchanged parts.
+    """Write a GIF of some frames, in few colours. Each picture keeps the unchanged parts.
 
     Its comment is the run's title.
 
@@ -296,9 +296,7 @@ def count_frames(run: Run) -> int:
 
 
 def _build_arms(run: Run, rival: Run | None) -> list[Arm]:
-    """Return the arms on display, each until it diverged; the run's own last, above the
-    rival's.
-    """
+    """Return the arms on display, each until it diverged, the run's own last, above the rival's."""
     own = _build_arm(run, ink.ESTIMATE)
     return [own] if rival is None else [_build_arm(rival, ink.PRINTED), own]
 

@@ -42,7 +42,7 @@ def describe_metric(quantity: str, duration: float | None = None) -> str:
 
     Args:
         quantity: its name.
-        duration: of a run [s]; with it the words say over which time the metric is taken.
+        duration: of a run [s] (if given, the words name the time over which the metric is taken).
     """
     if quantity in METRICS:
         metric = METRICS[quantity]
@@ -104,9 +104,7 @@ def distribution(axes: Axes, result: Ensemble) -> None:
 
 
 def _metrics_to_show(result: Ensemble) -> list[str]:
-    """Return the metrics to be shown as distributions; settling times only if some run
-    settled.
-    """
+    """Return the metrics to be shown as distributions, settling times only if some run settled."""
     names = ["rms_tracking", "peak_tracking"]
     for name in ("rms_behind_play", "rms_tip"):
         if name in result.metrics:
@@ -130,7 +128,7 @@ def _describe_runs(result: Ensemble) -> str:
 
 
 def _draw_histogram(axes: Axes, ordered: Floats) -> None:
-    """Draw a histogram of ordered values and its quantiles; infinite values never settled."""
+    """Draw a histogram of ordered values and its quantiles (infinite values never settled)."""
     bounded = ordered[np.isfinite(ordered)]
     edges, logarithmic = bin_edges(bounded)
     if logarithmic:
@@ -175,7 +173,7 @@ def _draw_exceedance(axes: Axes, ordered: Floats) -> None:
 
 
 def plot_bands(result: Ensemble) -> Figure | None:
-    """Return median, 5-95 % and 1-99 % of the recorded runs over time; None without recorded
+    """Return median, 5-95 % and 1-99 % of the recorded runs over time, or None without recorded
     runs.
 
     Shown are |z - r| and the errors of the widths.
@@ -247,7 +245,7 @@ def plot_tornado(sensitivities: Sensitivities) -> Figure | None:
     """Return partial rank correlation and Sobol indices, the most influential entry on top.
 
     Args:
-        sensitivities: of the entries, as in a summary; None is returned if there are none
+        sensitivities: of the entries, as in a summary (None is returned if there are none)
     """
     if not sensitivities:
         return None
@@ -320,7 +318,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
 
     Args:
         result: of which runs are shown
-        sensitivities: of its entries, as in a summary; None is returned if there are none
+        sensitivities: of its entries, as in a summary (None is returned if there are none)
     """
     if not sensitivities:
         return None
@@ -347,9 +345,7 @@ def plot_influence(result: Ensemble, sensitivities: Sensitivities) -> Figure | N
 
 
 def _runs_to_mark(result: Ensemble, values: Floats) -> MarkedRuns:
-    """Return the runs to be shown and marked; values: of the main metric, nan for a diverged
-    run.
-    """
+    """Return the runs to mark (values: of the main metric, nan for a diverged run)."""
     return MarkedRuns(
         shown=np.flatnonzero(np.isfinite(values[:JUDGED])),
         diverged=np.flatnonzero(result.diverged[:JUDGED]),
@@ -384,7 +380,9 @@ def _draw_over_entry(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns, scale: 
 def _draw_over_entries(
     axes: Axes, x: Floats, y: Floats, values: Floats, runs: MarkedRuns, scale: Scale
 ) -> Any:
-    """Draw the median of the metric over two entries, in hexagons; returned for a colour bar."""
+    """Draw the median of the metric over two entries, in hexagons, and return it for a colour
+    bar.
+    """
     points = x[runs.shown], y[runs.shown], values[runs.shown]
     size = int(np.clip(np.sqrt(runs.shown.size) / 3, 8, 30))
     looks: Any = {"norm": scale, "cmap": "viridis_r", "edgecolors": "none"}

@@ -61,10 +61,10 @@ def write_ensemble(
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
-        result: what is shown
+        result: result to show
         summary: the result's
-        folder: where the files go; created if needed
-        origin: what it takes to get the same again; None: what the ensemble itself knows of it
+        folder: folder of the files (created if needed)
+        origin: data to compute the same again (None: those stored in the ensemble)
 
     Returns:
         The paths of the files.
@@ -80,9 +80,10 @@ def ensemble_page(
     images: Mapping[str, bytes],
     origin: html.Origin | None = None,
 ) -> str:
-    """Return the page; images:
+    """Return the page.
 
-    SVGs by the names of `draw_ensemble_figures`; else see `write_ensemble`.
+    images: SVGs by the names of `draw_ensemble_figures`. The other arguments are those of
+    `write_ensemble`.
     """
     shown = html.encode_pictures(images, CAPTIONS)
     first, *others = _metric_tables(result, summary)
@@ -172,7 +173,7 @@ def _metric_row(
 
 
 def _bounded_cell(name: str, value: Mapping[str, float | None], cell: Any) -> Any:
-    """Return the cell of a value; for a settling time without a bound, a word."""
+    """Return the cell of a value, or a word for a settling time without a bound."""
     if name == "settling_time" and value["value"] is None:
         return "never"
     return cell

@@ -42,7 +42,7 @@ def root_locus(of: Assessment, gains: Gains) -> Figure:
     the rate.
 
     The rate is that along the reference. Sampled, poles z are drawn as (z - 1) / Ts, which tends
-    to s as Ts -> 0; the unit circle is drawn so too.
+    to s as Ts -> 0. The unit circle is drawn so too.
     """
     dynamics = gains.dynamics
     scaled = ["gamma", "L"] if dynamics.gamma.any() else ["L"]
@@ -59,7 +59,7 @@ def root_locus(of: Assessment, gains: Gains) -> Figure:
 
 
 def _draw_locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
-    """Draw the poles as a gain is scaled, slow poles enlarged; return the dots for a colour
+    """Draw the poles as a gain is scaled, slow poles enlarged, and return the dots for a colour
     bar.
     """
     Ts = dynamics.Ts
@@ -103,7 +103,7 @@ def _mark_poles(
 def _enlarge_slow(
     axes: Axes, poles: np.ndarray, silent: np.ndarray, name: str, Ts: float | None, size: float
 ) -> None:
-    """Enlarge the slow poles below the real axis; size [1/s]: of the largest slow pole."""
+    """Enlarge the slow poles below the real axis (size: of the largest slow pole [1/s])."""
     bottom, top = axes.get_ylim()
     axes.set_ylim(1.6 * bottom, top)
     inset = axes.inset_axes((0.14, 0.06, 0.64, 0.3))
@@ -229,7 +229,7 @@ def _use_log_ticks(axes: Axes) -> None:
 def _mark_front_point(
     axes: Axes, point: Point, price: str, marker: str, colour: str, name: str, size: float = 9
 ) -> None:
-    """Mark a point of the front; price: the quantity on the axis to the right."""
+    """Mark a point of the front (price: the quantity on the axis to the right)."""
     place = [getattr(point, price)], [point.rate]
     on_top: Any = {"markeredgecolor": "white", "zorder": 5}
     axes.plot(*place, marker, color=colour, markersize=size, label=name, **on_top)
@@ -278,9 +278,9 @@ def draw_width_region(axes: Axes, of: Assessment, i: int) -> None:
 
 
 def _width_lower_bounds(of: Assessment, i: int, truth: Floats) -> Floats:
-    """Return the lower bound of (d_r, d_l) of output i implied by an unreached edge; or 0.
+    """Return the lower bound of (d_r, d_l) of output i implied by an unreached edge, or 0.
 
-    Silence tells it only of a stable model, whose output is known in the end.
+    Censored samples imply it only for a stable model, whose output is known in the end.
     """
     model, schedule = of.problem.model, of.schedule
     if not largest_growth_rate(delta_form(model.linear, model.Ts).A, model.Ts) < 0:
@@ -316,8 +316,8 @@ def ellipse_border(std: dict[str, float]) -> Floats:
 def _shade_strip(axes: Axes, known: Knowledge, truth: Floats, floor: Floats) -> None:
     """Shade the region of widths that readings leave open if at most one direction is known.
 
-    Where a direction g is known, g'd lies between two parallel lines. An edge that was not reached
-    lies beyond all of z, at least.
+    If a direction g is known, g'd lies between two parallel lines. An edge that was not reached
+    lies at least beyond all of z.
     """
     size = 2.0 * max(float(truth.max()), 1e-12)
     grid = np.linspace(0.0, 1.5 * size, 901)

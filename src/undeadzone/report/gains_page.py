@@ -1,6 +1,6 @@
 """Page of gains, given or designed: problem, guarantee, rate, identifiability and trade-off.
 
-It says what was asked, what is guaranteed, how fast, what can be known, and what the trade is.
+It shows the problem, the guarantee, the rate, the identifiable parameters and the trade-off.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def draw_gain_figures(
     Args:
         of: the assessment of the gains
         tried: attempts to break them, if any were made
-        design: where the gains come from, if they were designed
+        design: design that the gains come from, if any
     """
     gains = of.gains
     drawn: dict[str, Figure] = {}
@@ -86,8 +86,8 @@ def write_gains(
 
     Args:
         of, tried, design: see `figures`
-        folder: where the files go; created if needed
-        origin: what it takes to get the same again; None: nobody can
+        folder: folder of the files (created if needed)
+        origin: data to compute the same again (None: unknown)
 
     Returns:
         The paths of the files.
@@ -364,7 +364,7 @@ def _describe_direction(known: Knowledge, name: str) -> html.Html:
 
 
 def trade_section(design: Design) -> list[html.Html]:
-    """Return the chosen gains beside the scenario's own and the fastest; all gains of the
+    """Return the chosen gains beside the scenario's own and the fastest, and all gains of the
     front.
     """
     points = {"chosen": design.best}

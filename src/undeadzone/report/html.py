@@ -33,7 +33,7 @@ _EDGES: Final = re.compile(r"\b([bcd])_([rl])(\^?)(?!\w)")
 
 
 class Html(NamedTuple):
-    """Piece of finished HTML; a value of a different type is text, and escaped at its use."""
+    """Piece of finished HTML. A value of a different type is text, and escaped at its use."""
 
     text: str
 
@@ -92,8 +92,8 @@ def build_paragraph(text: Any, style: str = "") -> Html:
 def build_section(title: str, *parts: Any) -> Html:
     """Return a heading, linked from the table of contents, and its contents.
 
-    Where the page is wide enough a picture stands beside a narrow table. Without contents there
-    is no section.
+    If the page is wide enough, a picture stands beside a narrow table. Without contents there is no
+    section.
     """
     if not parts:
         return Html("")
@@ -112,11 +112,11 @@ def fold_section(title: str, *parts: Any) -> Html:
 
 
 def build_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Html:
-    """Return a table; columns of numbers are set right, a single long line is set upright.
+    """Return a table. Columns of numbers are set right, a single long line is set upright.
 
     Args:
         head: the columns' names
-        rows: a value for each column; see `html`; one that says nothing is left out
+        rows: a value for each column, see `html` (an empty row is left out)
     """
     cells = [row for row in rows if row[1:] != (None,) * (len(row) - 1) or len(row) == 1]
     if len(cells) == 1 and len(head) > NARROW:
@@ -183,7 +183,7 @@ def feedback_html(listens: Sequence[float | None]) -> Html | None:
 
 
 def _table_row(cells: Sequence[Any], numeric: Sequence[bool]) -> Html:
-    """Return a row of a table; numeric: flags of the columns with numbers alone."""
+    """Return a row of a table (numeric: flags of the columns with numbers alone)."""
     styles = [_cell_style(*each) for each in zip(cells, numeric, strict=True)]
     parts = [build_tag("td", cell, style) for cell, style in zip(cells, styles, strict=True)]
     return build_tag("tr", join_html(parts))
@@ -212,7 +212,7 @@ def source_html(text: str) -> Html:
 def encode_picture(image: bytes, caption: str) -> Html:
     """Return an SVG image, embedded, with its caption.
 
-    Where the page is narrower than three quarters of it, it is scrolled: its words stay legible.
+    If the page is narrower than three quarters of it, it is scrolled: its words stay legible.
     """
     width = re.search(rb'<svg[^>]* width="([\d.]+)pt"', image)
     assert width is not None
@@ -230,9 +230,9 @@ class Origin(NamedTuple):
     """Origin of a result: the data to compute it again.
 
     Attributes:
-        command: that was given; empty where there was none.
-        scenario: its text, as given; empty where there is none.
-        seed: of every random number; None: there is none, or several.
+        command: that was given (empty if there was none).
+        scenario: its text, as given (empty if there is none).
+        seed: of every random number (None: there is none, or several).
     """
 
     command: str = ""
@@ -248,7 +248,7 @@ def build_page(title: str, *parts: Any, origin: Origin | None = None) -> str:
     Args:
         title: of the page.
         parts: pieces of HTML or text, most of them a `section`.
-        origin: what it takes to get the same again; None: nobody can.
+        origin: data to compute the same again (None: unknown).
     """
     head = (
         '<meta charset="utf-8">'
@@ -320,13 +320,13 @@ _LEGEND: Final = build_section(
 def write_page(
     drawn: Mapping[str, Figure], folder: Path, text: Callable[[dict[str, bytes]], str]
 ) -> list[Path]:
-    """Write figures as SVG and a page that shows them, report.html; return their paths.
+    """Write figures as SVG and a page that shows them, report.html, and return their paths.
 
     Raises FileError.
 
     Args:
         drawn: figures by name.
-        folder: where the files go; created if needed.
+        folder: folder of the files (created if needed).
         text: text(images) is the page, images the SVGs by name.
     """
     files = {name: write_figure(figure, folder / f"{name}.svg") for name, figure in drawn.items()}

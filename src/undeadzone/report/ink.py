@@ -1,6 +1,6 @@
 """Colours of figures, one per quantity.
 
-They are those of Okabe and Ito, which colour-blind readers can tell apart.
+They are those of Okabe and Ito, which colour-blind readers can distinguish.
 """
 
 from typing import Final

@@ -63,11 +63,11 @@ def write_estimation(
     """Write the files of an estimation from a log.
 
     Args:
-        result: what the observer makes of it.
-        folder: for the files; made if missing.
+        result: estimation from the log.
+        folder: for the files (created if missing).
         figures: whether figure and page are wanted beside the signals.
         tables: whether the signals are wanted as `.csv` too.
-        origin: what it takes to get the same again; None: nobody can.
+        origin: data to compute the same again (None: unknown).
 
     Returns:
         The paths of the files.
@@ -91,9 +91,9 @@ def estimation_page(
     """Return the page of an estimation from a log: figure, numbers, verdict.
 
     Args:
-        result: what the observer makes of the log.
+        result: estimation from the log.
         images: `log_overview` as SVG, under the name "figure".
-        origin: what it takes to get the same again; None: nobody can.
+        origin: data to compute the same again (None: unknown).
     """
     info = result.info
     words, style = VERDICTS[info.consistent]
@@ -149,7 +149,7 @@ def _log_numbers(result: Estimation) -> dict[str, Any]:
 
 
 def log_overview(result: Estimation) -> Figure:
-    """Return per output: reading and estimates over the estimated zone; widths; innovations."""
+    """Return per output: reading and estimates over the estimated zone, widths, innovations."""
     rows = []
     for i in range(result.y.shape[1]):
         rows.append([f"output {i}"] * 2)
@@ -169,7 +169,7 @@ def _drawn_window(result: Estimation) -> slice:
 
 
 def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
-    """Draw reading and estimates of output i over its estimated dead zone; of: its name."""
+    """Draw reading and estimates of output i over its estimated dead zone (of: its name)."""
     shown = _drawn_window(result)
     t = result.t[shown]
     right, left = result.info.d_right[i], result.info.d_left[i]
@@ -217,8 +217,8 @@ def _draw_log_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
 
 
 def _draw_innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
-    """Draw the normalised innovations of output i and the test statistic; without a test,
-    innovations.
+    """Draw the normalised innovations of output i and the test statistic (without a test,
+    innovations).
     """
     shown = _drawn_window(result)
     t, innovation = result.t[shown], result.innovation[shown, i]

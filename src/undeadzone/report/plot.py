@@ -52,7 +52,7 @@ class Drawing(NamedTuple):
 
     Attributes:
         whole: makes the first figure of its report.
-        panel: draws the panel of it that says most.
+        panel: draws its most informative panel.
     """
 
     whole: Callable[[], Figure]
@@ -78,23 +78,23 @@ def plot(
 ) -> Figure:
     """Draw the first figure of a result's report.
 
-    A Run: output, reading and estimate, errors, widths, V. An Ensemble: how its metrics are
-    distributed, or, where every run diverged, its errors over time. An Estimation: readings,
-    estimates, widths, innovations along a log. A Check and a Design: the certificate in the
-    frequency domain; a Check without one what the readings can tell. A Tuned: every candidate, and
-    the scenario before and after on held-out runs. A Contest: median and worst regret of every
-    method. An identified log: the log, the fit, the sides.
+    A Run: output, reading and estimate, errors, widths, V. An Ensemble: distributions of its
+    metrics or, if every run diverged, its errors over time. An Estimation: readings, estimates,
+    widths, innovations along a log. A Check and a Design: the certificate in the frequency domain,
+    and for a Check without one the parameters that the readings determine. A Tuned: every
+    candidate, and the scenario before and after on held-out runs. A Contest: median and worst
+    regret of every method. An identified log: the log, the fit, the sides.
 
     Args:
         result: one of these
-        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none
-        ax: axes that take the panel that says most; None: a new figure with all panels
+        path: the file to write, a PNG, PDF or SVG by its suffix (None writes none)
+        ax: axes that take the most informative panel (None: a new figure with all panels)
 
     Returns:
-        The Matplotlib figure, that of `ax` where it is given.
+        The Matplotlib figure, that of `ax` if it is given.
 
     Raises:
-        InputError: the result is none of these, or holds nothing that can be drawn
+        InputError: the result has another type, or contains nothing that can be drawn
         FileError: the suffix is another one, or the file cannot be written
 
     Example:

@@ -91,18 +91,14 @@ def _realness_verdict(proof: Certificate, worst_at: float) -> str:
 
 
 def _curve_frequencies(errors: Dynamics) -> Floats:
-    """Return frequencies [rad/s] about all poles; for a sampled model up to the Nyquist
-    frequency.
-    """
+    """Return frequencies [rad/s] about all poles, up to the Nyquist frequency if sampled."""
     poles = np.abs(np.linalg.eigvals(errors.A[0]))
     highest = np.inf if errors.Ts is None else np.pi / errors.Ts
     return np.geomspace(1e-2 * poles.min(), min(1e2 * poles.max(), highest), POINTS)
 
 
 def _response_under_weights(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
-    """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w [rad/s]; inf is
-    allowed.
-    """
+    """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w <= inf [rad/s]."""
     Ts, root = errors.Ts, np.sqrt(W)
     at_infinity = np.eye(root.size) - errors.steps[0] / 2
     H = frequency_response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)

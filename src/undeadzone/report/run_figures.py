@@ -37,12 +37,11 @@ PLANES = {"x-y": (0, 1), "x-z": (0, 2)}  # coordinates to the right and upwards
 
 
 def overview(run: Run) -> Figure:
-    """Return per output: z, reading, reference and estimate over the dead zone; errors;
-    widths; then V.
+    """Return per output: z, reading, reference and estimate over the dead zone, errors,
+    widths, then V.
 
     Below them stand the actuators whose widths are estimated, and the plays ahead of dead zones
-    whose gaps are. Many outputs have a row each. A run
-    that diverged is drawn up to where it did.
+    whose gaps are. Many outputs have a row each. A run that diverged is drawn up to that time.
     """
     info, outputs = run.info, run.z.shape[1]
     actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
@@ -87,7 +86,7 @@ def layout_below(outputs: int, with_V: bool) -> list[list[str]]:
 
 
 def layout_beside(outputs: int, with_V: bool) -> list[list[str]]:
-    """Return the panels of many outputs: a row each, with its further panels; V below all."""
+    """Return the panels of many outputs: a row each, with its further panels, and V below all."""
     rows = [[f"output {i}"] * 6 + [f"error {i}"] * 3 + [f"widths {i}"] * 3 for i in range(outputs)]
     return [*rows, ["V"] * 12] if with_V else rows
 
@@ -99,7 +98,7 @@ def half_rows(left: str, right: str, count: int, columns: int) -> list[list[str]
 
 
 def output(axes: Axes, run: Run, i: int = 0, of: str = "") -> None:
-    """Draw output i over its dead zone: reference, reading, truth and estimate; of: its name."""
+    """Draw output i over its dead zone: reference, reading, truth and estimate (of: its name)."""
     shown = run.plot_window
     t = run.t[shown]
     right, left = run.info.widths[2 * i : 2 * i + 2]
@@ -161,7 +160,7 @@ def _draw_edges(
 
     Args:
         axes: to draw on.
-        run: what is shown.
+        run: run to show.
         i: which sensor or actuator it is.
         letter: of its widths.
         true: of all of them.
@@ -224,7 +223,7 @@ def _draw_torques(axes: Axes, run: Run) -> None:
 def plot_phase(run: Run) -> Figure:
     """Return position and velocity of each joint, truth and estimate.
 
-    The dead zone is shown where it lies in the position.
+    The dead zone is shown if it lies in the position.
     """
     rows = joint_rows(len(run.info.joints))
     figure, panels = create_panels(rows, f"{run.info.title}: phase planes", height=2.8)
@@ -235,7 +234,7 @@ def plot_phase(run: Run) -> Figure:
 
 
 def joint_rows(joints: int) -> list[list[str]]:
-    """Return the panels of joints, some in a row; a dot is an empty place after the last
+    """Return the panels of joints, some in a row. A dot is an empty place after the last
     joint.
     """
     columns = min(COLUMNS, joints)

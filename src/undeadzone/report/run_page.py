@@ -47,10 +47,10 @@ def run_page(
     """Return the page of a run.
 
     Args:
-        run: what is shown.
-        images: its figures as SVG, by name; see `CAPTIONS`.
+        run: run to show.
+        images: its figures as SVG, by name (see `CAPTIONS`).
         rival: a run beside whose numbers those of the run stand.
-        origin: what it takes to get the same run; None: what the run itself knows of it.
+        origin: data to compute the same run (None: those stored in the run).
     """
     reasons: list[str] = []
     for name, verdict in zip(run.outputs, run.info.identifiable, strict=True):
@@ -154,9 +154,7 @@ def _widths_table(run: Run) -> html.Html:
 def further_tables(
     outputs: Sequence[str], driven: Sequence[Sequence[Row]], ahead: Sequence[Sequence[Row]]
 ) -> list[html.Html]:
-    """Return the widths of each actuator and the gaps ahead of dead zones; empty if not
-    estimated.
-    """
+    """Return the estimated widths of actuators and gaps ahead of dead zones as tables."""
     inputs = [f"u[{j}]" for j in range(len(driven))]
     said = ("actuator", inputs, driven), ("play ahead of the zone", outputs, ahead)
     return [html.estimates_table(*each) for each in said if each[2]]
@@ -201,11 +199,11 @@ def write_run(
 
     Args:
         result: the run.
-        folder: for the files; made if missing.
+        folder: for the files (created if missing).
         figures: whether figure and page are wanted beside the signals.
         rival: a run to be shown beside it.
         tables: whether the signals are wanted as `.csv` too.
-        origin: what it takes to get the same run; None: what the run itself knows of it.
+        origin: data to compute the same run (None: those stored in the run).
 
     Returns:
         The paths of the files.

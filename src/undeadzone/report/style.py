@@ -74,12 +74,12 @@ def create_panels(
     """Return a figure of named panels and these panels by name.
 
     Args:
-        rows: names of panels as they lie; a panel spans all cells that hold its name
-        title: of the figure; a dollar begins no formula
+        rows: names of panels as they lie (a panel spans all cells that hold its name)
+        title: of the figure (a dollar begins no formula)
         width: of the figure [inch]
         height: of one row [inch]
-        even: whether fixed room is left around panels, as what is drawn over time needs it, in
-            place of a layout by all labels, which takes longer than the lines
+        even: whether fixed room is left around panels, as panels over time need it, in place of a
+            layout by all labels, which takes longer than the lines
     """
     import matplotlib
     from matplotlib.figure import Figure
@@ -117,7 +117,7 @@ def finish_panel(
     Args:
         axes: the panel
         title, y_label, x_label: words
-        legend: columns of the legend, which stands above the lines; 0 leaves it out
+        legend: columns of the legend, which stands above the lines (0 leaves it out)
     """
     import matplotlib
 
@@ -173,7 +173,8 @@ def plot_magnitude(axes: Axes, t: Floats, values: Floats, colour: str, name: str
     """Plot |values| on a logarithmic axis: samples faint, the largest in each span of time a
     line.
 
-    What lies far below nearly all of these largest is cut off; single zeros would stretch the axis.
+    Values far below nearly all of these largest ones are cut off, as single zeros would stretch the
+    axis.
 
     Args:
         axes: the panel
@@ -222,7 +223,7 @@ def figure_to_png(figure: Figure) -> bytes:
 
 
 def figure_to_bytes(figure: Figure, kind: str) -> bytes:
-    """Return the figure as bytes of a PNG, PDF or SVG, with its title; reproducible for SVG.
+    """Return the figure as bytes of a PNG, PDF or SVG, with its title (reproducible for SVG).
 
     An SVG has no comments: Matplotlib writes the source of each text into one.
     """
@@ -246,7 +247,7 @@ def draw_width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) 
         axes: to draw on.
         t: times (N) [s].
         widths: right and left estimates (N x 2).
-        std: their standard deviations (N x 2); None: there are none.
+        std: their standard deviations (N x 2) (None: there are none).
     """
     sides = (("right", ink.PRINTED), ("left", ink.OTHER))
     for k, (side, colour) in enumerate(sides):

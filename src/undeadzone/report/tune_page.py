@@ -1,4 +1,6 @@
-"""Page of a tuning: the tuned numbers, their value on held-out runs, the search; its figures."""
+"""Page of a tuning: the tuned numbers, their value on held-out runs, and the search, with
+figures.
+"""
 
 from __future__ import annotations
 
@@ -44,9 +46,9 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
     """Write history.svg, around.svg and report.html to a folder. Raises FileError.
 
     Args:
-        result: what is shown.
-        folder: where the files go; created if needed.
-        origin: what it takes to get the same again; None: nobody can.
+        result: result to show.
+        folder: folder of the files (created if needed).
+        origin: data to compute the same again (None: unknown).
 
     Returns:
         The paths of the files.
@@ -56,7 +58,7 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
 
 
 def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
-    """Return the page; images: SVGs by name; else see `write_tuned`."""
+    """Return the page (images: SVGs by name, else see `write_tuned`)."""
     shown = html.encode_pictures(images, CAPTIONS)
     what = result.what
     asked = (
@@ -176,8 +178,8 @@ def candidates(axes: Axes, result: Tuned) -> None:
 
 
 def plot_sweeps(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
-    """Return the metric over each tuned number, on held-out runs; sweeps: from
-    `sweep_each_number`.
+    """Return the metric over each tuned number, on held-out runs (sweeps: from
+    `sweep_each_number`).
     """
     names = list(sweeps)
     rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
@@ -196,7 +198,7 @@ def plot_sweeps(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
 def _draw_sweep(
     axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float
 ) -> None:
-    """Draw the metric over a number; margin: the least margin of a certificate."""
+    """Draw the metric over a number (margin: the least margin of a certificate)."""
     (x,) = curve.axes.values()
     cost = curve.cost
     axes.set_xscale("log" if parameter.log else "linear")
@@ -237,7 +239,7 @@ def _draw_comparison(axes: Axes, result: Tuned) -> None:
 
 
 def _whisker_length(end: float, value: float) -> float:
-    """Return the distance of an interval's end from its value; 0 for an infinite end."""
+    """Return the distance of an interval's end from its value, 0 for an infinite end."""
     return abs(end - value) if np.isfinite(end) else 0.0
 
 

@@ -32,18 +32,18 @@ from undeadzone.util.text import label_with_unit
 class Estimation:
     """Estimates of an observer from a log, one row per sample.
 
-    Each signal is an attribute, None where the method does not estimate it: those of a log, and
-    what observers give (`results.signals.ESTIMATED`).
+    Each signal is an attribute, None if the method does not estimate it: those of a log, and those
+    of observers (`results.signals.ESTIMATED`).
 
     Args:
-        info: what is known besides the signals.
-        signals: by name; None: those that are given alone.
+        info: facts besides the signals.
+        signals: by name (None: those given as keywords).
         given: signals in their place, or besides them.
 
     Attributes:
         t: time (N) [s].
-        y: reading (N x p) [y], NaN where it is missing.
-        u: input (N x m), NaN where it is missing.
+        y: reading (N x p) [y], NaN if it is missing.
+        u: input (N x m), NaN if it is missing.
         side: measured side (N x p): +1 right, -1 left, 0 silent or missing, +2, -2 at a limit.
         x_hat: estimate of the state from the readings so far (N x n).
         z_hat: estimate of the true output (N x p) [z].
@@ -57,17 +57,17 @@ class Estimation:
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
         innovation_std: standard deviation of the innovation (N x p).
         B: statistic of the test of consistency after each sample (N x p).
-        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        w_hat: estimated effects that the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: parameters of the model that the observer estimates (info.uncertain).
         theta_std: standard deviations of theta_hat.
-        claims, suspect: bits of the claims that the readings refute, and number of the likeliest
-            (N x 1).
+        claims, suspect: bits of the assumptions that the readings reject, and number of the most
+            probable (N x 1).
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
         b_hat, b_std: estimates [b_r^, b_l^] of each actuator, and their deviations (N x 2m) [u].
-        x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log; of `kalman`,
-            `censored`, `extended` and `auto`.
+        x_smooth, z_smooth, d_smooth: as x_hat, z_hat, d_hat, but from the whole log (of `kalman`,
+            `censored`, `extended` and `auto`).
         x_smooth_std, d_smooth_std: their standard deviations.
 
     Example:
@@ -97,7 +97,7 @@ class Estimation:
 
     @property
     def consistent(self) -> bool | None:
-        """Return whether the innovations fit the assumptions of the observer; None if that
+        """Return whether the innovations fit the assumptions of the observer, or None if that
         cannot be tested.
         """
         return self.info.consistent
@@ -110,7 +110,7 @@ class Estimation:
         return output_names(self.info.joints, self.y.shape[1])
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the log, ready for JSON; lists where there are several outputs."""
+        """Return the numbers of the log, ready for JSON (lists for several outputs)."""
         numbers = self.info.summary()
         numbers |= last_values(self.signals.arrays, "width_std")
         if found := self.signals.parameters(self.info.uncertain):
@@ -222,12 +222,12 @@ def log_width_rows(info: LogInfo) -> list[list[Row]]:
 
 
 def log_gap_rows(info: LogInfo) -> list[list[Row]]:
-    """Return the final gaps of the play ahead of each dead zone; empty if not estimated."""
+    """Return the final gaps of the play ahead of each dead zone, empty if not estimated."""
     return sheet.build_width_rows(info.further, "gap", info.units.output)
 
 
 def log_actuator_rows(info: LogInfo) -> list[list[Row]]:
-    """Return the final widths of each actuator; empty if not estimated."""
+    """Return the final widths of each actuator, empty if not estimated."""
     return sheet.build_width_rows(info.further, "b", info.units.input)
 
 

@@ -22,7 +22,7 @@ def describe_feedback(shares: Sequence[float | None]) -> str:
     """Return the feedback shares of all outputs as text.
 
     Args:
-        shares: of each output; None where it cannot be told.
+        shares: of each output (None if unknown).
     """
     each = ", ".join(map(_format_percent, shares))
     if_larger = f"were z {100 * LARGER:.0f} % larger than the model's, z^ would pick up"

@@ -47,7 +47,7 @@ def unit(result: Any, name: str) -> str:
 
 
 def to_pandas(result: Any) -> Any:
-    """Return a pandas DataFrame indexed by t, a column per scalar signal; needs pandas."""
+    """Return a pandas DataFrame indexed by t, a column per scalar signal (needs pandas)."""
     import pandas as pd
 
     table = columns(result)
@@ -170,7 +170,7 @@ def is_own_table(path: Path) -> bool:
 
 
 def _require_checksum(file: BinaryIO) -> None:
-    """Raise ValueError if a table was changed or cut; older tables have no checksum.
+    """Raise ValueError if a table was changed or cut. Older tables have no checksum.
 
     The file stands at its beginning afterwards.
     """

@@ -32,33 +32,33 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         tracked: numbers of the outputs that follow the reference.
         widths: true [right, left] of each output (2p) [z].
         threshold: |y| that counts as silent (p) [y].
-        certified: whether a certificate holds; None where the method has no constant gains or the
-            model is nonlinear.
-        integration_error: largest difference to a run of half the step; None: not measured.
-        integration_share: the same error of z, z^ and d^ as a share of the largest |z|; above 1 %
-            the run is no result. None: not measured.
+        certified: whether a certificate holds (None if the method has no constant gains or the
+            model is nonlinear).
+        integration_error: largest difference to a run of half the step (None: not measured).
+        integration_share: the same error of z, z^ and d^ as a share of the largest |z| (above 1 %
+            the run has no result, None: not measured).
         scales: sizes of the plant's own: of its states (n), then of its outputs and its inputs,
-            1e12 times which a signal has diverged; empty: 1 of each.
-        identifiable: what the readings tell of each output's widths, and why not all.
-        seconds: that the run took [s]; 0 in files, which are the same whenever they are made.
+            1e12 times which a signal has diverged (empty: 1 of each).
+        identifiable: identifiability of each output's widths from the readings, with reasons.
+        seconds: that the run took [s] (0 in files, which are the same whenever they are made).
         units: names of units.
-        joints: names of an arm's joints; empty without an arm.
+        joints: names of an arm's joints (empty without an arm).
         uncertain: the parameters that the observer estimates, and their true values.
-        label: what tells its observer from one that it is compared with; empty: the method does.
+        label: name that distinguishes its observer from the compared one (empty: the method).
         adapts: whether the observer estimates the widths.
         ranges: declared [lo, hi] of d_r and d_l of each output in turn [z]; empty: none.
+        halves: declared [lo, hi] of half the gap of gears at each output; empty: none.
         scenario: what was run, as TOML; empty where no text can hold it.
         version: of undeadzone.
-        schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
+        schema: number of the meanings that the names in it have (docs/json.md) (None: at most 2).
         seed: of every random number.
-        gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), where constant;
-            in sampled time L and gamma are those of one step.
-        listens: share of an error of the model that z^ follows, of each output; None where it
-            cannot be told; empty: not measured (`simulation.listening`).
+        gains: of the observer L (n x p) and gamma (p), of the controller K (m x n), if constant (in
+            sampled time L and gamma are those of one step).
+        listens: share of an error of the model that z^ follows, of each output, None if unknown,
+            empty if not measured (`simulation.feedback`).
         sensor: its kind.
         actuator: true [right, left] of each actuator whose widths are estimated (2m) [u].
-        gaps: true [c_r, c_l] of the play ahead of each dead zone, where they are estimated (2p)
-            [z].
+        gaps: true [c_r, c_l] of the play ahead of each dead zone, if they are estimated (2p) [z].
         options: names of the keys that the method takes.
     """
 
@@ -79,6 +79,7 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
     label: str = ""
     adapts: bool = True
     ranges: list[list[float]] = []
+    halves: list[list[float]] = []
     integration_share: float | None = None
     scales: list[float] = []
     listens: list[float | None] = []
@@ -102,36 +103,36 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
         source: the log.
         columns: in words, which column was taken for what.
         step: between two samples [s].
-        measured_step: the usual time between samples of the log [s]; None: it has no times.
+        measured_step: the usual time between samples of the log [s] (None: it has no times).
         samples: how many there are, those in gaps included.
         missing: how many of them have a reading missing.
         gaps: how many of these are in gaps of the log's times.
         unreadable: lines that could not be read.
-        why_unreadable: what the first fault is.
-        faults: how many lines are wrong in which way, by kind (docs/watch.md); lasting jumps in
-            time, at which the observer began anew, are among them.
+        why_unreadable: description of the first fault.
+        faults: number of faulty lines by kind (docs/watch.md). Lasting jumps in time, at which the
+            observer began anew, are among them.
         right, left, silent: samples on each measured side, of each output (p).
         d_right, d_left: final widths (p) [z].
-        d_right_std, d_left_std: their standard deviations (p) [z]; None: the observer gives none.
+        d_right_std, d_left_std: their standard deviations (p) [z] (None: the observer gives none).
         adapts: whether the observer estimates the widths.
-        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z]; empty: none.
-        consistent: whether its innovations are what it claims; None: it cannot be tested.
-        B: statistic of the test, about 1 where all is well.
-        square: mean square of the normalised innovations, about 1 where all is well.
+        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z] (empty: none).
+        consistent: whether its innovations fit its assumptions (None: it cannot be tested).
+        B: statistic of the test, about 1 if all is well.
+        square: mean square of the normalised innovations, about 1 if all is well.
         used: readings that corrected the estimate.
         glitches: readings that the filter took for wrong, or beyond 4.5 standard deviations.
         silent_outside: readings that are silent although z^ is far outside the estimated zone.
         reasons: why the record is not consistent, or cannot be tested.
-        claims: names of the claims that a filter finds false, the likeliest first.
+        claims: names of the assumptions that a filter rejects, the most probable first.
         threshold: |y| that counts as silent (p) [y].
         uncertain: names of the parameters that the observer estimates.
-        joints: names of an arm's joints; empty without an arm.
+        joints: names of an arm's joints (empty without an arm).
         units: names of units.
-        limited: samples at a limit of the range, of each output (p); empty: there is none.
-        remarks: what else the log shows, for the user.
+        limited: samples at a limit of the range, of each output (p) (empty: there is none).
+        remarks: further findings in the log, for the user.
         sensor: its kind.
         further: final gaps of plays ahead of dead zones [z] and widths of actuators [u], with their
-            deviations, by name; those that are estimated.
+            deviations, by name (those estimated).
         options: names of the keys that the method takes.
     """
 
@@ -175,7 +176,7 @@ class LogInfo(msgspec.Struct, frozen=True, kw_only=True):
     options: list[str] = []
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers, ready for JSON; lists for several outputs."""
+        """Return the numbers, ready for JSON (lists for several outputs)."""
         numbers = msgspec.to_builtins(self)
         numbers |= numbers.pop("further")
         del numbers["options"]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 import msgspec
@@ -31,7 +32,7 @@ from undeadzone.results.signals import (
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.earlier import SCHEMA, translate_stds
 from undeadzone.util.shown import Block, Rows, format_result, plot, result_to_html
-from undeadzone.util.text import label_with_unit
+from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -48,12 +49,12 @@ INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is 
 class Run:
     """Signals of a run, one row per sample.
 
-    Each signal is an attribute, None where the method does not estimate it or the plant does not
-    have it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
+    Each signal is an attribute, None if the method does not estimate it or the plant does not have
+    it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
 
     Args:
-        info: what is known besides the signals.
-        signals: by name; None: those that are given alone.
+        info: facts besides the signals.
+        signals: by name (None: those given as keywords).
         given: signals in their place, or besides them.
 
     Attributes:
@@ -69,18 +70,19 @@ class Run:
         innovation: the observer's (N x p).
         u: input (N x m).
         r: reference of the tracked outputs (N x tracked).
-        V: storage function (N), where a certificate exists.
-        info: what is known besides the signals.
+        V: storage function (N), if a certificate exists.
+        info: facts besides the signals.
         signals: all of them by name.
         x_std: standard deviation of x_hat (N x n).
         d_std: standard deviation of d_hat (N x 2p) [z].
         width_std: standard deviation of d_r^ + d_l^ (N x p) [z].
         innovation_std: standard deviation of the innovation (N x p).
-        w_hat: what the observer's model leaves out (N x n), x' = f(x, u) + w.
+        w_hat: estimated effects that the observer's model leaves out (N x n), x' = f(x, u) + w.
         theta_hat: the model's parameters that the observer takes for uncertain (info.uncertain).
         theta_std: standard deviations of theta_hat.
-        consistent: 1 where the readings of late fit what the observer claims, else 0 (N x 1).
-        claims, suspect: bits of the claims that they refute, and number of the likeliest (N x 1).
+        consistent: 1 if recent readings fit the observer's assumptions, else 0 (N x 1).
+        claims, suspect: bits of the assumptions that they reject, and number of the most probable
+            (N x 1).
         refused: readings that the observer took for wrong so far (N x p).
         restarts: how often the observer lost its state so far (N x 1).
         b_hat: estimates [b_r^, b_l^] of each actuator (N x 2m) [u].
@@ -88,11 +90,11 @@ class Run:
         c_hat: estimates [c_r^, c_l^] of the play ahead of each dead zone (N x 2p) [z].
         c_std: standard deviation of c_hat (N x 2p) [z].
         gap_std: standard deviation of c_r^ + c_l^ (N x p) [z].
-        level: what is behind a play, y / m without noise (N x p) [z]; not where its gaps drift.
-        tip, tip_hat, tip_r: where an arm's tip is, is believed to be, and should be (N x 2 or 3)
+        level: level behind a play, y / m without noise (N x p) [z] (absent if its gaps drift).
+        tip, tip_hat, tip_r: true, estimated and reference position of an arm's tip (N x 2 or 3)
             [m].
-        poses: where an arm's base, joints and tip are at FRAMES instants per second, from t = 0 on
-            (F x K x 3) [m]; in `.npz` files only.
+        poses: positions of an arm's base, joints and tip at FRAMES instants per second, from t = 0
+            on (F x K x 3) [m] (in `.npz` files only).
 
     Example:
         >>> run.z.shape == run.y.shape
@@ -170,7 +172,7 @@ class Run:
     def name(self) -> str:
         """Return the observer's name in figures.
 
-        This is the method, or what tells it from the one that it is compared with.
+        This is the method, or the label that distinguishes it from the compared one.
         """
         return self.info.label or self.info.method
 
@@ -188,7 +190,7 @@ class Run:
 
     @property
     def rms_behind_play(self) -> float | None:
-        """Return the root mean square of y / m - r over the last 2 s [z]; None without a play.
+        """Return the root mean square of y / m - r over the last 2 s [z], or None without a play.
 
         Here y is without noise.
         """
@@ -257,12 +259,12 @@ class Run:
     def adapts(self) -> bool:
         """Return whether the observer estimates the widths.
 
-        `luenberger` and `oracle` do not, nor does a blind filter.
+        `luenberger`, `oracle` and a blind filter do not.
         """
         return self.info.adapts
 
     def summary(self) -> dict[str, Any]:
-        """Return the numbers of the run, ready for JSON; lists for several outputs."""
+        """Return the numbers of the run, ready for JSON (lists for several outputs)."""
         verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
@@ -275,6 +277,7 @@ class Run:
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             **last_values(ends, *list_summary_signals(float, but=("d_hat", "d_std", "width_std"))),
             **({"width_std": None} | last_values(ends, "width_std")),
+            **_gap_intervals(self),
             **last_values(ends, *list_summary_signals(bool), *list_summary_signals(int)),
             **final_rejections(ends),
             "listens": to_scalar_or_list(np.array(listens, float)) if listens else None,
@@ -313,7 +316,7 @@ class Run:
             path: of the file.
 
         Raises:
-            FileError: it cannot be read, or is no run.
+            FileError: it cannot be read, or is not a run.
         """
         info, *signals = files.read_result(path, RUN, Info)
         verdicts = info.identifiable
@@ -331,6 +334,22 @@ def _root_mean_square(values: Floats) -> float:
     """Return the root mean square of all entries."""
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.sqrt(np.mean(values**2)))
+
+
+def _gap_intervals(run: Run) -> dict[str, Any]:
+    """Return the 95 % interval of each gap of gears for JSON; nothing without such gaps.
+
+    It is the declared range where the gap cannot be known.
+    """
+    if not run.info.halves:
+        return {}
+    ends = []
+    for gap, _ in final_width_rows(run):
+        assert gap.value is not None
+        std = math.inf if gap.withheld else gap.std or 0.0
+        ends.append(interval_95(gap.value, std, gap.least, gap.most))
+    low, high = np.array(ends).T
+    return {"gap_low": to_scalar_or_list(low), "gap_high": to_scalar_or_list(high)}
 
 
 def final_error_rows(run: Run) -> list[Row]:
@@ -357,19 +376,29 @@ def final_parameter_rows(run: Run) -> list[Row]:
 
 
 def final_width_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each output."""
+    """Return the widths of each output; of gears their gap and its centre."""
+    info, rows = run.info, final_side_rows(run)
+    if info.sensor != "gears":
+        return rows
+    deviations = None if run.width_std is None else run.width_std[-1].tolist()
+    known = [verdict["width"] for verdict in info.identifiable]
+    return sheet.build_gear_rows(rows, deviations, info.halves, known)
+
+
+def final_side_rows(run: Run) -> list[list[Row]]:
+    """Return the right and the left width of each output."""
     return sheet.build_width_rows(
         _last_widths(run), "d", run.info.units.output, run.info.widths, run.info.ranges
     )
 
 
 def final_actuator_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each actuator; empty if not estimated."""
+    """Return the widths of each actuator, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "b", run.info.units.input, run.info.actuator)
 
 
 def final_gap_rows(run: Run) -> list[list[Row]]:
-    """Return the gaps of the play ahead of each dead zone; empty if not estimated."""
+    """Return the gaps of the play ahead of each dead zone, empty if not estimated."""
     return sheet.build_width_rows(_last_widths(run), "gap", run.info.units.output, run.info.gaps)
 
 
@@ -424,9 +453,8 @@ def blocks_from_run(run: Run) -> list[Block]:
 def _final_output_rows(run: Run) -> Rows:
     """Return a row for each output: errors, widths and identifiability."""
     info, unit = run.info, run.info.units.output
-    heads = [
-        label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")
-    ]
+    sides = ("gap", "centre") if info.sensor == "gears" else ("d_right", "d_left")
+    heads = [label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", *sides)]
     what = "joint" if info.joints == run.outputs else "output"
     rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
     for i, (name, edges) in enumerate(zip(run.outputs, final_width_rows(run), strict=True)):
@@ -438,9 +466,16 @@ def _final_output_rows(run: Run) -> Rows:
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
-        told = "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
-        rows.append((name, *cells, told))
+        rows.append((name, *cells, _describe_verdict(verdict)))
     return rows
+
+
+def _describe_verdict(verdict: Mapping[str, Any]) -> str:
+    """Return the identifiability of an output's widths as text; of gears that of their gap."""
+    crossings = verdict.get("crossings")
+    if crossings is not None:
+        return f"yes, {count_noun(crossings, 'strike')} heard" if verdict["width"] else "NO"
+    return "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
 
 
 def _describe_proof(run: Run) -> dict[str, Any]:
@@ -461,12 +496,14 @@ def _describe_proof(run: Run) -> dict[str, Any]:
 
 
 def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]:
-    """Return the identifiability of a single output's widths; for several outputs, the reasons
-    against.
+    """Return the identifiability of a single output's widths, or the reasons against it for several
+    outputs.
     """
     if len(outputs) == 1:
         verdict = info.identifiable[0]
-        return {"identifiable": "; ".join([format_yes_no(verdict), *verdict["reasons"]])}
+        geared = verdict.get("crossings") is not None
+        told = _describe_verdict(verdict) if geared else format_yes_no(verdict)
+        return {"identifiable": "; ".join([told, *verdict["reasons"]])}
     why = []
     for name, verdict in zip(outputs, info.identifiable, strict=True):
         why += [f"{name}: {reason}" for reason in verdict["reasons"]]

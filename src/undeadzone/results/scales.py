@@ -30,11 +30,11 @@ class Scales(NamedTuple):
 
 
 def plant_scales(problem: Problem) -> Scales:
-    """Return the scales of a problem; states and inputs have scale 1 if the plant is
+    """Return the scales of a problem. States and inputs have scale 1 if the plant is
     nonlinear.
 
-    That of the outputs is the largest of widths, reference and start; of a state that with which
-    the outputs show about theirs, of the inputs that which makes such states.
+    The scale of the outputs is the largest of widths, reference and start. Each state has the scale
+    with which the outputs show about theirs, and the inputs have the scale that makes such states.
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
     sensor, plant = problem.sensor, problem.plant.linear
@@ -53,8 +53,7 @@ def plant_scales(problem: Problem) -> Scales:
 def largest_scaled_signals(
     scales: Scales, states: list[Floats], outputs: list[Floats], u: Floats
 ) -> Floats:
-    """Return the largest signal of each sample in its scale (N) [1]; not below `LIMIT`: it has
-    diverged.
+    """Return the largest signal of each sample in its scale (N) [1] (`LIMIT` or more: diverged).
 
     Args:
         scales: of the plant.

@@ -1,7 +1,7 @@
 """Numbers of a result, each defined once for JSON, a terminal, a notebook and a page.
 
-A row has a value and whatever is known of it. JSON takes key and value; a terminal and a notebook
-take label and `words`; a page takes title and `cell`, as `report.html.estimates_table` sets them.
+A row has a value and all known facts about it. JSON takes key and value. A terminal and a notebook
+take label and `words`. A page takes title and `cell`, as `report.html.estimates_table` sets them.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ class Row(NamedTuple):
     """Number of a result.
 
     Attributes:
-        label: what a terminal calls it.
-        title: what a page calls it.
+        label: its name on a terminal.
+        title: its name on a page.
         value: the number.
-        unit: its unit; 1: it has none.
-        std: its standard deviation; None: not known.
-        true: the truth; None: nobody knows it.
-        key: of the number in a summary; empty: it stands there otherwise.
-        form: of the number where it has no deviation.
-        note: what a terminal says behind it.
+        unit: its unit (1: none).
+        std: its standard deviation (None: not known).
+        true: the truth (None: unknown).
+        key: of the number in a summary (empty: it stands there otherwise).
+        form: of the number if it has no deviation.
+        note: text behind it on a terminal.
         least, most: ends of the range in which the number is known to lie.
+        withheld: whether no more than that range can be known of it.
     """
 
     label: str
@@ -43,10 +44,13 @@ class Row(NamedTuple):
     note: str = ""
     least: float = -math.inf
     most: float = math.inf
+    withheld: bool = False
 
     @property
     def value_with_interval(self) -> str:
         """Return the value as text, with its 95 % interval if known; nan if missing."""
+        if self.withheld:
+            return f"[{self.least:.4g}, {self.most:.4g}] as declared"
         if self.std is None:
             return format_number(to_json_value(self.value), self.form)
         return format_with_interval(
@@ -62,7 +66,7 @@ class Row(NamedTuple):
     @property
     def page_cell(self) -> Any:
         """Return the value for a page: a number, or text if its interval is known."""
-        return self.value if self.std is None else self.value_with_interval
+        return self.value if self.std is None and not self.withheld else self.value_with_interval
 
     @property
     def title_with_unit(self) -> str:
@@ -76,13 +80,13 @@ def format_number(value: float | None, form: str = ".4g", none: str = "nan") -> 
     Args:
         value: the number.
         form: as `format` takes it.
-        none: what stands where there is none.
+        none: text for a missing value.
     """
     return none if value is None else format(value, form)
 
 
 def format_bounds(value: str, low: str, high: str) -> str:
-    """Return a value and its interval as text; an unknown end is an empty text."""
+    """Return a value and its interval as text. An unknown end is an empty text."""
     if not low and not high:
         return value
     if not high:
@@ -114,17 +118,16 @@ def build_width_rows(
     true: Sequence[float] | None = None,
     ranges: Sequence[Sequence[float]] = (),
 ) -> list[list[Row]]:
-    """Return the rows of each output's zone or play, or of each actuator; empty if not
-    estimated.
+    """Return the rows of each output's zone or play, or of each actuator, empty if not estimated.
 
     Args:
         final: last values by name, a number or one each: of right and left, of their deviations
             where known, of gaps that of the sum.
         name: of the widths: d of a zone, b of an actuator, gap of a play ahead of a zone.
         unit: of all.
-        true: right and left of each in turn; None: nobody knows them.
-        ranges: [lo, hi] within which right and left of each in turn are known to lie; empty: at
-            least 0.
+        true: right and left of each in turn (None: unknown).
+        ranges: [lo, hi] within which right and left of each in turn are known to lie (empty: at
+            least 0).
     """
     sides = [f"{name}_right", f"{name}_left"]
     heads = [*sides, *(f"{side}_std" for side in sides), f"{name}_std"]
@@ -144,12 +147,12 @@ def _build_side_rows(
     ranges: Sequence[Sequence[float]],
     unit: str,
 ) -> list[Row]:
-    """Return the rows of a zone, play or actuator; for gaps with their more accurate sum.
+    """Return the rows of a zone, play or actuator, for gaps with their more accurate sum.
 
     Args:
         name: of the widths.
-        found: right and left; their deviations where known; of gaps that of the sum.
-        true: right and left; None: nobody knows them.
+        found: right and left, then their deviations if known (for gaps that of the sum).
+        true: right and left (None: unknown).
         ranges: [lo, hi] of right and left.
         unit: of all.
     """
@@ -165,3 +168,43 @@ def _build_side_rows(
         total = None if true is None else sum(true)
         rows.append(Row("gap_right + gap_left", title, sum(found[:2]), unit, found[4], total))
     return rows
+
+
+def build_gear_rows(
+    widths: Sequence[Sequence[Row]],
+    deviations: Sequence[float] | None,
+    halves: Sequence[Sequence[float]],
+    known: Sequence[bool],
+) -> list[list[Row]]:
+    """Return the rows of the gears at each output: their gap, and their centre.
+
+    Args:
+        widths: rows of right and left, at each output.
+        deviations: of right + left; None: not known.
+        halves: declared [lo, hi] of half the gap; empty: none.
+        known: whether the gap can be known; else it is only as it was declared.
+    """
+    rows = []
+    for i, (right, left) in enumerate(widths):
+        sides = (right.value, left.value)
+        gap = right._replace(label="gap", title="gap", value=_add(*sides), std=None)
+        centre = right._replace(label="centre", title="centre", value=_add(*sides, -1.0, 0.5))
+        gap = gap._replace(true=_add(right.true, left.true), least=0.0)
+        centre = centre._replace(true=_add(right.true, left.true, -1.0, 0.5), std=None)
+        centre = centre._replace(least=-math.inf, most=math.inf)
+        if deviations is not None and right.std is not None and left.std is not None:
+            square = (right.std**2 + left.std**2) / 2 - deviations[i] ** 2 / 4
+            gap = gap._replace(std=deviations[i])
+            centre = centre._replace(std=math.sqrt(max(square, 0.0)))
+        if halves:
+            low, high = halves[i]
+            gap = gap._replace(least=2 * low, most=2 * high, withheld=not known[i])
+        rows.append([gap, centre])
+    return rows
+
+
+def _add(
+    right: float | None, left: float | None, sign: float = 1.0, share: float = 1.0
+) -> float | None:
+    """Return a share of right + sign left; None without them."""
+    return None if right is None or left is None else share * (right + sign * left)

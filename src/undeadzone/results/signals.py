@@ -16,11 +16,12 @@ class Signal(NamedTuple):
     """Signal of a result, one row per sample.
 
     Attributes:
-        unit: whose it has: that of an output, input or state, of a state's rate; or the unit.
-        columns: what its columns are called in turn, such as those of right and left; empty: as
-            the signal.
-        fields: of an `Estimate`, whose columns stand in it in turn; empty: no observer gives it.
-        final: how its last row stands in a summary; see `Quantity`.
+        unit: quantity whose unit it has (an output, input, state or a state's rate), or the unit
+            itself.
+        columns: names of its columns in turn, such as those of right and left (empty: as the
+            signal).
+        fields: of an `Estimate`, whose columns stand in it in turn (empty: no observer gives it).
+        final: form of its last row in a summary (see `Quantity`).
     """
 
     unit: str
@@ -30,9 +31,7 @@ class Signal(NamedTuple):
 
 
 def _build_estimated_signals() -> dict[str, Signal]:
-    """Return the signals that observers estimate; b in a run is called actuator in an
-    estimate.
-    """
+    """Return the signals that observers estimate. A run's b is called actuator in an estimate."""
     found: dict[str, Signal] = {}
     for field, quantity in QUANTITIES.items():
         if not quantity.signal:
@@ -76,7 +75,7 @@ class Layout(NamedTuple):
 
     Attributes:
         names: of all of them.
-        required: without which it is none.
+        required: signals without which it is invalid.
     """
 
     names: tuple[str, ...]
@@ -103,17 +102,17 @@ LOG: Final = _build_layout(("t", "y", "u", "side"), (), (*DEVIATIONS, "B", *_RES
 
 
 class Signals:
-    """Signals of a result by name; a missing signal is None.
+    """Signals of a result by name. Missing signals have the value None.
 
     Args:
         layout: which there may be.
-        given: arrays by name; what is None is left out.
+        given: arrays by name (None values are left out).
 
     Attributes:
         arrays: those that there are, in the order of the layout.
 
     Raises:
-        TypeError: one that must be is missing, or one is none of the layout.
+        TypeError: a required signal is missing, or a signal is not in the layout.
     """
 
     def __init__(self, layout: Layout, given: Mapping[str, Floats | None]) -> None:
@@ -122,7 +121,7 @@ class Signals:
             raise TypeError(f"{min(missing)} is missing")
         strange = given.keys() - {*layout.names}
         if strange:
-            raise TypeError(f"{min(strange)} is no signal of such a result")
+            raise TypeError(f"{min(strange)} is not a signal of such a result")
         self.arrays: dict[str, Floats] = {}
         for name in layout.names:
             value = given.get(name)
@@ -142,8 +141,7 @@ class Signals:
         return columns
 
     def parameters(self, names: Iterable[str]) -> dict[str, dict[str, float]]:
-        """Return the last estimates of parameters with their deviations; empty without
-        estimates.
+        """Return the last estimates of parameters with their deviations, empty without estimates.
 
         Args:
             names: of the parameters.
@@ -155,7 +153,7 @@ class Signals:
 
 
 def get_signal(result: Any, name: str) -> Any:
-    """Return a signal by name, None if the result lacks it; `__getattr__` of results.
+    """Return a signal by name, None if the result lacks it (`__getattr__` of results).
 
     Raises:
         AttributeError: such a result cannot have it.
@@ -166,12 +164,12 @@ def get_signal(result: Any, name: str) -> Any:
 
 
 def list_attributes(result: Any) -> list[str]:
-    """Return the names of attributes, signals included; `__dir__` of results."""
+    """Return the names of attributes, signals included (`__dir__` of results)."""
     return [*object.__dir__(result), *type(result).layout.names]
 
 
 def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
-    """Return the last rows of signals for a summary; missing signals are left out.
+    """Return the last rows of signals for a summary. Missing signals are left out.
 
     Args:
         signals: by name.
@@ -185,9 +183,7 @@ def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
 
 
 def final_rejections(signals: Mapping[str, Floats]) -> dict[str, list[str]]:
-    """Return the names of the assumptions that the last readings reject; empty without a
-    filter.
-    """
+    """Return the names of the assumptions that the last readings reject, empty without a filter."""
     if "claims" not in signals:
         return {}
     return {
@@ -208,7 +204,7 @@ def list_summary_signals(kind: type, but: Iterable[str] = ()) -> list[str]:
     """Return the estimated signals whose last rows appear in a summary in a given form.
 
     Args:
-        kind: float: a number each; int: their sum; bool: whether they hold.
+        kind: float (a number each), int (their sum) or bool (whether they hold).
         but: names to be left out.
     """
     return [name for name in ESTIMATED if ESTIMATED[name].final is kind and name not in but]
@@ -221,7 +217,7 @@ def signals_from_estimate(estimate: Estimate) -> dict[str, Floats]:
         estimate: a row for each sample in each field.
 
     Returns:
-        By name; nothing of what it does not estimate.
+        Signals by name, only those that it estimates.
     """
     found = {}
     for name, signal in ESTIMATED.items():
@@ -245,7 +241,7 @@ def signals_from_columns(columns: Mapping[str, Floats], layout: Layout) -> dict[
 
     Args:
         columns: as `Signals.columns` names them.
-        layout: of the result. Raises ValueError where one lacks that must be.
+        layout: of the result. Raises ValueError if a required signal is missing.
     """
     arrays: dict[str, Floats] = {}
     for name in layout.names:
@@ -276,7 +272,7 @@ def quantity_unit(kind: str, index: int, units: Units) -> str:
 
     Args:
         kind: output, input, state or rate, or the unit itself.
-        index: of the entry; of states that are stacked they come again.
+        index: of the entry (of states that are stacked they come again).
         units: names of the scenario's units.
     """
     if kind in ("state", "rate"):

@@ -35,7 +35,7 @@ class Number(NamedTuple):
     """A number of the options.
 
     Attributes:
-        value: in the scenario; None where it is left to the method.
+        value: in the scenario (None if it is left to the method).
         whole: whether it is a whole number.
     """
 
@@ -49,7 +49,7 @@ def stem(address: str) -> str:
 
 
 def index_of(address: str) -> str:
-    """Return the index of an address with its brackets; empty if it has none."""
+    """Return the index of an address with its brackets, empty if it has none."""
     return address[len(stem(address)) :]
 
 
@@ -65,8 +65,8 @@ def matching(address: str, names: Iterable[str]) -> list[str]:
 
 
 def entries_there(address: str, names: Iterable[str]) -> str:
-    """Return the entries under the key of an address, first and last, in words; empty: there are
-    none.
+    """Return the entries under the key of an address, first and last, in words (empty: there are
+    none).
     """
     there = matching(stem(address), names)
     if there[1:]:
@@ -75,7 +75,7 @@ def entries_there(address: str, names: Iterable[str]) -> str:
 
 
 def similar(address: str, names: Iterable[str], otherwise: str) -> str:
-    """Return a question for the key that was meant, if one is similar; else what there is.
+    """Return a question for the key that was meant, if one is similar, else the existing keys.
 
     Args:
         address: that no name has.
@@ -88,7 +88,7 @@ def similar(address: str, names: Iterable[str], otherwise: str) -> str:
 
 
 def child(parent: Any, name: str) -> Any:
-    """What stands under a name of a table or a struct; None where nothing does."""
+    """Return the value under a name of a table or a struct, or None if it has no such entry."""
     return parent.get(name) if isinstance(parent, Mapping) else getattr(parent, name, None)
 
 
@@ -97,7 +97,7 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
 
     Args:
         key: of the array, for messages.
-        present: the array, or a list of numbers; None: there is none.
+        present: the array, or a list of numbers (None: there is none).
         index: of the entry, such as `1,0`.
         value: a number.
 
@@ -112,7 +112,9 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
     try:
         array[place] = value
     except (IndexError, ValueError, TypeError):
-        raise InputError(f"{key}[{listed}]: no such entry, or {value!r:.40} is no number") from None
+        raise InputError(
+            f"{key}[{listed}]: no such entry, or {value!r:.40} is not a number"
+        ) from None
     return array
 
 
@@ -121,7 +123,7 @@ def numbers(scenario: Any) -> dict[str, Number]:
     found: dict[str, Number] = {}
 
     def walk(name: str, value: Any, kind: Any = None) -> None:
-        """Take down what is below a value; kind: its annotation, where it has one."""
+        """Record the numbers below a value (kind: its annotation, if any)."""
         if isinstance(value, msgspec.Struct):
             for field in msgspec.structs.fields(value):
                 walk(f"{name}.{field.name}", getattr(value, field.name), field.type)
@@ -141,7 +143,7 @@ def numbers(scenario: Any) -> dict[str, Number]:
 
 
 def _may_be_number(value: Any, kind: Any) -> bool:
-    """Return whether a value is a number, or None where its annotation allows a number."""
+    """Return whether a value is a number, or None if its annotation allows a number."""
     if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
         return False
     return kind is None or bool({int, float, Array} & {kind, *typing.get_args(kind)})
@@ -232,7 +234,7 @@ def alike(compare: Any, observer: Any) -> Any:
 
     Args:
         compare: the table as TOML gives it.
-        observer: [observer], likewise; None: left out.
+        observer: [observer], likewise (None: left out).
 
     Raises:
         InputError: `like` is something else, there is no [observer], or it has another method.
@@ -256,14 +258,14 @@ def with_entries(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's tables, entries by address moved to `entries` in [ensemble] and [tune].
 
     Raises:
-        InputError: a key there is neither known nor an address, or an entry cannot be read.
+        InputError: a key is not known and not an address, or an entry cannot be read.
     """
     read = {each.name: each.decode_table(data[each.name]) for each in TABLES if each.name in data}
     return {**data, **read}
 
 
 def require_finite(value: Any, key: str) -> None:
-    """Raise InputError where a number at or below a key is not finite, or too large."""
+    """Raise InputError if a number at or below a key is not finite, or too large."""
     if key == ENDLESS:
         return
     if isinstance(value, dict):

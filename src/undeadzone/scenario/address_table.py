@@ -29,7 +29,7 @@ class Table(NamedTuple):
     example: str
 
     def entry_name(self, address: str) -> str:
-        """How messages name an entry."""
+        """Return the name of an entry for messages."""
         return f'{self.name}."{address}"'
 
     def decode_table(self, table: Any) -> Any:
@@ -38,7 +38,7 @@ class Table(NamedTuple):
         Anything but a table is handed back as it is.
 
         Raises:
-            InputError: a key is neither known nor an address, or an entry cannot be read.
+            InputError: a key is not known and not an address, or an entry cannot be read.
         """
         if not isinstance(table, dict):
             return table

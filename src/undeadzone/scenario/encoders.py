@@ -1,8 +1,8 @@
-"""Arms with gears: what reads them, drives them and follows them; the rest is refused.
+"""Arms with gears: their sensors, actuators and observers. Other components are refused.
 
-Encoders read positions without a zone. What is hidden is the gap: a link may be ahead of its motor
-by right = a + c or behind it by left = a - c. Only methods that say so know gaps of gears
-(`gears = True` of their options).
+Encoders read positions without a zone. The gap is hidden: a link may be ahead of its motor by right
+= a + c or behind it by left = a - c. Only methods that declare it know gaps of gears (`gears =
+True` of their options).
 """
 
 from __future__ import annotations
@@ -12,25 +12,28 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from undeadzone.analysis.identifiability.flanks import COUPLED, PLACES
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import SHAPE, Sensor, Zone, resolve
+from undeadzone.plants.robots.geared import largest_couplings
 from undeadzone.plants.system import System
+from undeadzone.util.arrays import Floats
 
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia", *SHAPE)
 
 
 def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> Zone:
-    """Return the checked sensor of a plant; of an arm with gears its encoders, with the gaps for
+    """Return the checked sensor of a plant: for an arm with gears its encoders, with the gaps as
     widths.
 
     Args:
         sensor: in a user's words.
-        system: what it reads, in continuous time.
+        system: plant that it reads, in continuous time.
         step: time between readings [s].
         rate: how fast the model moves [1/s], for the default rate of false alarms.
 
     Raises:
-        InputError: or a subclass, as `resolve`; a dead zone or a play beside gears.
+        InputError: or a subclass, as `resolve`, also for a dead zone or a play beside gears.
     """
     if system.gears is None:
         return resolve(sensor, system.p, step, rate)
@@ -39,16 +42,14 @@ def resolve_sensor(sensor: Sensor, system: System, step: float, rate: float) -> 
         raise InputError(
             f"sensor.{(zones or ['kind'])[0]}: an arm with gears is read by encoders, which have "
             "no zone. The gap is plant.arm.gears.half: set sensor.right and sensor.left to 0 and "
-            "leave out what else belongs to a zone"
+            "leave out all other keys of a zone"
         )
     always = msgspec.structs.replace(sensor, threshold=0.0)
     return with_gaps(resolve(always, system.p, step, rate), system)
 
 
 def with_gaps(zone: Zone, system: System) -> Zone:
-    """Return the sensor with the gaps of a plant's gears for widths; as it is where there are
-    none.
-    """
+    """Return the sensor with the gaps of a plant's gears as widths, unchanged without gears."""
     if system.gears is None:
         return zone
     right, left = (np.asarray(each).ravel() for each in system.gears.gap_widths(system.params))
@@ -56,12 +57,12 @@ def with_gaps(zone: Zone, system: System) -> Zone:
 
 
 def require_gears(kind: str, options: Any, system: System) -> None:
-    """Raise InputError where a method does not know the gears of a plant.
+    """Raise InputError if a method does not know the gears of a plant.
 
     Args:
         kind: of the method: observer or controller.
         options: of the method.
-        system: what it is for.
+        system: plant of the method.
     """
     if system.gears is None or getattr(options, "gears", False):
         return
@@ -70,3 +71,33 @@ def require_gears(kind: str, options: Any, system: System) -> None:
         f"{kind}.method: {options.__struct_config__.tag!r} takes motors for links, and this arm "
         f"has gears with a gap between them. Use {known[kind]}, or leave plant.arm.gears out"
     )
+
+
+def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
+    """Return the options of an observer, with pairs of coupled joints as groups.
+
+    Only for a filter joint by joint that was given no groups. Where more than two joints turn about
+    nearly one axis they stay apart, and a run says that their gaps cannot be known.
+
+    Args:
+        options: of the observer.
+        system: what it is for.
+        postures: angles of the links that the motion visits (K x N).
+    """
+    gears = system.gears
+    if gears is None or getattr(options, "joints", "") != "separate" or options.groups is not None:
+        return options
+    few = postures[np.unique(np.linspace(0, len(postures) - 1, PLACES).astype(int))]
+    alone = [(joint,) for joint in range(gears.joint_count)]
+    links = gears.link_params(np.ravel(system.params))
+    partners: dict[int, set[int]] = {joint: set() for joint in range(gears.joint_count)}
+    for joint, found in enumerate(largest_couplings(gears.arm, links, few, alone)):
+        if found.ratio > COUPLED:
+            partners[joint].add(found.partner)
+            partners[found.partner].add(joint)
+    names, pairs = gears.arm.chain.joints, []
+    for joint, others in partners.items():
+        for other in others:
+            if joint < other and partners[other] == {joint} and others == {other}:
+                pairs.append([names[joint], names[other]])
+    return msgspec.structs.replace(options, groups=pairs)

@@ -1,4 +1,4 @@
-"""What varies from run to run, in the words of a scenario's [ensemble] table.
+"""Quantities that vary from run to run, in the terms of a scenario's [ensemble] table.
 
 An entry is an address and a distribution.
 """
@@ -20,17 +20,17 @@ REACH: Final = 8.3  # standard deviations; the numbers drawn never lie further o
 
 
 class Distribution(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a number varies: exactly one of uniform, normal and log_normal.
+    """Distribution of a number that varies: exactly one of uniform, normal and log_normal.
 
-    A normal distribution is cut off where a value cannot be, such as a width below 0; the
-    probability cut off is spread over the rest.
+    A normal distribution is cut off at impossible values, such as a width below 0. The probability
+    cut off is spread over the rest.
 
     Attributes:
         uniform: [low, high].
         normal: [mean, standard deviation].
         log_normal: [median, standard deviation of the logarithm].
         relative: the number drawn is a factor on the nominal value, which must not be 0.
-        shared: one draw for all entries that the address names; else each has its own.
+        shared: one draw for all entries that the address names (else a draw for each).
     """
 
     uniform: tuple[float, float] | None = None
@@ -46,29 +46,30 @@ class Vary(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     A key in quotes is the address of what varies: `"sensor.right" = { uniform = [0.3, 2.0] }`.
     Addresses are:
 
-    `sensor.right`, `left`, `slope`, `threshold`, `noise`, `noise_before`; `sensor.range[1]`, and
-    `range[0]` by a factor alone (`relative`), with several outputs `range[0,1]`; `plant.A[1,0]`,
-    `B`, `C` in continuous time, in whatever form the plant is given; `plant.parameters.NAME`;
-    `plant.x0[0]`; `reference.scale`, a factor on the whole reference, or `reference.amplitude` of a
-    sine, step or trapezoid about 0; likewise `disturbance.scale`, `disturbance.amplitude` (a bias
-    is a step at time 0), `disturbance.rms`; the numbers of observer and controller by their names
-    in the loop, such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and
+    The numbers of the sensor: `sensor.right`, `left`, `slope`, `threshold`, `noise`,
+    `noise_before`, `sensor.range[1]`, and `range[0]` by a factor alone (`relative`), with several
+    outputs `range[0,1]`. Those of the plant: `plant.A[1,0]`, `B`, `C` in continuous time, in
+    whatever form the plant is given, `plant.parameters.NAME`, `plant.x0[0]`. The signals:
+    `reference.scale`, a factor on the whole reference, or `reference.amplitude` of a sine, step or
+    trapezoid about 0, likewise `disturbance.scale`, `disturbance.amplitude` (a bias is a step at
+    time 0), `disturbance.rms`. And the numbers of observer and controller by their names in the
+    loop, such as `observer.L[0,0]`, `observer.gamma[0]` [1/s], `controller.K[0,1]`, and
     `observer.model.A[1,0]` for the model of the observer alone.
 
-    Without an index, or with `:` for one, an address names several entries; `+` joins addresses:
+    Without an index, or with `:` for one, an address names several entries. `+` joins addresses:
     `"plant.A[1,:] + plant.B[1,:]"` with `relative` and `shared` divides the second equation by a
     mass. `sensor` and `plant` are the truth: observer, controller and feedforward stay as designed
-    for the nominal plant or [model], sensor and noise; but `oracle` knows the widths,
+    for the nominal plant or [model], sensor and noise. But `oracle` knows the widths,
     `certified` the threshold, and all the range. A width beyond `width_max` is not refused.
 
     Attributes:
         runs: number of runs.
-        sampling: random; latin_hypercube, which depends on the number of runs; sobol, best with a
-            power of 2; saltelli, the design for Sobol indices, whose runs are a multiple of the
-            varied entries plus 2.
-        seed: seed of the random numbers; default: that of [simulation].
+        sampling: random, latin_hypercube (it depends on the number of runs), sobol (best with a
+            power of 2), or saltelli (the design for Sobol indices, whose runs are a multiple of the
+            varied entries plus 2).
+        seed: seed of the random numbers (default: that of [simulation]).
         tolerance: share of the largest |r| within which z - r has settled [1].
-        entries: the distributions, by address; a key with a dot directly in [ensemble] is one of
+        entries: the distributions, by address. A key with a dot directly in [ensemble] is one of
             them.
     """
 

@@ -1,4 +1,4 @@
-"""What is wrong with a scenario's words: the key first, and a suggestion where one is near.
+"""Messages about faulty scenario keys: the key first, with a suggestion if a known key is similar.
 
 The messages are made of msgspec's.
 """
@@ -77,7 +77,8 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
     """Return the message of a msgspec.ValidationError in a reader's words.
 
     Args:
-        message: the message of the error; tables within tables may each have said where they are.
+        message: the message of the error. Each of several nested tables may have added its place to
+            it.
         data: the tables that were read.
         root: the struct that they were read as.
     """
@@ -104,13 +105,13 @@ def explain(message: str, data: dict[str, Any], root: type[msgspec.Struct]) -> s
 
 
 def require_kind(key: str, value: Any, kind: Any) -> None:
-    """Raise InputError where a part is of another type, such as a name, a number or a class.
+    """Raise InputError if a part has another type, such as a name, a number or a class.
 
     Args:
         key: of the part.
         value: as a program may give it.
-        kind: what it should be: a struct, options of methods, or some of these; others are not
-            looked at.
+        kind: the expected type: a struct, options of methods, or a union of them (parts of other
+            kinds are not checked).
     """
     kinds = typing.get_args(kind) or (kind,)
     tables = [each for each in kinds if each in REGISTRIES or hasattr(each, "__struct_fields__")]
@@ -121,7 +122,7 @@ def require_kind(key: str, value: Any, kind: Any) -> None:
 
 
 def _is_of(value: Any, kind: Any) -> bool:
-    """Return whether a part is of a kind; the options of an observer are no controller's."""
+    """Return whether a part is of a kind. An observer's options are not a controller's."""
     if kind not in REGISTRIES or isinstance(value, type) or not isinstance(value, kind):
         return isinstance(value, kind) and not isinstance(value, type)
     others = [one for each, one in REGISTRIES.items() if each is not kind]
@@ -129,12 +130,12 @@ def _is_of(value: Any, kind: Any) -> bool:
 
 
 def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
-    """Raise InputError where a field of a few words, such as simulation.time, holds another one.
+    """Raise InputError if a field with fixed choices, as simulation.time, has an unknown value.
 
     Args:
         key: of the options.
         options: as a program may give them.
-        kind: what they should be.
+        kind: type of the options.
     """
     require_kind(key, options, kind)
     for field in msgspec.structs.fields(kind):
@@ -144,7 +145,7 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
 
 
 def _unknown_choice(key: str, word: Any, choices: list[str]) -> str:
-    """Return the message about a word that is none of those that may stand at a key."""
+    """Return the message about a word that is not a choice of a key."""
     advice = _advice(str(word), choices, "Expected one of")
     if str(word) in _SYNONYMS:
         advice = f"{advice}. {_SYNONYMS[str(word)]}"
@@ -161,9 +162,7 @@ def _missing(key: str, name: str, root: type[msgspec.Struct]) -> str:
 
 
 def _choices(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
-    """Return the words that may stand at a dotted key; none where it does not choose among
-    words.
-    """
+    """Return the words that may stand at a dotted key (empty if it does not choose among words)."""
     parent, _, name = key.rpartition(".")
     tags = _tags(root, parent) if name in CHOOSERS else []
     if tags:
@@ -188,7 +187,7 @@ def _join(key: str, name: str) -> str:
 
 
 def _advice(name: str, known: list[str], otherwise: str) -> str:
-    """Return the nearest known name, or all of them; upper and lower case count as the same."""
+    """Return the nearest known name, or all of them. Upper and lower case count as the same."""
     lower = {each.lower(): each for each in known}
     near = [each for each in known if each in difflib.get_close_matches(name, known, 1, NEAR)]
     near = near or [lower[each] for each in difflib.get_close_matches(name.lower(), lower, 1, NEAR)]
@@ -196,7 +195,7 @@ def _advice(name: str, known: list[str], otherwise: str) -> str:
 
 
 def _walk(key: str, data: Any) -> Any:
-    """What stands at a dotted key of the data; an empty table where nothing does."""
+    """Return the value at a dotted key of the data, an empty table if it has none."""
     for part in filter(None, re.findall(r"[^.\[\]]+", key)):
         if isinstance(data, list):
             data = data[int(part)]
@@ -208,7 +207,7 @@ def _walk(key: str, data: Any) -> Any:
 
 
 def _entry(key: str, data: Any) -> str:
-    """Return the key with the name of the entry that is no number, where msgspec says [...].
+    """Return the key with the name of the entry that is not a number, if msgspec writes [...].
 
     Only tables of numbers have free names.
     """
@@ -269,9 +268,7 @@ def _chosen_variants(root: type[msgspec.Struct], key: str, data: dict[str, Any])
 
 
 def _fields(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> list[str]:
-    """Return keys known at a dotted key, of the variant that the data choose where there are
-    several.
-    """
+    """Return keys known at a dotted key, of the variant that the data choose if it has several."""
     names: list[str] = []
     choosers: list[str] = []
     for struct in _chosen_variants(root, key, data):

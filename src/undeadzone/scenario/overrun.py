@@ -1,9 +1,9 @@
-"""The overrun number J a / f: whether a load behind a play stays where it is left.
+"""The overrun number J a / f, a test if a load behind a play stays at rest after a push.
 
 J is the load's inertia, f its friction, a the largest deceleration of z. Friction stops the load
 within a / (f / J) of the way that the motor takes to stop: below 1 the load rests against its
-contact until it is pushed again, and what is read is a play. Above 1 it coasts through its gap, y
-moves without contact, and no side can be made out (docs/play.md).
+contact until it is pushed again, and the reading is that of a play. Above 1 it coasts through its
+gap, y moves without contact, and no side can be determined (docs/play.md).
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ SMOOTH = 1.3  # ratio of decelerations over one and two steps beyond which r has
 def overrun_numbers(
     sensor: Zone, reference: Exosystem, tracked: list[int], duration: float, step: float
 ) -> list[float | None] | None:
-    """Return J a / f of each output; None where it cannot be told, and of all where no inertia is
-    given.
+    """Return J a / f of each output, or None if unknown, and for all if no inertia is given.
 
     It cannot of an output that is not tracked, and of a reference with corners.
 
@@ -45,7 +44,7 @@ def overrun_numbers(
 
 
 def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
-    """Return the largest deceleration of each signal [1/s^2], nan where it has corners.
+    """Return the largest deceleration of each signal [1/s^2], nan if it has corners.
 
     Args:
         reference: the signals.
@@ -85,7 +84,7 @@ def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
 def require_contact(
     sensor: Zone, reference: Exosystem, tracked: list[int], duration: float, step: float
 ) -> None:
-    """Raise InputError where a load would coast through its gap. Arguments of `overrun_numbers`."""
+    """Raise InputError if a load would coast through its gap. Arguments of `overrun_numbers`."""
     for i, number in enumerate(overrun_numbers(sensor, reference, tracked, duration, step) or []):
         if number is not None and number > 1:
             stops = sensor.friction[i] / sensor.inertia[i]

@@ -1,6 +1,6 @@
-"""From a scenario's words to checked parts: what is wrong is said here, by key, before a run.
+"""Parts of a scenario, built and checked: errors are reported here, by key, before a run.
 
-That includes the path of an arm's joints that a reference asks for, and an arm's units: SI.
+That includes the path of an arm's joints that a reference needs, and an arm's units: SI.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.compensators import SmoothZoneInverse
+from undeadzone.compensators import PlayInverse, SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import lead_across_gap
 from undeadzone.controllers.parts.estimated import use_gear_estimates
 from undeadzone.controllers.parts.predicted import predict_over_delay
@@ -36,7 +36,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import build_box
 from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import require_gears, resolve_sensor
+from undeadzone.scenario.encoders import group_coupled_joints, require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
@@ -58,21 +58,21 @@ class Problem(NamedTuple):
     """The checked parts of a scenario.
 
     Attributes:
-        scenario: what they were built from.
+        scenario: scenario from which they were built.
         plant: sampled when the simulation is.
-        model: the plant as observer and controller know it; sampled when the simulation is.
+        model: the plant as observer and controller know it (sampled when the simulation is).
         flow: the model in continuous time.
         sensor: the dead zone.
         observer, controller: built for the model.
         reference: of the tracked outputs.
-        disturbance: at the input; None: none, or a random one.
+        disturbance: at the input (None: none, or a random one).
         tracked: numbers of the outputs that follow the reference.
         x0: the plant's initial state (n).
         steps: how many a run has.
-        path: of the coordinates of a model that is flat, a robot's joints; None: it is not flat.
-        actuator: ahead of the plant; None: there is none.
-        belief: what is known of it; None: there is none.
-        compensator: of its dead zone; None: there is none.
+        path: of the coordinates of a model that is flat, a robot's joints (None: it is not flat).
+        actuator: ahead of the plant (None: there is none).
+        belief: state of knowledge about it (None: there is none).
+        compensator: of its dead zone (None: there is none).
     """
 
     scenario: Scenario
@@ -97,7 +97,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     """Build and check every part of a scenario.
 
     Raises:
-        InputError: or a subclass, naming the key, what was found and what to do.
+        InputError: or a subclass, naming the key, the value found and the remedy.
     """
     true, flow, x0 = systems(scenario)
     step, steps = require_steps(scenario, true)
@@ -124,7 +124,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         _require_play(scenario.model.play, sensor)
     told = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
     require_branch_observer(scenario.observer, sensor)
-    observer = watching(scenario.observer, model, told, belief, step)
+    options = scenario.observer
+    if path is not None:
+        along = path.output_at(np.arange(steps + 1) * step)
+        options = group_coupled_joints(options, model, along)
+    observer = watching(options, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = use_gear_estimates(
@@ -157,7 +161,7 @@ def resolve_scenario(scenario: Scenario) -> Problem:
 
 
 def _require_no_samples(plant: System, model: System, sensor: Zone) -> None:
-    """Raise InputError in continuous time where a part needs samples."""
+    """Raise InputError in continuous time if a part needs samples."""
     play = "sensor.kind" if sensor.play is None else "sensor.play"
     needed = {
         "plant.delay: counts samples": plant.delay or model.delay,
@@ -179,7 +183,7 @@ def watching(
         options: of the observer.
         model: the model, of one step if sampled.
         told: the sensor as the observer knows it.
-        belief: what is known of the actuator; None: there is none.
+        belief: state of knowledge about the actuator (None: there is none).
         step: of the simulation, or between samples [s].
 
     Raises:
@@ -193,7 +197,7 @@ def watching(
 
 
 def describe_actuator(scenario: Scenario) -> ActuatorModel | None:
-    """What is known of the actuator, in a user's words; None where there is none."""
+    """Return the model of the actuator as options, or None without an actuator."""
     told = None if scenario.model is None else scenario.model.actuator
     if scenario.actuator is None:
         return told
@@ -202,19 +206,19 @@ def describe_actuator(scenario: Scenario) -> ActuatorModel | None:
 
 
 def sensor_of_model(scenario: Scenario) -> Sensor:
-    """Return the sensor as observers know it, in a user's words: with what [model] says of it."""
+    """Return the sensor as observers know it, as options: with the values of [model]."""
     told = _given_keys(scenario.model, ("load_friction", "play"))
     return msgspec.structs.replace(scenario.sensor, **told)
 
 
 def _given_keys(table: msgspec.Struct | None, keys: Iterable[str]) -> dict[str, Any]:
-    """Those of some keys that a table gives; nothing of a table that there is not."""
+    """Return the values that a table has under some keys, empty if the table is absent."""
     values = {key: getattr(table, key, None) for key in keys}
     return {key: value for key, value in values.items() if value is not None}
 
 
 def _require_numbers(sensor: Zone) -> None:
-    """Raise InputError where the sensor itself has a range in place of a number."""
+    """Raise InputError if the sensor itself has a range in place of a number."""
     if sensor.friction_std.any():
         raise InputError(
             "sensor.load_friction: expected a number, a simulation needs one. Give the range as "
@@ -227,7 +231,7 @@ def _require_numbers(sensor: Zone) -> None:
 
 
 def _require_play(told: Array, sensor: Zone) -> None:
-    """Raise InputError unless what is told of a play's gaps can be, and there is a play."""
+    """Raise InputError unless [model] gives possible gaps of an existing play."""
     gaps_of(told, sensor.right.size, "model.play")
     if sensor.play is None and np.any(told):
         raise InputError(
@@ -237,25 +241,30 @@ def _require_play(told: Array, sensor: Zone) -> None:
 
 
 def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | None]:
-    """Return the actuator and what is known of it; None where there is none. Raises InputError."""
+    """Return the actuator and the knowledge about it, each None if absent. Raises InputError."""
     belief = believe_actuator(describe_actuator(scenario), inputs)
     if scenario.actuator is None:
         return None, belief
     drive = resolve_actuator(scenario.actuator, inputs)
     if drive.has_rate_limit and scenario.simulation.time != "sampled":
         raise InputError('actuator.rate: needs samples. Set simulation.time = "sampled"')
+    if drive.is_play and scenario.simulation.time != "sampled":
+        raise InputError('actuator.kind: "play" needs samples. Set simulation.time = "sampled"')
     return drive, belief
 
 
 def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Compensator | None:
-    """Return the compensator of a scenario; by default a smooth inverse of a known actuator."""
+    """Return the compensator of a scenario, by default an inverse of a known actuator."""
     if scenario.compensator is not None:
         return scenario.compensator.build(model, belief)
-    return None if belief is None else SmoothZoneInverse().build(model, belief)
+    if belief is None:
+        return None
+    usual: Any = PlayInverse() if belief.drive.is_play else SmoothZoneInverse()
+    return usual.build(model, belief)
 
 
 def _require_room(sensor: Zone, observer: Observer) -> None:
-    """Raise InputError where the widths lie beyond d_M: projection keeps estimates from them."""
+    """Raise InputError if the widths lie beyond d_M: projection keeps estimates from them."""
     limit = observer.traits.width_max
     if limit is None:
         return
@@ -300,7 +309,7 @@ def systems(scenario: Scenario) -> tuple[System, System, Floats]:
 def require_visible(system: System, key: str) -> None:
     """`require_structure`, but for an arm, whose structure changes with its posture.
 
-    Of an arm a run's own verdict tells.
+    For an arm, see the verdict of a run.
     """
     if system.flat is None:
         require_structure(system.linear, key)
@@ -379,7 +388,7 @@ def _reference(
 
 
 def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
-    """Return the disturbance at the inputs; None where there is none, or a random one."""
+    """Return the disturbance at the inputs, or None if it is absent or random."""
     signal = scenario.disturbance
     if signal is None:
         return None
@@ -393,7 +402,7 @@ def _disturbance(scenario: Scenario, inputs: int) -> Exosystem | None:
 
 
 def constant_gains(observer: Observer, model: System) -> tuple[Floats, Floats] | None:
-    """Return (L, gamma), both [1/s], of an observer that corrects with constant ones; else None."""
+    """Return (L, gamma), both [1/s], of an observer with constant gains, else None."""
     traits = observer.traits
     if not traits.constant or traits.L is None or traits.gamma is None:
         return None
@@ -412,7 +421,7 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
         step: between the instants at which a path of the tip is checked [s].
 
     Raises:
-        InputError: or a subclass; TrackingError where the tip or the motors cannot follow.
+        InputError: or a subclass: TrackingError if the tip or the motors cannot follow.
     """
     reference, duration = scenario.reference, scenario.simulation.duration
     body = model.arm
@@ -420,9 +429,9 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
     t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)
     if getattr(reference, "space", "joint") == "joint":
         path = signals.build_exosystem("reference", reference, model.m)
-        if model.m == body.size:
+        if model.m == body.joint_count:
             require_range(body.chain, t, path.output_at(t), path.output_at(t, 1))
-    elif model.m < body.size:
+    elif model.m < body.joint_count:
         raise InputError(
             "reference.space: the path of an elastic joint is its link's angle. Use space = 'joint'"
         )
@@ -444,7 +453,7 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
 
 
 def with_units(scenario: Scenario, plant: System) -> Scenario:
-    """Return the scenario with the units of an arm where it names none.
+    """Return the scenario with the units of an arm if it has no units.
 
     The outputs, inputs and states of other plants may be anything: they keep the unit 1. So do
     those of an arm with sliding joints, which has outputs of two units.

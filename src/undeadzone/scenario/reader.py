@@ -1,6 +1,6 @@
 """Scenarios from TOML: read, checked, with the files that they name found.
 
-Of a text that is no TOML the line is said, and what to write instead.
+For a text that is not TOML, the error contains the line and a correct form of it.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ def read(path: str | os.PathLike[str], confine: str | os.PathLike[str] | None = 
     """Return the scenario in a TOML file.
 
     Args:
-        path: the file; the files that it names are relative to its folder.
-        confine: a folder outside of which it may name no file, for a stranger's scenario; None:
-            any.
+        path: the file. The files that it names are relative to its folder.
+        confine: a folder outside of which it may name no file, for a stranger's scenario (None:
+            any).
 
     Returns:
         The scenario, its keys and types checked.
 
     Raises:
         FileError: the file cannot be read.
-        InputError: with the key, what was found and what to do; also for a file outside of
+        InputError: with the key, the value found and the remedy, also for a file outside of
             `confine`.
 
     Example:
@@ -87,15 +87,15 @@ def read_for_logs(
     """Return the scenario in a TOML file of which only plant, sensor and observer are used, along a
     log.
 
-    Reference, controller and the sensor's widths may be left out; others stand in for them.
+    Reference, controller and the sensor's widths may be left out. Others stand in for them.
 
     Args:
-        path: the file; the files that it names are relative to its folder.
+        path: the file. The files that it names are relative to its folder.
         confine: as of `read`.
 
     Raises:
         FileError: the file cannot be read.
-        InputError: with the key, what was found and what to do.
+        InputError: with the key, the value found and the remedy.
     """
     path = to_path(path)
     with _naming(path):
@@ -104,7 +104,7 @@ def read_for_logs(
 
 
 def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables with what a scenario for logs may leave out. Raises InputError."""
+    """Return the tables with the entries that logs do not need. Raises InputError."""
     for name, table in _STAND_INS.items():
         data.setdefault(name, table)
     sensor, observer = data.setdefault("sensor", {}), data.get("observer")
@@ -113,7 +113,7 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
         for width in ("right", "left"):
             if width not in sensor and method in _TOLD_THE_WIDTHS:
                 raise InputError(
-                    f"sensor.{width}: missing; observer.method {method!r} is told the true widths"
+                    f"sensor.{width}: missing; observer.method {method!r} needs the true widths"
                 )
         if observer is None and "right" not in sensor and "declared" not in data:
             raise InputError(
@@ -153,7 +153,7 @@ def _text(path: Path) -> str:
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Provide put the name of a file in front of what is wrong with its text."""
+    """Provide a context that puts the name of a file in front of errors in its text."""
     try:
         yield
     except FileError:
@@ -171,7 +171,7 @@ def parse(text: str, folder: Path = Path()) -> Scenario:
         folder: the files that it names are relative to it.
 
     Raises:
-        InputError: with the key, what was found and what to do.
+        InputError: with the key, the value found and the remedy.
     """
     return convert(_tables(text), folder)
 
@@ -196,7 +196,7 @@ def convert(data: dict[str, Any], folder: Path = Path()) -> Scenario:
         folder: the files that it names are relative to it.
 
     Raises:
-        InputError: with the key, what was found and what to do.
+        InputError: with the key, the value found and the remedy.
     """
     try:
         require_finite(data, "")
@@ -225,11 +225,11 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
         folder: that must hold them.
 
     Raises:
-        InputError: for a file outside of `folder`; whether there is one is not said.
+        InputError: for a file outside of `folder`. The message does not show if the file exists.
     """
     root = Path(os.path.realpath(folder))
 
-    def inside(key: str, path: str) -> str:
+    def confine_path(key: str, path: str) -> str:
         if "\0" in path:
             raise InputError(f"{key}: no path: it holds a NUL character. Take it out")
         real = Path(os.path.realpath(path))
@@ -241,7 +241,7 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
             raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
         return str(real)
 
-    return _with_files(scenario, inside)
+    return _with_files(scenario, confine_path)
 
 
 def _has_further_names(path: Path) -> bool:
@@ -254,18 +254,16 @@ def _has_further_names(path: Path) -> bool:
 
 
 def digests(scenario: Scenario) -> dict[str, str]:
-    """Return digests of what the files hold that a scenario names, by key; of one that is missing
-    none.
-    """
+    """Return digests of the files that a scenario names, by key, without missing files."""
     by_key: dict[str, str] = {}
 
-    def seen(key: str, path: str) -> str:
+    def record_digest(key: str, path: str) -> str:
         with suppress(OSError, ValueError):
             content = read_bytes(path, LARGEST_TABLE)
             by_key[key] = hashlib.blake2b(content, digest_size=16).hexdigest()
         return path
 
-    _with_files(scenario, seen)
+    _with_files(scenario, record_digest)
     return by_key
 
 
@@ -293,7 +291,7 @@ def _with_file(part: Any, key: str, change: Callable[[str, str], str]) -> Any:
 
 
 def invalid_toml(text: str, message: str) -> str:
-    """Return the message about a text that is no TOML, with its line.
+    """Return the message about a text that is not TOML, with its line.
 
     Args:
         text: that was read.
@@ -313,7 +311,7 @@ def invalid_toml(text: str, message: str) -> str:
 
 
 def _as_lists(line: str) -> str:
-    """How a line in MATLAB's notation, A = [0 1; -1 -2], is written in TOML; else nothing."""
+    """Return the TOML form of a line in MATLAB's notation, `A = [0 1; -1 -2]`, else ""."""
     assignment = re.match(r"\s*([\w.]+)\s*=\s*(\[[^\[\]\"=]*\])\s*;?\s*(#.*|%.*)?$", line)
     if assignment is None:
         return ""
@@ -326,7 +324,7 @@ def _as_lists(line: str) -> str:
 
 
 def _habit(line: str) -> str:
-    """What to write in place of what a line holds; nothing where that is not known."""
+    """Return the correct form of a known wrong habit in a line, "" if no habit is found."""
     if re.match(OPEN, line):
         return "; write [[0, 1], [-1, -2]]: rows in brackets, commas between numbers"
     for pattern, advice in HABITS:

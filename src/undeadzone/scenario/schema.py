@@ -1,6 +1,6 @@
 """The problem as a value: read from TOML, or built in Python from the same words.
 
-Parts that are made in Python are checked as those of a file are; a scenario that names no observer
+Parts that are made in Python are checked as those of a file are. A scenario that names no observer
 or controller has the usual one (docs/decisions.md).
 """
 
@@ -44,28 +44,27 @@ UNNAMED: Final[Any] = None  # stands for an observer or a controller until the u
 
 
 def _claims_centre(claims: Any) -> bool:
-    """Return whether a centre of the zone is claimed that is not 0; that of gears has a table of
-    its own.
+    """Return whether an asymmetry of the zone other than 0 is assumed. Gears have their own table.
 
-    A value that is no number is refused elsewhere.
+    A value that is not a number is refused elsewhere.
     """
     names = set(getattr(claims, "__struct_fields__", ()))
     return {"left", "centre"} <= names and str(claims.centre) not in ("None", "0", "0.0")
 
 
 def vague_claims(sensor: Sensor) -> Assumptions:
-    """That the widths lie between 0 and `VAGUE` times the largest; nothing else is claimed."""
+    """Return the assumption that the widths lie between 0 and `VAGUE` times the largest, alone."""
     largest = float(max(np.max(sensor.right), np.max(sensor.left)))
     return Assumptions(right=[0.0, VAGUE * (largest or 1.0)])
 
 
 def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -> ObserverOptions:
-    """Return `auto`, with what is declared; `contact` for an arm with gears.
+    """Return `auto` with the declared assumptions, or `contact` for an arm with gears.
 
     Args:
         plant: the plant, whose gaps count if it has gears.
         sensor: the dead zone, whose widths count if nothing is declared.
-        declared: the claims of the scenario.
+        declared: the declared assumptions of the scenario.
     """
     gears = getattr(plant.arm, "gears", None)
     if gears is not None:
@@ -77,7 +76,7 @@ def usual_observer(plant: Plant, sensor: Sensor, declared: Assumptions | None) -
 
 
 def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
-    """What follows a reference with this kind of plant: no option depends on units.
+    """Return the default controller for this kind of plant: its options do not depend on units.
 
     Args:
         plant: the plant.
@@ -91,7 +90,7 @@ def usual_controller(plant: Plant, sampled: bool) -> ControllerOptions:
 
 
 class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The plant as observer and controller know it; absent keys are the plant's.
+    """The plant as observer and controller know it. Absent keys are the plant's.
 
     Example:
         >>> uz.Model(A=[[0, 1], [-1, -1.9]]).A
@@ -101,15 +100,15 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         Plant, Scenario
 
     Attributes:
-        A: as in [plant] (n x n); of a linear plant only.
-        B: as in [plant] (n x m); of a linear plant only.
-        C: as in [plant] (p x n); of a linear plant only.
+        A: as in [plant] (n x n) (of a linear plant only).
+        B: as in [plant] (n x m) (of a linear plant only).
+        C: as in [plant] (p x n) (of a linear plant only).
         parameters: numbers of a nonlinear plant, by name.
-        actuator: as in [actuator]; widths that are ranges are estimated.
-        load_friction: as in [sensor]; a pair is a range, and `kalman`, `censored` and `auto` then
+        actuator: as in [actuator] (widths that are ranges are estimated).
+        load_friction: as in [sensor]. A pair is a range, and `kalman`, `censored` and `auto` then
             estimate it [u].
-        play: as in [sensor]; ranges [[lo, hi], [lo, hi]] in place of [c_r, c_l] are estimated by
-            `kalman`, `censored` and `auto` [z].
+        play: as in [sensor] (ranges [[lo, hi], [lo, hi]] in place of [c_r, c_l] are estimated by
+            `kalman`, `censored` and `auto` [z]).
         delay: as in [plant].
     """
 
@@ -124,7 +123,7 @@ class Model(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How long a run is, and how it is computed.
+    """Duration of a run, and the method of its computation.
 
     Example:
         >>> simulation = uz.Simulation(time="sampled", step=0.01, duration=10.0)
@@ -142,8 +141,8 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         substeps: RK4 steps within a sample, for a nonlinear plant in sampled time.
         switching: how a change of side is met in continuous time: located (it is found inside the
             step, which keeps the order) or plain (RK4 alone).
-        order: 4 for RK4; 5 to 20 for Taylor series of that order, for loops that are linear on each
-            side of the zone: much longer steps at the same accuracy.
+        order: 4 for RK4 (5 to 20 for Taylor series of that order, for loops that are linear on each
+            side of the zone: much longer steps at the same accuracy).
     """
 
     duration: float = 20.0
@@ -156,7 +155,7 @@ class Simulation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Names of units for labels and columns; numbers are never converted.
+    """Names of units for labels and columns. Numbers are never converted.
 
     Example:
         >>> uz.Units(output="rad", input="V").output
@@ -177,7 +176,7 @@ class Units(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A plant behind a dead zone, what it should follow, and what watches and drives it.
+    """Plant behind a dead zone, with its reference, observer and controller.
 
     Example:
         >>> scenario = uz.Scenario(
@@ -197,31 +196,31 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         plant: the plant.
         sensor: the sensor at its output, with a dead zone.
         reference: the signal that its tracked outputs should follow.
-        observer: the method that estimates state and widths; default `auto` with the claims of
-            [declared], or with widths between 0 and three times the largest; `contact` likewise for
-            an arm with gears.
-        controller: the method that computes the input; default `state_feedback`, for rigid arms
-            `computed_torque`, for an elastic joint in sampled time `lqr`.
+        observer: the method that estimates state and widths (default `auto` with the assumptions of
+            [declared], or with widths between 0 and three times the largest, likewise `contact` for
+            an arm with gears).
+        controller: the method that computes the input (default `state_feedback`, for rigid arms
+            `computed_torque`, for an elastic joint in sampled time `lqr`).
         simulation: length of a run, and how it is computed.
-        model: the plant as observer and controller know it; default: the plant itself.
-        disturbance: a signal added to the input; default: none.
-        tracked: the outputs that follow the reference, counted from 0; default: the first
-            min(inputs, outputs).
-        behind_play: speed of crossing the gap of a play when the reference reverses; makes the load
-            (y / m) follow the reference in place of z [1/s]; default: z follows.
-        units: names of units for labels and columns; default: 1, of an arm rad, N m and rad/s.
+        model: the plant as observer and controller know it (default: the plant itself).
+        disturbance: a signal added to the input (default: none).
+        tracked: the outputs that follow the reference, counted from 0 (default: the first
+            min(inputs, outputs)).
+        behind_play: speed of crossing the gap of a play when the reference reverses, which makes
+            the load (y / m) follow the reference in place of z [1/s] (default: z follows).
+        units: names of units for labels and columns (default: 1, of an arm rad, N m and rad/s).
         ensemble: distributions of the numbers that vary among many runs.
         tune: the numbers that `undeadzone tune` may change, and to what end.
-        declared: claims that the methods of `undeadzone arena` get.
+        declared: assumptions that the methods of `undeadzone arena` get.
         compare: another observer, whose run `undeadzone run` shows beside the first. With
             `like = "observer"` it has the keys of [observer], but for those that it names.
         region: states and inputs on which `undeadzone check` certifies a nonlinear model.
         title: title of figures and pages.
-        schema: number of the meanings that keys have, 3; needed where a key had another one in an
-            earlier version, as a `centre` of the zone that is not 0 (docs/versions.md).
-        actuator: what stands between the controller and the plant; default: nothing.
-        compensator: what makes the actuator's command of the controller's input; default
-            `smooth_inverse` where there is an actuator.
+        schema: number of the meanings that keys have, 3. It is needed if a key had another one in
+            an earlier version, as a `centre` of the zone that is not 0 (docs/versions.md).
+        actuator: actuator between the controller and the plant (default: nothing).
+        compensator: map from the controller's input to the actuator's command (default
+            `smooth_inverse` if there is an actuator).
     """
 
     plant: Plant
@@ -275,7 +274,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             value: number, list, text, table of keys, or a struct such as `Kalman()`.
 
         Returns:
-            A new scenario; this one stays as it is.
+            A new scenario. This one stays as it is.
 
         Raises:
             InputError: no such key, or a value that it cannot take.

@@ -1,4 +1,4 @@
-"""Whether a scenario's time step suits its parts: signals, plant, observer and controller."""
+"""Tests of a scenario's time step against its parts: signals, plant, observer and controller."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def require_steps(scenario: Scenario, plant: System) -> tuple[float, int]:
 
     Raises:
         StepError: the step is longer than the run, or so short that memory would not do.
-        InputError: order, seed or duration cannot be; or, as ShapeError, the units.
+        InputError: order, seed or duration are impossible. ShapeError: the units are.
     """
     simulation = scenario.simulation
     duration = require_number("simulation.duration", simulation.duration, above=0.0)
@@ -56,7 +56,7 @@ def _require_order(simulation: Simulation, plant: System) -> None:
 
 
 def _require_memory(steps: float, plant: System) -> None:
-    """Raise StepError where the signals of a run would not fit into MEMORY."""
+    """Raise StepError if the signals of a run would not fit into MEMORY."""
     # Of a step, those of the check at half the step included.
     numbers = 15 * (plant.n + 2 * plant.m + 4 * plant.p)
     if steps * numbers * 8 > MEMORY:
@@ -67,7 +67,7 @@ def _require_memory(steps: float, plant: System) -> None:
 
 
 def require_resolved(key: str, signal: Exosystem, step: float) -> None:
-    """Raise StepError where a signal has a tone that the step [s] does not resolve."""
+    """Raise StepError if a signal has a tone that the step [s] does not resolve."""
     tone = float(np.abs(np.linalg.eigvals(signal.S).imag).max()) / 2 / np.pi  # [Hz]
     if tone * step >= 0.5:
         raise StepError(
@@ -79,8 +79,8 @@ def require_resolved(key: str, signal: Exosystem, step: float) -> None:
 def sample_within_limits(key: str, system: System, step: float, substeps: int) -> System:
     """Return the sampled system.
 
-    It is observable where the continuous one is, since no two poles fall on one (Kalman, Ho,
-    Narendra 1963).
+    It is observable if the continuous one is, since no two poles fall on one (Kalman, Ho, Narendra
+    1963).
 
     Args:
         key: of the system in messages: plant or model.
@@ -109,7 +109,7 @@ def sample_within_limits(key: str, system: System, step: float, substeps: int) -
         needed = int(np.ceil(fastest * step / STABLE))
         raise StepError(
             f"simulation.step: {step:g} s in {substeps} Runge-Kutta steps is too coarse: the {key} "
-            f"has a mode at {fastest:.4g} 1/s where it is linearised (an arm's Coulomb friction is "
+            f"has a mode at {fastest:.4g} 1/s in its linearisation (an arm's Coulomb friction is "
             f"steep near rest). Use simulation.substeps = {needed} or more"
         )
     result = sample_plant(system, step, substeps)
@@ -119,7 +119,7 @@ def sample_within_limits(key: str, system: System, step: float, substeps: int) -
 
 
 def _largest_gamma(observer: Observer) -> float:
-    """Return the largest gain of a width, per step when the model is sampled; 0 where none is
+    """Return the largest gain of a width, per step when the model is sampled, or 0 if no gain is
     constant.
     """
     gamma = observer.traits.gamma
@@ -127,7 +127,7 @@ def _largest_gamma(observer: Observer) -> float:
 
 
 def require_bounded_error(model: System, observer: Observer, step: float) -> None:
-    """Raise an error where the estimation error of constant gains grows.
+    """Raise an error if the estimation error of constant gains grows.
 
     Args:
         model: sampled when the simulation is.

@@ -1,4 +1,4 @@
-"""What may be tuned and to what end, in the words of a scenario's [tune] table.
+"""Tunable numbers and the objective, in the terms of a scenario's [tune] table.
 
 An entry is an address and its bounds.
 """
@@ -18,7 +18,7 @@ class Range(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     Attributes:
         between: [low, high], the bounds of the number.
         log: search on a logarithmic scale, for gains.
-        start: first number of the search; default: the number in the scenario; where the scenario
+        start: first number of the search, by default the number in the scenario. If the scenario
             leaves it to the method, the middle of the range, for `observer.L` the method's gains.
     """
 
@@ -33,7 +33,7 @@ class Tune(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     A key in quotes is the address of one: `"observer.gamma" = { between = [0.1, 100.0], log = true
     }`. Addresses are those of the options in the scenario: `observer.gamma`, `observer.L[0]` of a
     list, `observer.L[1,0]` of rows, `observer.adaptation.leak`, `controller.alpha`,
-    `controller.poles[0]`; without an index, or with `:` for one, every entry is tuned by itself.
+    `controller.poles[0]`. Without an index, or with `:` for one, every entry is tuned by itself.
 
     Attributes:
         metric: number of a run, to be made small: rms_tracking, rms_estimation, peak_tracking,
@@ -44,10 +44,10 @@ class Tune(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         margin: least margin of the certificate.
         runs: number of runs of each candidate, the same for all, drawn as in [ensemble].
         held_out: number of other runs, of the next seed, on which the result is judged.
-        budget: number of candidates simulated in all, those for gradients included; one that is
-            refused or lacks the certificate costs nothing of it.
-        seed: seed of the random numbers; default: that of [ensemble].
-        entries: the bounds, by address; a key with a dot directly in [tune] is one of them.
+        budget: number of candidates simulated in all, those for gradients included (one that is
+            refused or lacks the certificate costs nothing of it).
+        seed: seed of the random numbers (default: that of [ensemble]).
+        entries: the bounds, by address. A key with a dot directly in [tune] is one of them.
     """
 
     metric: str = "rms_tracking"

@@ -1,8 +1,8 @@
 """References and disturbances as outputs of a linear exosystem w' = S w, r = Q w.
 
-The exosystem is linear in pieces where the signal has corners: a trapezoid, straight lines, a
-spline, also through the samples of a CSV file (time first, then one column per channel). A piece is
-a function `derivatives(t)` of the value and its derivatives (len(t) x order x channels).
+The exosystem is linear in pieces if the signal has corners: a trapezoid, straight lines, a spline,
+also through the samples of a CSV file (time first, then one column per channel). A piece is a
+function `derivatives(t)` of the value and its derivatives (len(t) x order x channels).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Exosystem(NamedTuple):
         S: dynamics of the states (k x k) [1/s].
         Q: gain of the output (channels x k).
         state: t (N) [s] -> w at times t (N x k).
-        period: period of r [s], None where it has none.
+        period: period of r [s], None if it has none.
         corners: times at which w jumps [s], those of the first period if there is one.
     """
 
@@ -168,7 +168,7 @@ class Samples(Kind, frozen=True, kw_only=True, tag="csv"):
 
 
 class Random(Kind, frozen=True, kw_only=True, tag="random"):
-    """Seeded Gaussian noise, first-order; a disturbance only.
+    """Seeded Gaussian noise, first-order, for a disturbance only.
 
     Example:
         >>> uz.Random(rms=0.2, correlation_time=0.5).rms
@@ -239,8 +239,8 @@ def piecewise_exosystem(
     Args:
         derivatives: t (N) [s] -> the value and its derivatives (N x order x channels).
         channels: number of channels.
-        closure: the derivative that follows the last, as a combination of those (order); default:
-            0, as of polynomials.
+        closure: the derivative that follows the last, as a combination of those (order) (default:
+            0, as of polynomials).
     """
     order = derivatives(np.zeros(1)).shape[1]
     identity = np.eye(channels)
@@ -334,10 +334,10 @@ def trapezoid_derivatives(corners: Floats, amplitude: Floats) -> Derivatives:
 
 
 def line_derivatives(t: Floats, values: Floats) -> Derivatives:
-    """Return straight lines between samples, with a derivative; constant beyond the ends.
+    """Return straight lines between samples, with a derivative (constant beyond the ends).
 
     Args:
-        t: times of the samples (N) [s]; where two are the same, the later sample counts.
+        t: times of the samples (N) [s]. If two are the same, the later sample counts.
         values: the samples (N x channels).
     """
     spans = np.diff(t)[:, None]
@@ -355,7 +355,7 @@ def line_derivatives(t: Floats, values: Floats) -> Derivatives:
 
 
 def spline_derivatives(t: Floats, values: Floats) -> Derivatives:
-    """Return a cubic spline through samples, with three derivatives; constant beyond the ends.
+    """Return a cubic spline through samples, with three derivatives (constant beyond the ends).
 
     Args:
         t: times of the samples (N) [s].
@@ -376,7 +376,7 @@ def spline_derivatives(t: Floats, values: Floats) -> Derivatives:
 
 
 def read_csv(key: str, path: str, channels: int) -> tuple[Floats, Floats]:
-    """Read the samples in a CSV file; a header line and lines that start with # are allowed.
+    """Read the samples in a CSV file. A header line and lines that start with # are allowed.
 
     Args:
         key: name of the signal in messages.

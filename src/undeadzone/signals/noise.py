@@ -1,7 +1,7 @@
 """Seeded Gaussian numbers, an independent stream per purpose and channel.
 
-Each is a function of its place alone. The key of a Philox counter is the seed; its words are step
-// 4, stream and channel, and the run's number. Run 0 is the scenario on its own; run k of an
+Each is a function of its place alone. The key of a Philox counter is the seed, and its words are
+step // 4, stream and channel, and the run's number. Run 0 is the scenario on its own. Run k of an
 ensemble draws as run k, also when it is replayed alone. `engine.normal` draws the same numbers, bit
 for bit, for many runs at once.
 """

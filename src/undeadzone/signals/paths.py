@@ -35,8 +35,8 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     """Path through points, at rest at both ends, with least mean square jerk.
 
     It is the quintic spline with speed and acceleration 0 at the ends (Flash, Hogan 1985, for two
-    points): four times continuously differentiable; it may swing beyond the points where the times
-    do not suit them. It is held before and after.
+    points): four times continuously differentiable. It may swing beyond the points if the times do
+    not suit them. It is held before and after.
 
     References:
         T. Flash, N. Hogan (1985), doi:10.1523/JNEUROSCI.05-07-01688.1985
@@ -44,7 +44,8 @@ class Quintic(Kind, frozen=True, kw_only=True, tag="quintic"):
     Attributes:
         points: the points, a row per point (K x channels).
         times: times of the points, increasing (K) [s].
-        repeat: whether the path starts again; then the last point is the first one, at time 0.
+        repeat: whether the path starts again (if so, the last point is also the first one, at time
+            0).
         space: joint, or task: coordinates of an arm's tip [m].
     """
 
@@ -58,7 +59,8 @@ class Swing(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Motion of an arm's joints before a path of its tip begins: through points, and back.
 
     Attributes:
-        points: positions of the joints between two stays where the path begins (K x joints) [rad].
+        points: positions of the joints between two stays at the start of the path (K x joints)
+            [rad].
         times: times of the points, increasing from above 0 (K) [s].
         until: when the path of the tip begins [s].
     """
@@ -74,13 +76,13 @@ class _Turn(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     Attributes:
         centre: centre of the path (2 or 3).
         period: time of one turn [s].
-        normal: normal of the plane in three coordinates (3); default: z. Seen from its tip the path
-            turns anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a vertical
-            normal in the direction x.
-        ramp: the path starts from rest, its speed rising as a quintic for this time [s]; default: a
-            quarter of the period; 0: at full speed.
-        space: task: coordinates of an arm's tip [m]; or joint.
-        swing: what an arm's joints do first, for a path of its tip; default: nothing.
+        normal: normal of the plane in three coordinates (3) (default: z). Seen from its tip the
+            path turns anticlockwise. Phase 0 lies in the horizontal direction z x normal, for a
+            vertical normal in the direction x.
+        ramp: the path starts from rest, its speed rising as a quintic for this time [s] (default: a
+            quarter of the period, 0: at full speed).
+        space: task: coordinates of an arm's tip [m], or joint.
+        swing: motion that an arm's joints make first, for a path of its tip (default: nothing).
     """
 
     centre: Array

@@ -13,10 +13,10 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Estimate, Observer, Reading
 from undeadzone.nonlinearities.actuator import (
+    command_memory,
+    pass_command,
     through_line,
     through_zone,
-    within_limits,
-    within_rate,
 )
 from undeadzone.nonlinearities.limits import at_limit
 from undeadzone.nonlinearities.play import apply_backlash, contact
@@ -35,7 +35,7 @@ class Mode(NamedTuple):
     """A branch of the sensor, held fixed within a step.
 
     Attributes:
-        zone: where z is (p): +1 beyond d_r, -1 below -d_l, 0 inside.
+        zone: place of z (p): +1 beyond d_r, -1 below -d_l, 0 inside.
         side: which side is read (p), +2 or -2 at a limit of the range.
     """
 
@@ -50,7 +50,7 @@ class Wiring(NamedTuple):
         plant, observer, controller: the parts.
         kind: of the sensor.
         p: the params, as symbols.
-        compensator: of the actuator's dead zone; None: there is none.
+        compensator: of the actuator's dead zone (None: there is none).
     """
 
     plant: System
@@ -70,7 +70,7 @@ class Wiring(NamedTuple):
         return Mode(zone(z, right, left), side)
 
     def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
-        """What the dead zone takes: z with the noise ahead of it, or the level of a play (p)."""
+        """Return the input of the dead zone: z with noise, or the level of a play (p)."""
         z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
         if sensor.gap_right.numel():
             return apply_backlash(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
@@ -79,8 +79,8 @@ class Wiring(NamedTuple):
     def levels(self, w: Exogenous) -> Levels:
         """Return levels of z, noise ahead of the zone included (p each).
 
-        The side is right where z lies above the first upper one, left where z lies below the first
-        lower one; beyond the second ones the reading is at a limit of its range.
+        The side is right if z lies above the first upper one, left if z lies below the first lower
+        one. Beyond the second ones the reading is at a limit of its range.
         """
         sensor = self.p.sensor
 
@@ -95,7 +95,7 @@ class Wiring(NamedTuple):
         return Levels(*zip(*pairs, strict=True))
 
     def widths(self, w: Exogenous) -> tuple[ca.SX, ca.SX]:
-        """Return d_r, d_l at an instant (p each); encoders of an arm with gears have none."""
+        """Return d_r, d_l at an instant (p each). Encoders of an arm with gears have none."""
         if self.kind == "gears":
             return ca.SX.zeros(self.plant.p), ca.SX.zeros(self.plant.p)
         return self.p.sensor.right * (1 + w.right), self.p.sensor.left * (1 + w.left)
@@ -103,7 +103,7 @@ class Wiring(NamedTuple):
     def exogenous(self, instant: Exogenous, column: ca.SX) -> Exogenous:
         """Return the exogenous inputs of one instant, scaled.
 
-        A missing reading is noise that is not a number; its side is silent.
+        A missing reading is noise that is not a number. Its side is 0.
 
         Args:
             instant: the shapes of the exogenous inputs.
@@ -129,7 +129,7 @@ class Wiring(NamedTuple):
         elif self.p.sensor.gap_right.numel():
             level = self.ahead_of_zone(s, w)
         reading = self._sensor_reading(self.ahead_of_zone(s, w), level, s, w, mode)
-        driven, u, estimate = self.answer(s, reading, w.target)
+        driven, u, estimate = self.advance_controller(s, reading, w.target)
         line, acting = through_line(s.line, u)
         actuator, entering = self._actuate(s, acting)
         if self.p.sensor.friction.numel():  # of the load, while it is pushed
@@ -139,15 +139,15 @@ class Wiring(NamedTuple):
         after = State(plant, sensor=level, actuator=actuator, line=line, **driven._asdict())
         return after, outputs
 
-    def answer(
+    def advance_controller(
         self, s: State | Driven, reading: Reading, target: Target
     ) -> tuple[Driven, ca.SX, Estimate]:
-        """What follows s by a reading, and the input that it leads to, within the drives' limits.
+        """Return the state after a reading, and the resulting input within the drives' limits.
 
         Args:
             s: the states of observer, controller and compensator.
             reading: of the sensor.
-            target: what the controller should reach.
+            target: the controller's target.
 
         Returns:
             The derivatives of these states (or next values), the input (m), and the estimate.
@@ -168,20 +168,17 @@ class Wiring(NamedTuple):
         )
 
     def _actuate(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
-        """Return (the command within its rate, what enters the plant) of a command u (m)."""
+        """Return (what the actuator keeps, what enters the plant) of a command u (m)."""
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u
-        passed, last = within_limits(ca, u, drive), s.actuator
-        if last.shape[0]:
-            passed = within_rate(ca, passed, last, drive, self.p.h)
-            last = passed
-        return last, through_zone(ca, passed, drive)
+        kept, passed = pass_command(ca, u, s.actuator, drive, self.p.h)
+        return kept, through_zone(ca, passed, drive)
 
     def _sensor_reading(
         self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode
     ) -> Reading:
-        """What the sensor gives of `ahead_of_zone` (p) on a given branch; level: of a play."""
+        """Return the reading for `ahead_of_zone` (p) on a given branch (level: of a play)."""
         sensor, limits, read = self.p.sensor, self.p.sensor.limits, mode.side
         if self.kind == "play":
             y = sensor.slope * level + w.after
@@ -202,7 +199,7 @@ class Wiring(NamedTuple):
         return Reading(y, read, s.plant)
 
     def _within_range(self, y: ca.SX) -> ca.SX:
-        """Return a reading kept within its range, if it has one; a missing one stays missing."""
+        """Return a reading limited to its range, if any. A missing reading stays missing."""
         limits = self.p.sensor.limits
         if limits is None:
             return y
@@ -223,16 +220,16 @@ class Wiring(NamedTuple):
 
 
 def close(problem: Problem) -> loop.Loop:
-    """Return the closed loop of a problem; the estimate of an observer in Python is written into
+    """Return the closed loop of a problem. The estimate of an observer in Python is written into
     it.
 
-    In continuous time it finds changes of side inside a step where simulation.switching is
-    "located"; else every stage of RK4 reads its own side. With simulation.order above 4 it takes
-    Taylor series (`dense_output.taylor`), whose exogenous inputs are `order` coefficients of a step
-    in place of three instants.
+    In continuous time it finds changes of side inside a step if simulation.switching is "located".
+    Else every stage of RK4 reads its own side. With simulation.order above 4 it takes Taylor series
+    (`dense_output.taylor`), whose exogenous inputs are `order` coefficients of a step in place of
+    three instants.
 
     Raises:
-        InputError: a Taylor series was asked for, and the loop is not linear on its branches.
+        InputError: a Taylor series was chosen, and the loop is not linear on its branches.
     """
     plant, simulation = problem.plant, problem.scenario.simulation
     params, state, instant = numbers(problem), _state(problem), _instant(problem)
@@ -299,13 +296,15 @@ def _state(problem: Problem) -> loop.State:
         controller=controller.init(controller.params),
         sensor=sensor.start if sensor.moves else np.zeros(0),
         compensator=None if undoing is None else undoing.init(undoing.params),
-        actuator=np.zeros(plant.m if drive is not None and drive.has_rate_limit else 0),
+        actuator=np.zeros(0)
+        if drive is None
+        else command_memory(drive, plant.m, plant.Ts is not None),
         line=np.zeros(plant.delay * plant.m),
     )
 
 
 def no_target(problem: Problem) -> Target:
-    """Return zeros of the shapes of what the controller should reach."""
+    """Return zeros of the shapes of the controller's target."""
     sizes = len(problem.tracked), problem.plant.n, problem.plant.m, problem.controller.plan_size
     return Target(*map(np.zeros, sizes))
 
@@ -360,14 +359,14 @@ class _Step(NamedTuple):
     columns: list[ca.SX]
 
     def admissible(self, column: ca.SX) -> ca.SX:
-        """Return a state inside the step as it may be; that at its start is."""
+        """Return a state inside the step within its bounds, as the state at the start is."""
         return column if column is self.start else self.wiring.admissible(self.like, column)
 
 
 def _plain(step: _Step) -> ca.SX:
-    """Return the state after an RK4 step that takes the side at each stage anew; noise is held.
+    """Return the state after an RK4 step that takes the side at each stage anew. Noise is held.
 
-    Its error is of order h^2 where the side changes.
+    Its error is of order h^2 if the side changes.
     """
     wiring = step.wiring
 
@@ -407,7 +406,7 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
         order: RUNGE_KUTTA, or that of a Taylor series.
 
     Raises:
-        InputError: a Taylor series was asked for, and the loop is not linear on its branches.
+        InputError: a Taylor series was chosen, and the loop is not linear on its branches.
     """
     wiring, like = step.wiring, step.like
     noise = wiring.exogenous(step.instant, step.columns[0])
@@ -416,12 +415,14 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
     before = wiring.mode(tree.unpack_column(like, step.start), noise)
     edges = wiring.levels(noise)
 
-    def after(mode: Mode, crossing: dense_output.Crossing) -> Mode:
+    def mode_after_crossing(mode: Mode, crossing: dense_output.Crossing) -> Mode:
         edge = dense_output.next_level(edges, mode.side, crossing.rising)
         return branch_after_crossing(mode, crossing, edge, right, left)
 
     levels = dense_output.Levels(*(tuple(edge - noise.before for edge in part) for part in edges))
-    attempts = dense_output.locate_side_changes(arc, levels, before, after, step.start)
+    attempts = dense_output.locate_side_changes(
+        arc, levels, before, mode_after_crossing, step.start
+    )
     return [attempt._replace(end=wiring.admissible(like, attempt.end)) for attempt in attempts]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -15,8 +16,11 @@ from undeadzone.analysis.identifiability.disturbance import unknown_constants
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.observers.contact import JERK, unknown_torques
+from undeadzone.observers.contact_filter.drive import FADING
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
@@ -43,16 +47,17 @@ from undeadzone.util.earlier import SCHEMA
 
 
 def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What a run's readings tell of each output's widths.
+    """Return the identifiability of each output's widths from a run's readings.
 
-    Of a nonlinear plant they are judged along the run, given what the observer claims of its start.
+    For a nonlinear plant they are determined along the run, given the observer's prior of its
+    start.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.gears is not None:
-        return _verdicts_on_flanks(problem, len(signal.x))
+        return _verdicts_on_gaps(problem, signal.x)
     if problem.sensor.play is not None and (problem.plant.nonlinear or actuator_unknown(problem)):
         why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
@@ -67,26 +72,57 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     return with_false_claims(problem, found)
 
 
-def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiability]:
+def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
     """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
-    from undeadzone.analysis.identifiability.flanks import gap_identifiability
+    from undeadzone.analysis.identifiability.flanks import Listener, gap_identifiability
 
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
-    assert plant.arm is not None
     assert plant.gears is not None
     assert path is not None
-    t = np.arange(rows) * step
+    gears, traits, N = plant.gears, problem.observer.traits, plant.gears.joint_count
+    t = np.arange(len(x)) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
-    gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
-    friction = at_motor * np.ravel(gears.gear_number(plant.params, "friction"))
-    told = gap_identifiability(plant.arm, gears.link_params(plant.params), along, step, friction)
-    return told * (plant.p // plant.arm.size)
+    unknown = traits.unknown
+    if unknown is None:
+        unknown = unknown_torques(problem.model, gears, 0.0)[0]
+    crossing = getattr(problem.scenario.controller, "crossing", math.inf)
+    noise = problem.sensor.rms[-N:]
+    told = Listener(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
+    verdicts = gap_identifiability(gears, plant.params, x, along, step, told)
+    return verdicts * (plant.p // N)
+
+
+def withhold_gaps(
+    problem: Problem, verdicts: list[WidthIdentifiability], estimate: Estimate
+) -> Estimate:
+    """Return the estimates of a run, with the prior for each gap that cannot be known.
+
+    A belief that nothing has tested may be false and narrow. A link behind such a gap may be
+    anywhere in the widest one that is declared.
+
+    Args:
+        problem: what was simulated.
+        verdicts: of each output.
+        estimate: a row per sample.
+    """
+    ranges, gears = problem.observer.traits.halves, problem.plant.gears
+    lost = np.array([not verdict.width for verdict in verdicts])
+    if gears is None or ranges is None or not lost.any():
+        return estimate
+    changed = {}
+    for name in ("right", "left", "right_std", "left_std", "width_std"):
+        signal = getattr(estimate, name)
+        changed[name] = np.where(lost, signal[0], signal)
+    N, x_std = gears.joint_count, estimate.x_std.copy()
+    widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
+    x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
+    return estimate._replace(**changed, x_std=x_std)
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
-    """What a run's readings tell of the sensor's widths where the actuator's are not known.
+    """Return the identifiability of the sensor's widths in a run with unknown actuator widths.
 
-    The deviations are those that the filter claims in the end.
+    The deviations are the final ones of the filter.
     """
     outputs = widths_with_unknown_actuator(problem, signal, schedule)
     e = signal.estimate
@@ -100,14 +136,16 @@ def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[Wi
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:
-    """What the readings of a nonlinear plant tell along a run, with the start that is claimed."""
+    """Return the identifiability along a run of a nonlinear plant, given the prior of its start."""
     from undeadzone.analysis.identifiability.nonlinear import width_identifiability_along
 
     scenario, traits = problem.scenario, problem.observer.traits
     simulation = scenario.simulation
     bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
-    def told(start_std: Floats | None, centre_std: Floats | None) -> list[WidthIdentifiability]:
+    def width_verdicts(
+        start_std: Floats | None, centre_std: Floats | None
+    ) -> list[WidthIdentifiability]:
         return width_identifiability_along(
             problem.plant,
             signal.x,
@@ -122,18 +160,18 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
             centre_std,
         )
 
-    found = told(None, None)
+    found = width_verdicts(None, None)
     if traits.start_std is not None or traits.centre_std is not None:
-        claimed = told(traits.start_std, traits.centre_std)
+        claimed = width_verdicts(traits.start_std, traits.centre_std)
         found = [by_claims(traits, *pair) for pair in zip(found, claimed, strict=True)]
     return with_cures(problem, found, signal.z)
 
 
 def tips(problem: Problem, x: Floats, x_hat: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's tip is, is believed to be, and should be [m]; nothing without an arm.
+    """Return true, estimated and reference position of an arm's tip [m], empty without an arm.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         x, x_hat: state and its estimate (N x n).
         t: times (N) [s].
 
@@ -158,7 +196,7 @@ def _along(f: ca.Function, system: System, x: Floats) -> Floats:
 
 
 def behind_play(problem: Problem, z: Floats) -> Floats | None:
-    """What is behind a play along a run (N x p) [z]; None without one, or where its gaps drift."""
+    """Return the level of a play (N x p) [z], None without a play or if its gaps drift."""
     sensor = problem.sensor
     if sensor.kind != "play" or sensor.drift.any():
         return None
@@ -166,7 +204,7 @@ def behind_play(problem: Problem, z: Floats) -> Floats | None:
 
 
 def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
-    """Where an arm's base, joints and tip are, FRAMES times per second; nothing without an arm."""
+    """Return the positions of an arm's base, joints and tip over time, empty without an arm."""
     body = problem.plant.arm
     if body is None:
         return {}
@@ -175,7 +213,7 @@ def _poses(problem: Problem, x: Floats, t: Floats) -> dict[str, Floats]:
 
 
 def certificate(problem: Problem) -> Certificate | None:
-    """Return the proof that V never rises, for constant gains L, gamma on a linear model; else
+    """Return the proof that V never rises, for constant gains L, gamma on a linear model, else
     None.
     """
     gains = constant_gains(problem.observer, problem.model)
@@ -188,13 +226,14 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
     """Return the run whose signals these are.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
-        error: of the integration; None: not measured.
+        error: of the integration (None: not measured).
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    estimate = signal.estimate
+    verdicts = verdicts_of_run(problem, signal)
+    estimate = withhold_gaps(problem, verdicts, signal.estimate)
     given = signals_from_estimate(estimate)
     proof = certificate(problem)
     signals = {
@@ -211,13 +250,12 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         **tips(problem, signal.x, estimate.x, t),
         **_poses(problem, signal.x, t),
     }
-    return Run(_info(problem, signal, proof, error, began), Signals(RUN, signals))
+    info = _info(problem, signal, verdicts, proof, error, began)
+    return Run(info, Signals(RUN, signals))
 
 
 def _true_actuator(problem: Problem) -> list[float]:
-    """Return true [right, left] of each actuator; nothing where they are known, or there is
-    none.
-    """
+    """Return true [right, left] of each actuator, or nothing if they are known or absent."""
     drive, belief = problem.actuator, problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
@@ -225,7 +263,7 @@ def _true_actuator(problem: Problem) -> list[float]:
 
 
 def _true_gaps(problem: Problem, signal: Outputs) -> list[float]:
-    """Return true [c_r, c_l] of each output; nothing where they are known, or there is no play."""
+    """Return true [c_r, c_l] of each output, or nothing if they are known or absent."""
     if not signal.estimate.gap_std.shape[1]:
         return []
     play = problem.sensor.play
@@ -241,7 +279,7 @@ def _in_turn(right: Floats, left: Floats) -> list[float]:
 def _storage(
     problem: Problem, proof: Certificate | None, x_error: Floats, d_hat: Floats
 ) -> Floats | None:
-    """Return V along a run (N); None without a proof.
+    """Return V along a run (N), or None without a proof.
 
     A width that is wrong and not adapted disturbs for ever: no V. The widths of a jump sensor do
     not enter.
@@ -263,13 +301,14 @@ def _storage(
 def _info(
     problem: Problem,
     signal: Outputs,
+    verdicts: list[WidthIdentifiability],
     proof: Certificate | None,
     error: IntegrationError | None,
     began: float,
 ) -> Info:
-    """What a run knows besides its signals."""
+    """Return the facts about a run besides its signals."""
     scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
-    verdicts, scales = verdicts_of_run(problem, signal), plant_scales(problem)
+    scales = plant_scales(problem)
     return Info(
         title=scenario.title,
         method=str(type(scenario.observer).__struct_config__.tag),
@@ -289,6 +328,7 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
         ranges=traits.ranges_in_turn,
+        halves=[] if traits.halves is None else traits.halves.tolist(),
         sensor=problem.sensor.kind,
         actuator=_true_actuator(problem),
         gaps=_true_gaps(problem, signal),
@@ -302,7 +342,7 @@ def _info(
 
 
 def _text(scenario: Scenario) -> str:
-    """Return the scenario as TOML; empty where it holds a function of Python."""
+    """Return the scenario as TOML, empty if it contains a function of Python."""
     try:
         return toml.to_toml(scenario)
     except InputError:

@@ -1,4 +1,4 @@
-"""Whether a record is what an observer claims: its innovations, its own verdict, its silences.
+"""Consistency of a record with an observer's assumptions: innovations, own tests, censored samples.
 
 The means of normalised innovations over some periods of the plant are too large where something
 lasts that the observer does not know of, such as a wrong model, another step, swapped columns. A
@@ -33,20 +33,21 @@ ROUNDING: Final = 1e-6  # of the size of z, by which z^ may be off without any n
 
 
 class Verdict(NamedTuple):
-    """Whether a record is consistent with what the observer claims.
+    """Result of the test whether a record is consistent with the observer's assumptions.
 
     Attributes:
-        consistent: the answer; None where there is none: the observer gives no innovation_std, or
-            too few readings corrected it.
-        B: mean square of the sums of innovations at the end, the largest of the outputs; 1 is
-            usual.
-        square: mean square of the normalised innovations that were not refused; 1 is usual.
+        consistent: the result (None without a result: the observer gives no innovation_std, or too
+            few readings corrected it).
+        B: mean square of the sums of innovations at the end, the largest of the outputs (usually
+            1).
+        square: mean square of the normalised innovations that were not rejected (usually 1).
         used: how many readings corrected the estimate.
         glitches: how many readings were taken for wrong, or lie beyond 4.5 standard deviations.
         silent_outside: how many readings are silent although z^ lies far outside the estimated
             zone.
-        reasons: why not, or why there is no answer, in words; empty if it is consistent.
-        claims: names of the `CLAIMS` that a filter finds false, the likeliest first.
+        reasons: descriptions of the inconsistency, or of the missing result (empty if it is
+            consistent).
+        claims: names of the assumptions that a filter rejects, the most probable first.
     """
 
     consistent: bool | None
@@ -85,7 +86,7 @@ class Consistency:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as the observer does; what was counted stays."""
+        """Restart the test as the observer restarts. The counts stay."""
         self.B = 1.0
         self._sums = np.array([0.0, 0.0, 1.0])  # total, count, ratio
 
@@ -93,7 +94,7 @@ class Consistency:
         """Return B after each of the next samples (N).
 
         Args:
-            innovation: of the output (N); 0 where no reading was used.
+            innovation: of the output (N), 0 if no reading was used.
             std: its standard deviation (N).
         """
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -117,7 +118,8 @@ class Consistency:
     def add_silences(self, estimate: Estimate, i: int, silent: Floats, band: float) -> None:
         """Count the silent readings that contradict the zone that is estimated.
 
-        Only where the observer draws nothing from silence: else its innovation says it.
+        This only counts if the observer makes no use of censored samples: else its innovation shows
+        them.
 
         Args:
             estimate: along the samples.
@@ -137,13 +139,13 @@ class Consistency:
 
     @property
     def square(self) -> float | None:
-        """Return the mean square of the normalised innovations that count; None: there is none."""
+        """Return the mean square of the normalised innovations that count, or None without any."""
         count = self.used - self.refused
         return self._squares / count if count > 0 else None
 
     @property
     def most_square(self) -> float:
-        """What `square` may be: 1 and five deviations of a mean of so few squares, at least."""
+        """Return the limit of `square`: 1 and five deviations of the mean of so few squares."""
         count = max(self.used - self.refused, 1)
         return max(MOST_SQUARE, 1 + 5 * math.sqrt(2 / count))
 
@@ -154,7 +156,7 @@ class Consistency:
 
 
 class Own:
-    """What a filter itself says of its claims, block after block.
+    """Results of a filter's own tests of its assumptions, block after block.
 
     Attributes:
         refused: readings that it took for wrong, so far.
@@ -173,7 +175,7 @@ class Own:
         self._before = 0  # refused before the filter began anew
 
     def restart(self) -> None:
-        """The filter begins anew; what was counted stays."""
+        """Restart the test as the filter restarts. The counts stay."""
         self._before = self.refused
 
     def add(self, estimate: Estimate) -> None:
@@ -189,8 +191,8 @@ class Own:
 
     @property
     def claims(self) -> list[str]:
-        """Return the claims that do not fit at the end, else the likeliest where they seldom
-        did.
+        """Return the assumptions rejected at the end, else the most suspect one if they seldom
+        held.
         """
         last = list_rejected_assumptions(*self._last)
         if last or self.unfit <= MOST_OF_THE_TIME:
@@ -199,12 +201,12 @@ class Own:
 
     @property
     def unfit(self) -> float:
-        """Return the share of the samples at which the claims did not fit."""
+        """Return the share of the samples at which the assumptions were rejected."""
         return self._unfit / max(1, self._samples)
 
 
 def _graph() -> ca.Function:
-    """Return the recursion of the sums as a graph: next, ratio = step(sums, [nu; counted],
+    """Return the recursion of the sums as a graph: next, ratio = step(sums, `[nu; counted]`,
     rates).
     """
     sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
@@ -220,13 +222,13 @@ def verdict_of(
     diverged: bool,
     options: Collection[str],
 ) -> Verdict:
-    """What the tests of all outputs come to.
+    """Return the verdict from the tests of all outputs.
 
     Args:
-        tests: one for each output; none where the observer gives no innovation_std.
-        own: what the filter says; None where it says nothing.
+        tests: one for each output (none if the observer gives no innovation_std).
+        own: results of the filter's own tests (None without them).
         widths: the final widths (2p) [z].
-        stds: their standard deviations (2p) [z]; None where the observer gives none.
+        stds: their standard deviations (2p) [z] (None if the observer gives none).
         diverged: whether an estimate left all bounds.
         options: names of the keys that the method takes.
     """
@@ -271,7 +273,7 @@ def _share(count: int, of: int) -> str:
 
 
 def _sums_too_large(test: Consistency) -> list[str]:
-    """Why the sums of innovations are not what was claimed; empty if they are."""
+    """Return why the sums of innovations contradict the assumptions, empty if they do not."""
     if test.B > CHANCE:
         return [f"the innovations' means are too large: B = {test.B:.3g} > {CHANCE:g}"]
     if test.share_beyond_limit > MOST_OF_THE_TIME:
@@ -280,7 +282,7 @@ def _sums_too_large(test: Consistency) -> list[str]:
 
 
 def _reasons(test: Consistency) -> list[str]:
-    """Why the readings of one output are not what was claimed, whatever their sums."""
+    """Return why the readings of one output contradict the assumptions, apart from their sums."""
     reasons = []
     if test.square is not None and test.square > test.most_square:
         reasons.append(

@@ -1,10 +1,10 @@
-"""An observer along a log that was recorded: `estimate`; and looking back along it.
+"""Estimation along a recorded log by an observer, `estimate`, and smoothing.
 
-Looking back is fixed-interval smoothing of a filter: what a whole log says of each of its samples.
-The filter runs forward; adjoint variables run backward through its stored moments (modified
-Bryson-Frazier form: Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J.
-Control 18). It gives what the equations of Rauch, Tung and Striebel (1965) give, but inverts no
-motion. docs/filters.md, "Looking back", says what is exact and what is not.
+Smoothing is of fixed interval: the estimates of each sample given the whole log. The filter runs
+forward. Adjoint variables run backward through its stored moments (modified Bryson-Frazier form:
+Bierman 1973, "Fixed interval smoothing with discrete measurements", Int. J. Control 18). Its result
+is that of the equations of Rauch, Tung and Striebel (1965), but it inverts no motion.
+docs/filter_equations.md, "Smoothing", lists the exact and the approximate parts.
 
 References:
     H. E. Rauch, F. Tung, C. T. Striebel (1965), doi:10.2514/3.3166
@@ -66,22 +66,23 @@ def estimate(
             and no widths of the sensor. Its plant (or model), sensor, observer and step are used,
             in sampled time.
         frame_or_path: the log: a CSV file (any dialect), .npz, .mat, or a pandas DataFrame with
-            columns t, y, u; or give arrays.
-        t: times (N) [s]; None: one step apart.
+            columns t, y, u (or give arrays).
+        t: times (N) [s] (None: one step apart).
         u: inputs (N) or (N x m).
-        y: readings (N) or (N x p), NaN where one is missing.
-        columns: which column is which where names do not say it: `y=angle,u=voltage`.
-        strict: whether a line that cannot be read is an error; else its sample is missing.
+        y: readings (N) or (N x p), NaN if one is missing.
+        columns: names or numbers of the columns if the header does not show them:
+            `y=angle,u=voltage`.
+        strict: whether a line that cannot be read is an error (else its sample is missing).
         smoothing: whether `kalman`, `censored`, `extended` and `auto` are smoothed too, with the
             whole log.
-        progress: called with the number of samples just done; None: a bar in a notebook.
+        progress: called with the number of samples just done (None: a bar in a notebook).
 
     Returns:
         The estimates along the log, the final widths, and whether the record is consistent.
 
     Raises:
-        FileError: the log cannot be read, its columns cannot be told, or its step is another one.
-        InputError: or a subclass, for what is wrong with the scenario or the arrays.
+        FileError: the log cannot be read, its columns are unknown, or its step is another one.
+        InputError: or a subclass, for errors in the scenario or the arrays.
 
     Example:
         >>> estimation = uz.estimate(scenario, t=run.t, u=run.u, y=run.y)
@@ -132,10 +133,10 @@ class _Log(NamedTuple):
     """A log as it was read.
 
     Attributes:
-        source: what it is called in messages.
+        source: its name in messages.
         placed: its samples, one step apart.
-        layout: its columns; None: it has none.
-        faults: the lines that cannot be read; None: it has no lines.
+        layout: its columns (None: it has none).
+        faults: the lines that cannot be read (None: it has no lines).
     """
 
     source: str
@@ -175,12 +176,12 @@ SHOWN = ("x", "z", "right", "left", "x_std", "right_std", "left_std")  # of an e
 
 
 class _Ahead(NamedTuple):
-    """What the samples after a block say.
+    """Information in the samples after a block.
 
     Attributes:
         later: of the block's end, a member each: of its belief, then of each doubt.
         odds: log of the odds of the members (K).
-        worst: record; None at the end of the log.
+        worst: record (None at the end of the log).
     """
 
     later: list[list[LaterInformation]]
@@ -192,11 +193,12 @@ class _Graphs(NamedTuple):
     """The functions of one filter.
 
     Attributes:
-        step: step(s, w, p) is (next state, [estimate; s]).
-        moments: of a row [s; w], those of its members; a step without a state, as is `shown`.
-        shown: of a row [beliefs; what the sensor's shape adds; share; record], what is `SHOWN`.
+        step: step(s, w, p) is (next state, `[estimate; s]`).
+        moments: of a row `[s; w]`, those of its members. A step without a state, like `shown`.
+        shown: of a row `[beliefs; what the sensor's shape adds; share; record]`, to the quantities
+            in `SHOWN`.
         filter: the filter itself.
-        causal: where `SHOWN` stands in what it gives.
+        causal: places of `SHOWN` among its outputs.
         like: `Moments` of the members, of arrays of their shapes.
         odds, record: where these stand in the state.
     """
@@ -219,14 +221,14 @@ def smooth(
     u: Floats,
     progress: Callable[[int], None] | None = None,
 ) -> dict[str, Floats]:
-    """Return the smoothed signals along a log: what it says as a whole of each of its samples.
+    """Return the smoothed signals along a log: estimates of each sample given the whole log.
 
     Args:
         model: the sampled model.
         observer: a filter that is built for it, with `smoothing`.
         sensor: the dead zone, for its threshold and its range.
-        y: readings (N x p), NaN where one is missing.
-        u: inputs (N x m), NaN where the last one is held.
+        y: readings (N x p), NaN if one is missing.
+        u: inputs (N x m), NaN if the last one is held.
         progress: called with the number of samples just done.
     """
     graphs = _graphs(model, observer, sensor)
@@ -290,16 +292,17 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
 
 
 def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Floats, _Ahead]:
-    """Return a block of samples, given what the later ones say.
+    """Return a block of samples, given the information of the later ones.
 
     Args:
         graphs: of the filter.
         start: its state before the block.
         w: readings and inputs (B x p + m).
-        ahead: what the samples after the block say.
+        ahead: information of the samples after the block.
 
     Returns:
-        What is shown of each sample (B x outputs), and what is ahead of the samples before.
+        The shown quantities of each sample (B x outputs), and the information for the samples
+        before.
     """
     numbers = graphs.filter.numbers
     watched, final = interpret.run_interpreted(graphs.step, start, w, numbers)
@@ -334,7 +337,7 @@ def _smooth_doubts(
 
     Args:
         one: moments of a member, with arrays of a row a sample.
-        later: what the samples after the block say of each column.
+        later: information of the samples after the block on each column.
     """
     shape = (*one.heard.mean.shape, len(later))
     before, after = (part.reshape(shape) for part in one.doubted)
@@ -365,7 +368,7 @@ def _arrays(like: tuple[Moments, ...], known: Floats) -> tuple[Moments, ...]:
 
 
 def _shares(graphs: _Graphs, states: Floats, logs: Floats, odds: Floats) -> tuple[Floats, Floats]:
-    """How likely each member is at each sample, given the whole log (B x K); the odds before.
+    """Return the probability of each member at each sample (B x K), and the odds before.
 
     Args:
         graphs: of the filter.
@@ -391,7 +394,7 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
     Args:
         graphs: of the filter.
         states: after each sample (B x S).
-        worst: from the samples after the block (numbers); None: there are none.
+        worst: from the samples after the block (numbers) (None: there are none).
     """
     places = [part for _, part in tree.iterate_leaves(graphs.record)]
     if not places:

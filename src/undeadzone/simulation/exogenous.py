@@ -1,4 +1,4 @@
-"""What comes from outside along a run: targets, disturbance and noise, one row per step."""
+"""Exogenous inputs along a run: targets, disturbance and noise, one row per step."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def exogenous(
     in place of the instants.
 
     Args:
-        problem: what is simulated.
+        problem: the problem to simulate.
         refine: rows per step.
-        run: number of the run, which tells noise and random disturbance of one from those of
-            another; None: 0 in their place.
-        seed: of the random numbers; None: the scenario's.
+        run: number of the run, which determines noise and random disturbance (None: 0 in their
+            place).
+        seed: of the random numbers (None: the scenario's).
     """
     simulation, plant = problem.scenario.simulation, problem.plant
     rows = np.arange(problem.steps * refine + 1)
@@ -73,12 +73,12 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
     """Return the random disturbance at the scenario's samples, between which it runs straight.
 
     Args:
-        problem: what is simulated.
-        run: number of the run; None: 0 in its place.
-        seed: of the random numbers; None: the scenario's.
+        problem: the problem to simulate.
+        run: number of the run (None: 0 in its place).
+        seed: of the random numbers (None: the scenario's).
 
     Returns:
-        A row for each sample, and one more ((N + 2) x m); 0 where there is no random disturbance.
+        A row for each sample, and one more ((N + 2) x m), or 0 if there is no random disturbance.
     """
     simulation = problem.scenario.simulation
     random = None if run is None else random_disturbance(problem)
@@ -111,7 +111,7 @@ def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
 def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
     """Return the inputs of each step as Taylor coefficients, one after the other.
 
-    What is held has the first coefficient alone.
+    Held inputs only have the first coefficient.
     """
     t = (grid.rows + NUDGE) * grid.step
     parts = []
@@ -141,7 +141,7 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
 
 
 def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
-    """What keeps its value within a step, a row each: the last entries of `loop.Exogenous`."""
+    """Return the values held within a step, a row each: the last entries of `loop.Exogenous`."""
     sensor, p = problem.sensor, problem.plant.p
 
     def normal(stream: int, size: Floats, channels: int) -> Floats:
@@ -154,7 +154,7 @@ def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
 
     moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
     walk = width_drift(np.cumsum(moves, axis=0))
-    missing = lost(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
+    missing = missing_mask(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
     return [
         normal(noise.BEFORE, sensor.noise_before, p),
         normal(noise.AFTER, sensor.noise, p),
@@ -178,15 +178,15 @@ def strides(problem: Problem) -> Floats:
 
 
 def width_drift(walk: Floats) -> Floats:
-    """How much wider an edge is, relative, once the logarithm of its width has moved so far."""
+    """Return the relative growth of an edge as the logarithm of its width has moved by `walk`."""
     return np.expm1(walk)
 
 
-def lost(normal: Floats, dropout: Floats) -> Floats:
-    """Return NaN where a reading is missing, else 0 (... x p).
+def missing_mask(normal: Floats, dropout: Floats) -> Floats:
+    """Return NaN if a reading is missing, else 0 (... x p).
 
     Args:
-        normal: standard normal numbers (... x p); the lowest ones are those that are missing.
+        normal: standard normal numbers (... x p) (the lowest ones are missing).
         dropout: probability that a reading is missing (p).
     """
     if not dropout.any():
@@ -197,8 +197,7 @@ def lost(normal: Floats, dropout: Floats) -> Floats:
 
 
 def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
-    """Return (rms (m), correlation time [s]) of a random disturbance; None where there is no such
-    one.
+    """Return (rms (m), correlation time [s]) of a random disturbance, or None without it.
 
     It runs in straight lines between the samples of the time grid.
     """
@@ -215,12 +214,12 @@ def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
 
 
 def targets(problem: Problem, t: Floats) -> Target:
-    """Return targets with what the controller plans along them.
+    """Return targets with the controller's feedforward along them.
 
     u_ff of a sampled nonlinear model is that of the middle of the step.
 
     Args:
-        problem: what is simulated.
+        problem: the problem to simulate.
         t: times (N) [s].
     """
     target, plan = _targets_at(problem, t), problem.controller.plan

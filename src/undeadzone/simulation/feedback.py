@@ -1,7 +1,8 @@
-"""How strongly the readings move z^: what is left of an error of the model that all of them show.
+"""Feedback strength of z^: the remaining share of a model error that all readings show.
 
-The same scenario runs once more with a plant whose z is 5 % larger than the model says. An observer
-that follows its model alone keeps the whole error, one that listens follows (docs/observer.md).
+The same scenario runs once more with a plant whose z is 5 % larger than the model's. An observer
+that follows its model alone keeps the whole error. One with strong feedback follows
+(docs/observer.md).
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def feedback_shares(
         progress: called with the number of steps just done.
 
     Returns:
-        A share for each output; NaN where an output does not move or the run diverges.
+        A share for each output, or NaN if an output does not move or the run diverges.
     """
     if problem.plant.gears is not None:  # links that turn further than their motors are others
         return []
@@ -73,7 +74,7 @@ def feedback_shares(
 
 
 def _perturbed_start(start: Start | None, other: Problem) -> Start | None:
-    """What a run starts from whose plant has another output; a linear one has other numbers."""
+    """Return the start of a run whose plant has another output, for a linear plant reused."""
     if start is None or other.plant.nonlinear:
         return None if start is None else prepare(other)
     params = start.loop.params._replace(plant=other.plant.params)

@@ -1,4 +1,4 @@
-"""An observer that follows a log, from bytes or samples, and what the log comes to."""
+"""An observer that follows a log, from bytes or samples, and the summary of the log."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Follower:
         zone: the dead zone.
         observer: as it is built for both.
         samples: how many came in.
-        KEPT: names of what a saved state holds, as in all that this holds (`saved_state`).
+        KEPT: names of the attributes that a saved state contains (`saved_state`).
 
     Raises:
-        InputError: or a subclass, for what is wrong with the scenario.
+        InputError: or a subclass, for errors in the scenario.
     """
 
     KEPT: Final = (
@@ -108,7 +108,7 @@ class Follower:
             self._last = Estimate(*[part.copy() for part in self._online.latest])
 
     def restart(self) -> None:
-        """Let the observer begin anew; what was counted stays.
+        """Restart the observer. The counts stay.
 
         Only of a log that comes in live.
         """
@@ -129,8 +129,8 @@ class Follower:
             progress: called with the number of steps just done.
 
         Returns:
-            The estimates (a row for each sample in each field), the measured sides (N x p), and
-            the statistic B after each sample (N x p; N x 0 where no test exists).
+            The estimates (a row for each sample in each field), the measured sides (N x p), and the
+            statistic B after each sample (N x p, or N x 0 if no test exists).
         """
         if self._numeric is not None:
             along = self.zone, samples.y, samples.u, self._scenario.simulation.seed
@@ -141,7 +141,7 @@ class Follower:
         return estimate, sides, self._count(samples, estimate, sides)
 
     def _count(self, samples: Regular, estimate: Estimate, sides: Floats) -> Floats:
-        """Count these samples and test their innovations; B after each (N x p or N x 0)."""
+        """Count these samples, test their innovations, and return B after each (N x p or N x 0)."""
         self.samples += len(sides)
         present = np.isfinite(samples.y)
         rows = np.vstack([self._latest_y, samples.y])
@@ -162,7 +162,7 @@ class Follower:
         return self._test(estimate, present & (sides == 0))
 
     def _test(self, estimate: Estimate, silent: Floats) -> Floats:
-        """Test these estimates; B after each (N x p, N x 0 where no test exists)."""
+        """Test these estimates, and return B after each (N x p, or N x 0 without a test)."""
         if self._tests is None:
             self._make_tests(estimate)
         assert self._tests is not None
@@ -190,13 +190,13 @@ class Follower:
         grid: Placed | Clock,
         faults: Faults | None = None,
     ) -> LogInfo:
-        """What the log comes to.
+        """Return the facts about the log as a whole.
 
         Args:
             source: the log.
-            layout: where it has what; None for arrays.
+            layout: places of its columns (None for arrays).
             grid: what came of putting it on the scenario's steps.
-            faults: what was wrong with its lines; None of arrays.
+            faults: faults of its lines (absent for arrays).
 
         Raises:
             FileError: there are no samples.
@@ -258,7 +258,7 @@ class Follower:
         )
 
     def _remarks(self) -> list[str]:
-        """What the readings tell of the sensor beside its widths.
+        """Return remarks on the sensor besides its widths, from the readings.
 
         They stick at the end of a range of which the scenario does not know, or repeat one another.
         """
@@ -268,12 +268,12 @@ class Follower:
             if ends.has_ends:
                 remarks.append(
                     f"{ends.number} readings of output {i} stick at an end of their range, where "
-                    f"they only bound z: set sensor.range = {ends.text}"
+                    f"they only bound z: set sensor.range = {ends.range_text}"
                 )
         return remarks
 
     def _repeated_readings(self) -> list[str]:
-        """Say that noisy readings repeat the one before, where they do."""
+        """Return remarks on noisy readings that repeat the previous one."""
         zone, remarks = self.zone, []
         noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
         active = self._counts[:2].sum(axis=0)
@@ -290,7 +290,7 @@ class Follower:
 
 
 def _repeated_times(placed: Placed | Clock) -> list[str]:
-    """How many samples came with the time of the one before, in words; none if none did."""
+    """Describe how many samples have the time of the previous one, empty if none has."""
     if not isinstance(placed, Placed) or not placed.repeated:
         return []
     return [f"{placed.repeated} samples have the time of the one before, and are left out"]
@@ -315,13 +315,13 @@ def require_units(layout: Layout, units: Units, source: str) -> None:
 
 
 class LiveLog:
-    """A CSV log whose lines come in live: what is wrong with some of them does not end it.
+    """A CSV log whose lines come in live: faults in some of them do not end it.
 
     Args:
         source: the log, for messages.
         scenario: for its step and its units.
         follower: of the same scenario, which takes the samples in.
-        chosen: columns that the user names; see `names.parse_columns`.
+        chosen: columns that the user names (see `names.parse_columns`).
         strict: whether the first fault is an error.
 
     Attributes:
@@ -350,8 +350,8 @@ class LiveLog:
             last: whether no more will come.
 
         Raises:
-            FileError: the log cannot be what the scenario describes, or `strict` is set and a line
-                is a fault; after what was good before.
+            FileError: the log cannot be the one that the scenario describes, or `strict` is set and
+                a line is faulty. The good lines before it are yielded first.
         """
         begun = self.reader.layout is not None
         samples = self.reader.feed(data, last)
@@ -360,10 +360,10 @@ class LiveLog:
             return
         if not begun:
             require_units(layout, self._units, self._source)
-        for piece in self.clock.place(samples, self.reader.latest, layout.has_times, last):
+        for piece in self.clock.place_samples(samples, self.reader.latest, layout.has_times, last):
             if piece.samples.t.size:
                 yield piece
 
     def info(self, follower: Follower) -> LogInfo:
-        """What the log comes to. Raises FileError."""
+        """Return the facts about the log as a whole. Raises FileError."""
         return follower.info(self._source, self.reader.layout, self.clock, self.clock.faults)

@@ -1,6 +1,6 @@
-"""What readings along a schedule of sides tell of a linear plant's widths, and how well.
+"""Identifiability of a linear plant's widths from readings along a schedule, with deviations.
 
-A simulation knows besides which claimed ranges are false, and what would help an arm.
+A simulation also knows the false ones among the assumed ranges, and the remedies for an arm.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from undeadzone.analysis.identifiability.sensor_and_actuator import (
     sensor_actuator_identifiability,
 )
 from undeadzone.interfaces import Traits
+from undeadzone.nonlinearities.actuator import Drive
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.observers.filtering.prior import read_width_ranges
@@ -48,9 +49,9 @@ NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is kn
 def linear_verdicts(
     problem: Problem, schedule: Schedule, arrive: Floats
 ) -> list[WidthIdentifiability]:
-    """What the readings of a linear plant tell, by the rule that nonlinear plants have too.
+    """Return the identifiability for a linear plant, by the same rule as for nonlinear plants.
 
-    A width is known where the readings determine it and its expected deviation does not exceed it.
+    A width is known if the readings determine it and its expected deviation does not exceed it.
 
     Args:
         problem: the scenario's parts.
@@ -74,7 +75,7 @@ def linear_verdicts(
 def _with_deviations(
     problem: Problem, schedule: Schedule, readings: ReadingConditions
 ) -> list[WidthIdentifiability]:
-    """Return verdicts with the deviations of the widths, from the readings and what is told."""
+    """Return verdicts with the deviations of the widths, from the readings and the prior."""
     linear, bias, told = problem.model.linear, readings.bias, readings.told
     expected = optimal_deviations(linear, schedule, readings)
     judged = []
@@ -102,7 +103,7 @@ def _second(
 
 
 def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[WidthIdentifiability]:
-    """What the readings behind a play and a dead zone tell; arguments as of `linear_verdicts`."""
+    """Return the identifiability behind a play and a dead zone (arguments of `linear_verdicts`)."""
     judged, play = [], problem.sensor.play
     assert play is not None
     readings = readings_of(problem, schedule, arrive)
@@ -119,7 +120,7 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Width
 
 
 def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> ReadingConditions:
-    """What tells of the widths; arguments as of `linear_verdicts`."""
+    """Return the readings and the prior on the widths (arguments of `linear_verdicts`)."""
     simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
     traits, model = problem.observer.traits, problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
@@ -137,13 +138,13 @@ def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> Reading
 
 
 def gaps_known(problem: Problem) -> bool:
-    """Return whether the observer is told the gaps of the play ahead of a dead zone."""
+    """Return whether the observer knows the gaps of the play ahead of a dead zone."""
     model = problem.scenario.model
     return model is None or model.play is None or gaps_of(model.play, problem.model.p)[1] is None
 
 
 def withdrawn(problem: Problem, why: str) -> list[WidthIdentifiability]:
-    """Return verdicts that claim nothing, with the reason."""
+    """Return verdicts without identifiable widths, with the reason."""
     return [WidthIdentifiability(**NONE, reasons=(why,))] * problem.model.p
 
 
@@ -154,13 +155,12 @@ def as_far_as_known(
     i: int,
     std: dict[str, float],
 ) -> WidthIdentifiability:
-    """Return the verdict on output i with the deviations of its widths; what they exceed is not
-    known.
+    """Return the verdict on output i with deviations of its widths, unknown if smaller than those.
 
     Args:
         problem: the scenario's parts.
         schedule: of the sides.
-        verdict: what the readings determine.
+        verdict: identifiability from the readings alone.
         i: the output.
         std: deviations by name.
     """
@@ -185,10 +185,10 @@ def actuator_unknown(problem: Problem) -> bool:
 def widths_with_unknown_actuator(
     problem: Problem, signal: Outputs, schedule: Schedule
 ) -> list[WidthIdentifiability]:
-    """Which of the sensor's widths a run's readings determine where the actuator's are not known.
+    """Return the identifiable widths of the sensor in a run with unknown actuator widths.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         signal: the outputs of the loop (a row per sample).
         schedule: of the sensor's sides along it.
     """
@@ -210,13 +210,12 @@ def late_inputs(problem: Problem, signal: Outputs) -> Floats:
 def by_claims(
     traits: Traits, alone: WidthIdentifiability, claimed: WidthIdentifiability
 ) -> WidthIdentifiability:
-    """Return the verdict with what an observer claims beforehand, which says what nothing else
-    tells.
+    """Return the verdict with an observer's prior, with a note on widths known by the prior alone.
 
     Args:
         traits: of the observer.
         alone: the verdict by readings alone.
-        claimed: the verdict with the claims.
+        claimed: the verdict with the prior.
     """
     gained = [name for name in DIRECTIONS if getattr(claimed, name) and not getattr(alone, name)]
     if not gained:
@@ -240,8 +239,8 @@ def constant_inputs(problem: Problem, B: Floats) -> Floats | None:
 def with_false_claims(
     problem: Problem, verdicts: Sequence[WidthIdentifiability]
 ) -> list[WidthIdentifiability]:
-    """Return the verdicts; a width outside of its claimed range is not known, as no reading
-    corrects it.
+    """Return the verdicts. Widths outside their assumed range are unknown, as no reading corrects
+    them.
 
     Args:
         problem: the scenario's parts.
@@ -271,7 +270,7 @@ def with_false_claims(
 def _with_false_gaps(
     problem: Problem, verdict: WidthIdentifiability, i: int
 ) -> WidthIdentifiability:
-    """Return the verdict on output i; no width is known beside a gap that is told wrongly."""
+    """Return the verdict on output i. No width is known beside a wrong gap of [model]."""
     play, model = problem.sensor.play, problem.scenario.model
     if play is None or model is None or model.play is None:
         return verdict
@@ -283,22 +282,28 @@ def _with_false_gaps(
 
 
 def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> WidthIdentifiability:
-    """Return the verdict on an output; none of its widths is known behind an actuator told
-    wrongly.
-    """
+    """Return the verdict on an output, whose widths a wrong actuator of [model] hides."""
     actuator, belief = problem.actuator, problem.belief
     if actuator is None or belief is None:
         return verdict
     true = np.stack([actuator.right, actuator.left])
     told = np.stack([belief.drive.right, belief.drive.left])
+    if actuator.is_play or belief.drive.is_play:
+        true, told = (_gaps_or_widths(one) for one in (actuator, belief.drive))
     if _meets_assumptions(true, told, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict.add_reasons(reason, **NONE)
 
 
+def _gaps_or_widths(drive: Drive) -> Floats:
+    """Return widths and gaps of an actuator (4 x m); it has the ones or the others."""
+    gaps = [drive.gap_right, drive.gap_left] if drive.is_play else [0 * drive.right] * 2
+    return np.stack([drive.right, drive.left, *gaps])
+
+
 def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:
-    """Return whether true [right, left] (2 x each) are as told, or in the ranges that are told."""
+    """Return whether true [right, left] (2 x each) equal assumed ones or lie in their ranges."""
     low, high = (told, told) if ranges is None else ranges.T.reshape(2, *true.shape)
     slack = ROUNDING * true
     return np.asarray((low - slack <= true) & (true <= high + slack))
@@ -307,7 +312,7 @@ def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.
 def with_cures(
     problem: Problem, verdicts: Sequence[WidthIdentifiability], z: Floats
 ) -> list[WidthIdentifiability]:
-    """Return the verdicts on an arm, each with a cure where the motion passes one edge or none.
+    """Return the verdicts on an arm, each with a remedy if the motion passes one edge or none.
 
     Args:
         problem: the scenario's parts.
@@ -328,7 +333,7 @@ def with_cures(
 
 
 def _cure(where: str, z: Floats, offset: float, right: float, left: float) -> list[str]:
-    """What to do with the position at which a sensor reads 0; nothing where both edges are passed.
+    """Return the remedy, a position of the sensor's 0, empty if both edges are passed.
 
     Args:
         where: its key.

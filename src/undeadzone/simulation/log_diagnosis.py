@@ -1,7 +1,7 @@
-"""What would make a log fit that does not: columns exchanged, another sign, unit, or a delay.
+"""Diagnosis of a log that does not fit: columns exchanged, another sign, unit, or a delay.
 
-Each is tried on the first samples of the log, with the scenario's own observer. That which the
-observer calls consistent and predicts best is told; nothing where none is.
+Each is tried on the first samples of the log, with the scenario's own observer. The change whose
+log is consistent and predicted best is reported, if there is one.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ BETTER: Final = 0.8  # of the share of y that is not predicted: a cure leaves no
 
 
 def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
-    """What to change so that the observer agrees with a log; None: nothing that is tried.
+    """Return the change with which the observer agrees with a log, or None if none helps.
 
     Args:
         scenario: whose observer followed it.
-        found: what it made of it.
+        found: estimation from the log.
     """
     t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
     best, words = BETTER * _unexplained_share(found.innovation[:SAMPLES], y), None
@@ -43,7 +43,7 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
 
 
 def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats, Floats]]:
-    """What may be wrong with a log, in words, and its readings and inputs without that.
+    """Yield possible faults of a log, in words, with its readings and inputs corrected for each.
 
     Args:
         y: readings (N x p).

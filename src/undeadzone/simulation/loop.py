@@ -19,10 +19,10 @@ HELD: Final = 5  # exogenous inputs of an output that keep their value within a 
 
 
 def instants(Ts: float | None, order: int) -> int:
-    """How often a step has exogenous inputs: once, at three instants, or as Taylor coefficients.
+    """Return how many exogenous inputs a step has: one, three instants, or Taylor coefficients.
 
     Args:
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         order: RUNGE_KUTTA, or that of a Taylor series.
     """
     if Ts is not None:
@@ -31,15 +31,15 @@ def instants(Ts: float | None, order: int) -> int:
 
 
 class Exogenous(NamedTuple):
-    """What comes from outside at one instant.
+    """Exogenous inputs at one instant.
 
     Attributes:
-        target: what the controller should reach.
+        target: the controller's target.
         w: disturbance at the input (m).
         before: standard normal noise ahead of the zone (p).
         after: standard normal noise after the zone (p).
         right, left: how much wider than at first an edge is, relative (p).
-        lost: NaN where the reading is missing, else 0 (p).
+        lost: NaN if the reading is missing, else 0 (p).
     """
 
     target: Target
@@ -58,10 +58,10 @@ class SensorParams(NamedTuple):
         right, left: d_r, d_l at t = 0 (p) [z].
         slope: m (p) [y/z].
         threshold: |y| that counts as silent (p) [y].
-        quantum: step of the reading (p) [y]; empty where nothing is quantised.
-        limits: least and largest readings (p) [y]; None: there are none.
-        friction: of what is behind a play (p) [u]; empty where there is none.
-        gap_right, gap_left: of a play ahead of a dead zone (p) [z]; empty where there is none.
+        quantum: step of the reading (p) [y] (empty if nothing is quantised).
+        limits: least and largest readings (p) [y] (None: there are none).
+        friction: of the load behind a play (p) [u] (empty if absent).
+        gap_right, gap_left: of a play ahead of a dead zone (p) [z] (empty if absent).
     """
 
     right: Any
@@ -92,12 +92,12 @@ class Scale(NamedTuple):
 
 
 class Params(NamedTuple):
-    """Every number of the loop; they enter at run time.
+    """Every number of the loop. They enter at run time.
 
     Attributes:
         plant, observer, controller, compensator: the params of each part, trees of numbers.
         sensor: the numbers of the sensor.
-        actuator: the numbers of the actuator; None: there is none.
+        actuator: the numbers of the actuator (None: there is none).
         scale: factors on the exogenous inputs.
         h: time step [s].
     """
@@ -117,8 +117,8 @@ class State(NamedTuple):
 
     Attributes:
         plant, observer, controller, compensator: states of the parts.
-        sensor: level of a play (p) [z]; empty of a sensor without one.
-        actuator: last command, where its rate has a limit (m) [u]; else empty.
+        sensor: level of a play (p) [z] (empty of a sensor without one).
+        actuator: last command, if its rate has a limit (m) [u] (else empty).
         line: commands that have not acted yet, the oldest first (delay m) [u].
     """
 
@@ -144,7 +144,7 @@ class Driven(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """What is recorded at the start of each step.
+    """Recorded quantities at the start of each step.
 
     Attributes:
         x: state (n).
@@ -152,7 +152,7 @@ class Outputs(NamedTuple):
         y: reading (p).
         side: measured side (p), +2 or -2 at a limit of the range.
         u: input (m).
-        estimate: what the observer makes of the reading.
+        estimate: the observer's estimate after the reading.
     """
 
     x: Any
@@ -167,9 +167,9 @@ class Parts(NamedTuple):
     """A step in parts, which together are right in every case and singly cost less.
 
     Attributes:
-        usual: usual(s, w, p) is (next, out, flag); its result is right where the flag is 0.
-        rare: rare[0](s, w, p) is (next, flag), to be asked where the flag before it is 1, and so
-            on; the last one is right in any case.
+        usual: usual(s, w, p) is (next, out, flag). Its result is right if the flag is 0.
+        rare: rare[0](s, w, p) is (next, flag), to be called if the flag before it is 1, and so on.
+            The last one is right in any case.
     """
 
     usual: ca.Function
@@ -180,7 +180,7 @@ class Loop(NamedTuple):
     """The closed loop and the numbers that start it.
 
     In continuous time the exogenous input of a step holds three instants (the step's start, middle
-    and end), or as many Taylor coefficients as the order says.
+    and end), or as many Taylor coefficients as the order of the method.
 
     Attributes:
         step: step(state, exogenous, params) is (next state, outputs), all of them columns.
@@ -188,8 +188,8 @@ class Loop(NamedTuple):
         params: every number of the loop.
         outputs: zeros of the outputs' shapes.
         instant: zeros of the shapes of the exogenous inputs at one instant.
-        parts: the same step, split into what runs each time and what a change of side asks for;
-            None: not split.
+        parts: the same step, split into a usual part and parts for a change of side (None: not
+            split).
     """
 
     step: ca.Function

@@ -25,7 +25,7 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, plant_pace, sample_plant
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import resolve_sensor
+from undeadzone.scenario.encoders import group_coupled_joints, resolve_sensor
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class Out(NamedTuple):
-    """What a step gives: the estimate, the measured side (p), and 1 where a reading was missing."""
+    """Outputs of a step: the estimate, the measured side (p), and 1 if a reading was missing."""
 
     estimate: Estimate
     side: Any
@@ -45,15 +45,15 @@ class Out(NamedTuple):
 
 
 class ObserverGraph(NamedTuple):
-    """The graph of an observer alone, and what it is made of.
+    """Graph of an observer alone, and its parts.
 
     Attributes:
         step: step(s, w, p) -> (next, out).
-        out: shapes of what it gives.
-        s, w, p: columns of the state, of [y; u] and of the params.
+        out: shapes of its outputs.
+        s, w, p: columns of the state, of `[y; u]` and of the params.
         state, params: the observer's own, as trees.
-        used: the input, the last one where it is missing (m).
-        reading: what is read.
+        used: the input, the last one if it is missing (m).
+        reading: the reading.
         start, numbers: values of s and p.
     """
 
@@ -103,25 +103,25 @@ class Online:
     Args:
         observer: options of the observer.
         plant: the plant as the observer knows it.
-        sensor: kind, slope, noise, threshold and range; its widths are used by the oracle only.
+        sensor: kind, slope, noise, threshold and range (its widths are used by the oracle only).
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
         compiled: whether the step is compiled for this processor: the same bits in a fraction of
             the time. The first time this takes up to some seconds, in which the virtual machine
-            runs the samples; the result is kept on disk.
-        actuator: what is known of the actuator between u and the plant; widths that are ranges are
-            estimated; None: there is none.
+            runs the samples. The result is cached on disk.
+        actuator: model of the actuator between u and the plant, whose widths are estimated if they
+            are ranges (None: there is none).
 
     Attributes:
         model: the sampled model.
-        engine: what computes a sample: "compiled"; "compiled, first form", while a faster one is
-            made; or "virtual machine" and why it is not compiled.
-        latest: the estimate from the last sample, as views that the next sample overwrites;
-            NaN before the first.
+        engine: engine that computes a sample: "compiled", "compiled, first form", while a faster
+            one is made (or "virtual machine" and the reason).
+        latest: the estimate from the last sample, as views that the next sample overwrites (NaN
+            before the first).
         samples: how many samples came in.
         missing: how many of them had a reading missing.
-        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing; twice
-            that at a limit of the range.
+        side: measured side of the last reading (p): +1 right, -1 left, 0 silent or missing (twice
+            that at a limit of the range).
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -164,17 +164,17 @@ class Online:
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew, as if no sample had come in; what was counted stays."""
+        """Restart as if no sample had come in. The counts stay."""
         self._step.state[:] = self._graph.start
         self._out[:] = np.nan
         self._out[self._where.side] = 0.0
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return built again from what it was made of, then as it was."""
+        """Return the constructor's arguments and the saved state, for pickle."""
         return Online, self._asked, {name: getattr(self, name) for name in self.KEPT}
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        """Go on where another one was."""
+        """Restore the saved state of another object."""
         for name, value in kept.items():
             setattr(self, name, value)
 
@@ -189,14 +189,14 @@ class Online:
 
     @property
     def digest(self) -> str:
-        """Of all that the observer is, whatever it has seen."""
+        """Return a digest of the observer's graph and numbers, the same after any samples."""
         numbers = np.concatenate([self._graph.start, self._graph.numbers])
         graph = self._graph.step.serialize().encode()
         return hashlib.sha256(graph + numbers.tobytes()).hexdigest()
 
     @property
     def state(self) -> Floats:
-        """Return the observer's state and what it gave last, as one vector; it may be set."""
+        """Return the observer's state and its last output as one vector, which may be set."""
         return np.concatenate([self._step.state, self._out])
 
     @state.setter
@@ -216,26 +216,26 @@ class Online:
         return self._out[self._where.side].copy()
 
     def update(self, y: Array, u: Array) -> Estimate:
-        """Take one sample in, give one estimate out.
+        """Return the estimate after the next sample.
 
         Args:
-            y: reading (p); NaN or infinite: missing.
-            u: input (m) that acts from this sample to the next; not finite: as before.
+            y: reading (p) (NaN or infinite: missing).
+            u: input (m) that acts from this sample to the next (not finite: as before).
 
         Returns:
-            The estimate from this reading and all before it, as NumPy arrays; empty where the
-            observer estimates nothing.
+            The estimate from this reading and all before it, as NumPy arrays, empty if the observer
+            estimates nothing.
         """
         self.update_into(y, u)
         out = self._out.copy()
         return Estimate(*[out[part] for part in self._where.estimate])
 
     def update_into(self, y: Array | float, u: Array | float) -> None:
-        """Take one sample in; `latest` then holds the estimate, and nothing is copied.
+        """Take one sample in. `latest` then holds the estimate, and nothing is copied.
 
         Args:
-            y: reading (p); NaN or infinite: missing. Numbers of Python are the fastest.
-            u: input (m) that acts from this sample to the next; not finite: as before.
+            y: reading (p) (NaN or infinite: missing). Numbers of Python are the fastest.
+            u: input (m) that acts from this sample to the next (not finite: as before).
         """
         if self._is_single and type(y) is float and type(u) is float:
             self._entries[0] = y
@@ -271,13 +271,13 @@ class Online:
             )
 
     def update_many(self, y: Floats, u: Floats) -> tuple[Estimate, Floats]:
-        """Take a block of samples in, give their estimates out, as `update` does one by one.
+        """Return the estimates after each of a block of samples, as `update` does one by one.
 
         A record of a million samples takes about a second, after a compilation that is kept on
         disk.
 
         Args:
-            y: readings (N x p); NaN or infinite: missing.
+            y: readings (N x p) (NaN or infinite: missing).
             u: inputs (N x m).
 
         Returns:
@@ -301,7 +301,7 @@ class Online:
         return Estimate(*[out[:, part] for part in self._where.estimate]), sides
 
     def peek(self, y: Array) -> Estimate:
-        """Return the estimate that `update(y, u)` would return; nothing advances.
+        """Return the estimate that `update(y, u)` would return. The state does not advance.
 
         It does not depend on u.
 
@@ -315,7 +315,7 @@ class Online:
 
 
 def _stepper(graph: ObserverGraph, compiled: bool) -> Stepper | CompiledStepper:
-    """What runs samples."""
+    """Return the stepper that runs the samples."""
     parts = (graph.step, graph.start, graph.numbers)
     if compiled:
         from undeadzone.compile.scalar_step import CompiledStepper
@@ -340,7 +340,7 @@ def build_observer(
         sensor: the sensor in a user's words.
         step: sample time [s].
         substeps: Runge-Kutta steps in a sample, of a nonlinear plant.
-        actuator: what is known of the actuator; None: there is none.
+        actuator: model of the actuator (None: there is none).
 
     Raises:
         InputError: or a subclass, as a scenario would.
@@ -355,4 +355,9 @@ def build_observer(
     model = sample_plant(system, Ts, substeps)
     zone = resolve_sensor(sensor, system, Ts, plant_pace(system.linear))
     belief = believe_actuator(actuator, model.m)
+    if system.gears is not None:
+        start = plants.initial_state(plant, system)[
+            system.gears.joint_count : 2 * system.gears.joint_count
+        ]
+        observer = group_coupled_joints(observer, system, start[None])
     return model, zone, watching(observer, model, zone, belief, Ts)

@@ -1,4 +1,4 @@
-"""Which packed numbers of a loop a change moves: found by building it again and comparing."""
+"""Packed numbers of a loop that a change moves, found by building it again and comparing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
         loop: of a problem with the same `graph`.
 
     Raises:
-        InputError: the observer is no graph.
+        InputError: the observer is not a graph.
     """
     observer, controller = require_graph(problem.observer), problem.controller
     state = loop.state._replace(
@@ -36,7 +36,7 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
 
 
 def changed_params(loop: Loop, others: Iterable[Floats]) -> Integers:
-    """Where packed params of the loop differ from its own in any of the others."""
+    """Return the places at which packed params of the loop differ from those of any other loop."""
     differ: Any = np.any([other != tree.pack_tree(loop.params) for other in others], axis=0)
     return np.flatnonzero(differ)
 

@@ -1,6 +1,6 @@
 """The closed loop around an observer or a control law in Python, stepped one sample at a time.
 
-Plant and sensor stay on the graph, and so does what else is a graph.
+Plant and sensor stay on the graph, as well as all other parts that are graphs.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from undeadzone.compile.interpret import CHUNK, Stepper
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate, PythonObserver, Reading
-from undeadzone.nonlinearities.limits import beyond
+from undeadzone.nonlinearities.limits import is_beyond_range
 from undeadzone.nonlinearities.sensor import Zone, side
 from undeadzone.scenario.problem import Problem
 from undeadzone.simulation.close import close
@@ -34,10 +34,10 @@ def run_sample_by_sample(
     """Return the outputs of the closed loop along exogenous inputs, by name (rows: time).
 
     Args:
-        problem: what is simulated, in sampled time.
+        problem: the problem to simulate, in sampled time.
         exogenous: exogenous inputs (steps + 1 rows).
         progress: called with the number of steps just done.
-        law: law(t, estimate, r) is the input (m) at t [s]; the problem's controller is then
+        law: law(t, estimate, r) is the input (m) at t [s]. The problem's controller is then
             `commanded`. None: the problem's controller is a graph.
 
     Raises:
@@ -79,7 +79,7 @@ def run_sample_by_sample(
 
 
 def placeholder_controller(m: int) -> Controller:
-    """What stands for a control law in Python on the graph.
+    """Return the controller that replaces a control law in Python on the graph.
 
     Its state is the input, written from outside before each step.
 
@@ -94,7 +94,7 @@ def placeholder_controller(m: int) -> Controller:
 
 
 def _input(u: Any, m: int, t: float) -> Floats:
-    """What a law gave as input (m). Raises InputError."""
+    """Return the input (m) of a law, checked. Raises InputError."""
     try:
         return require_vector("controller", u, m, "one per input")
     except InputError as error:
@@ -114,8 +114,8 @@ def numeric_along(
     Args:
         observer: the observer.
         sensor: the dead zone, for its threshold and its range.
-        y: readings (N x p), NaN where one is missing.
-        u: inputs (N x m), NaN where the last one is held.
+        y: readings (N x p), NaN if one is missing.
+        u: inputs (N x m), NaN if the last one is held.
         seed: of its random numbers.
         progress: called with the number of steps just done.
 
@@ -125,7 +125,7 @@ def numeric_along(
     state = observer.start(seed)
     held = np.zeros(u.shape[1])
     if sensor.limits is not None:
-        y = np.where(beyond(y, sensor.limits), np.nan, y)
+        y = np.where(is_beyond_range(y, sensor.limits), np.nan, y)
     sides = side(y, sensor.threshold, sensor.limits)
     rows = []
     for k in range(len(y)):

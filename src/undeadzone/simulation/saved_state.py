@@ -1,4 +1,4 @@
-"""What a live log has come to, in a file: it is replaced whole, and read as numbers only.
+"""State of live estimation in a file: it is replaced whole, and read as numbers only.
 
 Objects name in `KEPT` what of them a file holds: numbers, arrays, texts, and other such objects.
 """
@@ -26,12 +26,12 @@ DIGEST: Final = "digest"
 
 
 def save(path: Path, parts: Mapping[str, Any], digest: str) -> None:
-    """Replace a file by the present numbers; it is on the disk when this returns.
+    """Replace a file by the present numbers. It is on the disk when this returns.
 
     Args:
         path: of the file.
         parts: objects with `KEPT`, by name.
-        digest: of what the numbers are of.
+        digest: of the object that the numbers belong to.
 
     Raises:
         FileError: it cannot be written.
@@ -51,10 +51,10 @@ def load(path: Path, parts: Mapping[str, Any], digest: str) -> None:
     Args:
         path: of the file.
         parts: objects with `KEPT`, by name, as new.
-        digest: of what the numbers must be of.
+        digest: of the object that the numbers must belong to.
 
     Raises:
-        FileError: it cannot be read, is no such file, or is of something else.
+        FileError: it cannot be read, has another content, or belongs to another object.
     """
     try:
         arrays = load_arrays(path, LARGEST_TABLE)
@@ -93,7 +93,7 @@ def _stored_arrays(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
 
 
 def _inner(name: str, value: Any) -> dict[str, Any]:
-    """Return the objects with `KEPT` under a name, which may be a list of them; none of numbers."""
+    """Return the objects with `KEPT` under a name, alone or in a list, but no numbers."""
     if hasattr(value, "KEPT"):
         return {name: value}
     if isinstance(value, list):
@@ -102,9 +102,9 @@ def _inner(name: str, value: Any) -> dict[str, Any]:
 
 
 def _like(value: Any, array: Any, name: str) -> Any:
-    """Return an array as a value of the same kind; of another shape only where the value is empty.
+    """Return an array as a value of the same kind, of another shape only if the value is empty.
 
-    Raises ValueError for what does not fit.
+    Raises ValueError for an array that does not fit.
     """
     known = np.asarray(value)
     grows = known.ndim == 1 and not known.size

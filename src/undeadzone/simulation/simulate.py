@@ -1,4 +1,4 @@
-"""Run a scenario: exogenous signals in, the loop through an engine, a `Run` out; or two."""
+"""Simulation of a scenario: exogenous signals, a loop in an engine, and one or two `Run`s."""
 
 from __future__ import annotations
 
@@ -50,20 +50,20 @@ def simulate(
         scenario: what to simulate.
         check_step: in continuous time, run again with half the step and report the difference as
             `integration_error`.
-        progress: called with the number of steps just done, from two threads; None: a bar in a
-            notebook.
-        engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes);
-            they agree to the last bits. auto: compiled if it was compiled before, or if the run is
+        progress: called with the number of steps just done, from two threads (None: a bar in a
+            notebook).
+        engine: CasADi's virtual machine (interpret), or the loop compiled for this CPU (lanes).
+            They agree to the last bits. auto: compiled if it was compiled before, or if the run is
             longer than a compilation.
         controller: a function of one's own in the place of the scenario's controller, in sampled
             time: controller(t, estimate, r) is the input u (m) at t [s], with the `Estimate` of
             that sample as NumPy arrays and r the reference of the tracked outputs.
 
     Returns:
-        The signals of the run, and what was found out about them.
+        The signals of the run, and the facts about them.
 
     Raises:
-        InputError: or a subclass, for what is wrong with the scenario.
+        InputError: or a subclass, for errors in the scenario.
 
     Example:
         >>> run = uz.simulate(scenario)
@@ -77,12 +77,12 @@ def simulate(
 
 
 class Simulated(NamedTuple):
-    """A run, and what it was computed from.
+    """Run with its problem and start.
 
     Attributes:
         run: the run.
         problem: the scenario's parts.
-        start: what the run started from; None: an observer or a controller computes in Python.
+        start: start of the run (None: an observer or a controller computes in Python).
     """
 
     run: Run
@@ -97,7 +97,7 @@ def simulate_scenario(
     engine: Engine = "auto",
     controller: live.ControlLaw | None = None,
 ) -> Simulated:
-    """Simulate a scenario and keep what the run was computed from; arguments as of `simulate`."""
+    """Simulate a scenario with the arguments of `simulate`, and return the run and its problem."""
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
     with notebook_progress(progress, "simulating", steps(scenario, check_step)) as advance:
@@ -114,7 +114,7 @@ def simulate_scenario(
 
 
 def steps(scenario: Scenario, check_step: bool = True) -> int:
-    """How many steps `simulate` reports to its progress callback; arguments as there."""
+    """Return the number of steps that `simulate` reports to its progress callback."""
     times = 3 if check_step and scenario.simulation.time == "continuous" else 1
     return round(times * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))
 
@@ -147,11 +147,11 @@ def signals_of(
 
     Args:
         problem: the scenario's parts.
-        start: what the run starts from; None: an observer or a law computes in Python.
+        start: start of the run (None: an observer or a law computes in Python).
         progress: called with the number of steps just done.
         check_step: as for `simulate`.
         engine: as for `simulate`.
-        law: in place of a controller; None: there is none.
+        law: in place of a controller (None: there is none).
     """
     if start is None:
         exogenous = inputs.exogenous(problem)
@@ -193,10 +193,10 @@ def outputs_of(
     """Return the outputs of a run, by name.
 
     Args:
-        start: what it starts from.
+        start: its start.
         progress: called with the number of steps just done.
-        run: what runs its loop, from `engine_for`; loops that differ in numbers alone share one.
-            None: one of its own.
+        run: function that runs its loop, from `engine_for` (loops that differ in numbers alone
+            share one). None: one of its own.
     """
     if run is None:
         run = engine_for(start.loop, "auto", len(start.exogenous))
@@ -216,7 +216,7 @@ def _at_half_the_step(
 
 
 class Start(NamedTuple):
-    """What a run starts from.
+    """Start of a run.
 
     Attributes:
         loop: the closed loop.
@@ -230,19 +230,19 @@ class Start(NamedTuple):
 
 
 def prepare(problem: Problem) -> Start:
-    """What a run of a problem starts from."""
+    """Return the start of a run of a problem."""
     loop = close_problem(problem)
     state = tree.pack_tree(loop.state._replace(plant=problem.x0))
     return Start(loop, state, inputs.exogenous(problem))
 
 
 def close_problem(problem: Problem) -> Loop:
-    """Return the closed loop of a problem. Raises InputError for an observer that is no graph."""
+    """Return the closed loop of a problem. Raises InputError if the observer is not a graph."""
     return close(problem._replace(observer=require_graph(problem.observer)))
 
 
 def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
-    """What runs a loop: run(state, exogenous, params, progress) gives its outputs and its end.
+    """Return the engine of a loop: run(state, exogenous, params, progress) gives outputs and end.
 
     Args:
         loop: the closed loop.
@@ -297,16 +297,16 @@ def compare(
     """Simulate a scenario, and the same scenario with the observer of its [compare] table.
 
     Args:
-        scenario: what to simulate; its `compare` names the other observer.
-        progress: called with the number of steps just done, of both runs; None: a bar in a
-            notebook.
+        scenario: scenario to simulate. Its `compare` names the other observer.
+        progress: called with the number of steps just done, of both runs (None: a bar in a
+            notebook).
 
     Returns:
-        The run of the scenario's own observer and that of the other. Each `info.label` says what
-        tells the two observers apart.
+        The run of the scenario's own observer and that of the other. Each `info.label` names the
+        difference of the two observers.
 
     Raises:
-        InputError: the scenario has no [compare]; or, also as a subclass, what `simulate` raises.
+        InputError: the scenario has no [compare], or, also as a subclass, an error of `simulate`.
 
     Example:
         >>> other = uz.Kalman(right=[0.0, 2.0], disturbance=0.2)
@@ -343,10 +343,10 @@ def beside(
 
 
 def labels(first: Any, second: Any) -> tuple[str, str]:
-    """Names that tell two observers apart.
+    """Return names that distinguish two observers.
 
-    These are their methods, and, where the methods are the same, one option that differs: a switch
-    before all others.
+    These are their methods, and, if the methods are the same, one option that differs, a switch if
+    possible.
     """
     one, other = to_tables(first), to_tables(second)
     differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]

@@ -1,7 +1,7 @@
 """Statistics of a column of independent runs, each with an interval of confidence LEVEL.
 
-None of them takes the column to be Gaussian. docs/ensemble.md says what each interval is, and for
-which samples it holds.
+They do not assume a Gaussian column. docs/ensemble.md defines each interval, and the samples for
+which it holds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Interval(NamedTuple):
 
     Attributes:
         value: the estimate.
-        low, high: the ends of the interval; infinite where the runs do not bound it.
+        low, high: the ends of the interval (infinite if the runs do not bound it).
     """
 
     value: float
@@ -47,7 +47,7 @@ def describe(column: Floats) -> dict[str, Interval | Extreme]:
     """Describe a column of runs: mean, standard deviation, QUANTILES, min and max.
 
     Args:
-        column: one number or more; infinite ones are allowed, which have no mean, NaN is not.
+        column: one number or more (infinite ones are allowed, which have no mean, but not NaN).
     """
     ordered = np.sort(column)
     statistics: dict[str, Interval | Extreme] = {

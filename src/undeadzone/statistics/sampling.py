@@ -69,7 +69,7 @@ def _stratify_column(u: Floats, seed: int, first: int, column: int, runs: int) -
 def permute_indices(index: Any, size: int, keys: Any) -> Any:
     """Return the image of each index under a permutation of 0 .. size - 1: a Feistel cipher.
 
-    The cipher permutes the numbers of an even count of bits; it is repeated until the result is
+    The cipher permutes the numbers of an even count of bits. It is repeated until the result is
     below `size`.
 
     Args:
@@ -118,7 +118,7 @@ def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
         )
     if first + count > 2 ** (BITS - 1):
         raise InputError(
-            f"runs: [ensemble] or [tune] asks for {first + count}, Sobol points are "
+            f"runs: [ensemble] or [tune] needs {first + count}, Sobol points are "
             f"2^{BITS - 1}. Use random"
         )
     design = qmc.Sobol(entries, bits=BITS, rng=seed)

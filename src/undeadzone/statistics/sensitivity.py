@@ -50,8 +50,8 @@ class Sensitivity(NamedTuple):
         partial: partial rank correlation, the other entries being held.
         first_order: first-order Sobol index, from the design if it is Saltelli's, else from the
             runs as they are.
-        floor: first_order that chance alone reaches once in twenty; None under Saltelli's design.
-        total_order: total Sobol index; None but under Saltelli's design.
+        floor: first_order that chance alone reaches once in twenty (None under Saltelli's design).
+        total_order: total Sobol index (None but under Saltelli's design).
     """
 
     spearman: Correlation
@@ -81,7 +81,7 @@ def sensitivities_of_runs(X: Floats, y: Floats) -> list[Sensitivity]:
         y: the metric (runs).
 
     Returns:
-        One per entry; none for fewer than LEAST runs, or if all of y are alike.
+        One per entry, none for fewer than LEAST runs, or if all of y are alike.
     """
     n, d = X.shape
     if n < max(LEAST, d + 4) or np.ptp(y) == 0:
@@ -108,11 +108,11 @@ def saltelli_indices(blocks: Floats) -> list[SobolIndices]:
     """Return the Sobol indices of each entry from the runs of Saltelli's design.
 
     Args:
-        blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows); columns with a NaN are
-            left out.
+        blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows) (columns with a NaN are
+            left out).
 
     Returns:
-        One per entry; none for fewer than LEAST columns.
+        One per entry, none for fewer than LEAST columns.
     """
     blocks = blocks[:, np.isfinite(blocks).all(axis=0)]
     if blocks.shape[1] < LEAST:
@@ -139,7 +139,7 @@ def estimate_sobol_indices(blocks: Floats) -> Floats:
         blocks: the metric f_A, f_B, f_AB1, ..., f_ABd (entries + 2 rows).
 
     Returns:
-        [first, total] (2 x entries); 0 where nothing varies.
+        [first, total] (2 x entries), or 0 if nothing varies.
     """
     blocks = blocks - blocks[:2].mean()
     f_A, f_B, f_AB = blocks[0], blocks[1], blocks[2:]
@@ -150,10 +150,11 @@ def estimate_sobol_indices(blocks: Floats) -> Floats:
 
 
 def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return Spearman's and the partial rank correlation of each entry with y; 0 if nothing
+    """Return Spearman's and the partial rank correlation of each entry with y, or 0 if nothing
     varies.
 
-    The partial one is of what the ranks of the other entries leave of both.
+    The partial one correlates the residuals of both after regression on the ranks of the other
+    entries.
     """
     ranks = np.column_stack([mean_ranks(column) for column in (*X.T, y)])
     ranks -= ranks.mean(axis=0)
@@ -166,7 +167,7 @@ def rank_correlations(X: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 
 def mean_ranks(x: Floats) -> Floats:
-    """Return ranks from 1 for the least; equal numbers share their mean rank."""
+    """Return ranks from 1 for the least. Equal numbers share their mean rank."""
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     return (np.cumsum(count) - (count - 1) / 2)[place]
 
@@ -174,7 +175,8 @@ def mean_ranks(x: Floats) -> Floats:
 def first_order_indices(X: Floats, y: Floats) -> Floats:
     """Return the share of the variance of y that each entry explains, corrected for chance.
 
-    An entry explains what a straight line in each of its bins does; 0 where it does not vary.
+    An entry explains the variance that a straight line in each of its bins explains, 0 if the entry
+    does not vary.
     """
     shares = np.zeros(X.shape[1])
     for i, x in enumerate(X.T):
@@ -199,7 +201,7 @@ def first_order_by_chance(y: Floats) -> float:
 def _variance_share(x: Floats, y: Floats) -> float:
     """Return 1 - (variance about a line in each bin) / (variance of y), both unbiased.
 
-    x ascends; its n^(2/5) bins hold equally many runs.
+    x ascends, and its n^(2/5) bins hold equally many runs.
     """
     n = y.size
     count = int(np.ceil(n**0.4))

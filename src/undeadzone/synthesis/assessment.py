@@ -71,8 +71,8 @@ class Gains(NamedTuple):
         gamma: gain of the widths (p) [1/s].
         certificate: the proof that V never rises, or why there is none.
         rates: how fast the error dies along the reference.
-        settled: time after which every error is at most 1 % of what it was, in size sqrt(V) [s];
-            None: none of that is sure.
+        settled: time after which every error is at most 1 % of its initial size sqrt(V) [s] (None:
+            not proved).
         nearest: certified gains near to these, if these are not certified.
         dynamics: of the error.
         V: the storage function.
@@ -93,7 +93,7 @@ class Attacks(NamedTuple):
 
     Attributes:
         attack: the falsifier's.
-        cycle: the periodic side sequence of fastest growth; None: the gains are certified.
+        cycle: the periodic side sequence of fastest growth (None: the gains are certified).
         courses: trajectories of the error.
     """
 
@@ -107,11 +107,11 @@ class Assessment(NamedTuple):
 
     Attributes:
         problem: the scenario's parts.
-        run: a run of it, where one was needed.
+        run: a run of it, if one was needed.
         schedule: of its sides.
-        known: what can be known of each output.
-        gains: of a linear plant, where they are constant.
-        listens: how strongly readings move each z^ (`simulation.listening`); empty: not measured.
+        known: identifiability of each output.
+        gains: of a linear plant, if they are constant.
+        listens: how strongly readings move each z^ (`simulation.feedback`, empty: not measured).
     """
 
     problem: Problem
@@ -149,7 +149,7 @@ def attack_gains(assessment: Assessment, seed: int = 0) -> Attacks | None:
         seed: of the random numbers.
 
     Returns:
-        The attempts; None where no V exists that could be tried.
+        The attempts, or None if no V exists that could be tried.
     """
     gains = assessment.gains
     if gains is None or not np.linalg.eigvalsh(gains.V.P)[0] > 0:
@@ -215,8 +215,8 @@ def _find_nearest_gains(
 def simulate_trial_run(problem: Problem) -> Run | None:
     """Return a run of the scenario if its branches depend on a run, else None.
 
-    They cannot for a nonlinear plant, nor for a controller that does not make z follow r, nor can
-    the modes of an actuator whose widths are estimated.
+    It is needed for a nonlinear plant, for a controller that does not make z follow r, and for the
+    modes of an actuator whose widths are estimated.
     """
     if (
         not actuator_unknown(problem)
@@ -247,13 +247,13 @@ def assess_identifiability(
     """Return the identifiability of each output, with deviations after the scenario's
     duration.
 
-    A disturbance counts as unknown in the class of its kind. Of a nonlinear plant this is what its
-    run tells.
+    A disturbance counts as unknown in the class of its kind. For a nonlinear plant this is the
+    identifiability from its run.
 
     Args:
         problem: the scenario's parts.
         schedule: of its sides.
-        run: of it, where one was needed.
+        run: of it, if one was needed.
     """
     if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
         return _identifiability_from_run(run)
@@ -303,7 +303,7 @@ def find_joint_remedies(problem: Problem, schedule: Schedule) -> list[Remedy]:
 
 
 def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
-    """Return a mask of the states that the readings along a schedule determine (n); empty if
+    """Return a mask of the states that the readings along a schedule determine (n), empty if
     nonlinear.
     """
     model, jump = problem.model, problem.sensor.kind == "jump"

@@ -44,7 +44,7 @@ from undeadzone.util.text import HALF_95, append_unit, label_with_unit
 class Bounds(NamedTuple):
     """BIBO in numbers: int |z - z^|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2.
 
-    It holds for every sequence of sides, w at the input and v on y; each number is the least with
+    It holds for every sequence of sides, w at the input and v on y. Each number is the least with
     the other signal absent.
 
     Attributes:
@@ -83,29 +83,30 @@ class Check:
 
     Attributes:
         scenario: whose gains were checked, as they stand.
-        certified: whether one V proves convergence for every sequence of sides; None where the
-            method has no constant gains. A nonlinear model is certified on the scenario's region.
-        margin: of the proof; None without one.
-        frequency: where the margin is attained [rad/s]; None where there is no single one.
-        l2_gain: bounds on z - z^; None if not proved.
-        rate: of the error along the reference [1/s]; None where there is none.
-        time_constant: of the same [s]; None where the error does not die.
-        left_region: when a run of the scenario first leaves its region [s]; None if it does not.
-        never: errors that stay along the reference, whatever the gains.
-        states: which states the readings determine (n); empty of a nonlinear model.
-        known: of each output, which of right, left, width, centre the readings can tell, their
-            standard deviations [z], why not, and what would help (p).
-        listens: the share of a z 5 % larger than the model says that each z^ follows (p); below a
-            half the model is taken on trust. None: it cannot be told.
-        overrun: of each output behind a play, J a / f of its load: above 1 it coasts; None: it
-            cannot be told (p). Empty where no inertia is given.
+        certified: whether one V proves convergence for every sequence of sides, None if the method
+            has no constant gains. A nonlinear model is certified on the scenario's region.
+        margin: of the proof (None without one).
+        frequency: of that margin [rad/s] (None if there is no single one).
+        l2_gain: bounds on z - z^ (None if not proved).
+        rate: of the error along the reference [1/s] (None if there is none).
+        time_constant: of the same [s] (None if the error does not decay).
+        left_region: time at which a run of the scenario first leaves its region [s] (None if it
+            does not).
+        never: errors that stay along the reference, for any gains.
+        states: which states the readings determine (n) (empty of a nonlinear model).
+        known: of each output, which of right, left, width, centre are identifiable, their standard
+            deviations [z], reasons and remedies (p).
+        listens: share of a z 5 % larger than the model's that each z^ follows (p) (below a half the
+            model alone determines z^). None: unknown.
+        overrun: of each output behind a play, J a / f of its load: above 1 it coasts, None if
+            unknown (p). Empty if no inertia is given.
         shape: of each output, the deviation of its width at the end of a run, and how much of it
-            each assumption about the sensor's shape is (p) [z]; empty: the observer allows for
-            none.
+            each assumption about the sensor's shape is (p) [z] (empty: the observer allows for
+            none).
         reasons: for every 'no'.
         cures: what would help.
-        nearest: certified gains near to those that are not; None where there are none.
-        assessment: what the report draws.
+        nearest: certified gains near to those that are not (None if there are none).
+        assessment: data of the report.
     """
 
     scenario: Scenario
@@ -149,8 +150,8 @@ class Check:
     def summary(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON: lists for several outputs.
 
-        None stands where there is no finite number. They are those of `undeadzone check --json`,
-        see docs/json.md.
+        None replaces numbers that are not finite. They are those of `undeadzone check --json`, see
+        docs/json.md.
         """
         verdicts = [{name: getattr(one, name) for name in DIRECTIONS} for one in self.known]
         numbers: dict[str, Any] = {
@@ -240,7 +241,7 @@ def check_assessment(assessment: Assessment) -> Check:
 
 
 def _overrun_of_outputs(problem: Problem) -> tuple[float | None, ...]:
-    """Return the overrun number of each output; empty without an inertia."""
+    """Return the overrun number of each output, empty without an inertia."""
     step = problem.scenario.simulation.step
     parts = problem.reference, problem.tracked, problem.steps * step, step
     return tuple(overrun_numbers(problem.sensor, *parts) or ())

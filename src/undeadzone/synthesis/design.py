@@ -40,19 +40,19 @@ def design(
 
     Args:
         scenario: whose plant (or model), sensor and reference are planned on.
-        maximise: "knee" of the trade between rate, disturbance and noise; "rate" alone; or
+        maximise: "knee" of the trade between rate, disturbance and noise, "rate" alone, or
             `Weights`, the best for rate / (disturbance^a mismatch^b noise^c).
         margin: least margin of the certificate, between 0 and 1.
-        seed: of the search; the same seed gives the same gains.
-        progress: called with the number of rounds just done, `rounds(maximise)` in all; None: a
-            bar in a notebook.
+        seed: of the search. The same seed gives the same gains.
+        progress: called with the number of rounds just done, `rounds(maximise)` in all (None: a bar
+            in a notebook).
 
     Returns:
-        The gains, their proof, what they are worth, and what can be known.
+        The gains, their proof, their scores, and the identifiability.
 
     Raises:
         StructureError: no gains can be certified.
-        InputError: or a subclass, where there is nothing to plan on.
+        InputError: or a subclass, if there is nothing to plan on.
 
     Example:
         >>> found = uz.design(
@@ -116,7 +116,7 @@ def count_design_rounds(maximise: Aim) -> int:
 
 
 def why_not_certifiable(flow: System) -> str:
-    """Return the reason why no gains can be certified for a linear model; empty if some can.
+    """Return the reason why no gains can be certified for a linear model, empty if some can.
 
     Args:
         flow: the model in continuous time.

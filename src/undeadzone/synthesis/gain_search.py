@@ -1,7 +1,7 @@
 """Gains L, gamma by optimisation under the certificate: the fastest, a weighted trade, the knee.
 
-Every candidate is certified by construction (`candidates.certified`), so that the search is free;
-the result is proved anew. The knee is that of the Pareto front of rate, disturbance and noise.
+Every candidate is certified by construction (`candidates.certified`), so that the search is free.
+The result is proved anew. The knee is that of the Pareto front of rate, disturbance and noise.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Synthesis(NamedTuple):
     Attributes:
         best: the chosen gains.
         certificate: their proof.
-        front: the trade, by falling rate; the choice alone if no front was asked for.
+        front: the trade-off, by falling rate, the choice alone if no front was computed.
         remarks: what could not be had.
     """
 
@@ -116,7 +116,7 @@ def describe_gain_limit(task: Task, best: Candidate) -> tuple[str, ...]:
 def search_seeded(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
     """Return the best of several seeded searches, before it is polished, and its task.
 
-    Where it touches the largest gains that are tried, larger ones are tried too.
+    If it touches the largest gains that are tried, larger ones are tried too.
     """
     low, high = search_box(task)
     cost, size = _build_trade_cost(task, weights), search_population(task)
@@ -167,12 +167,12 @@ def polish_and_prove(
 ) -> tuple[Candidate, Certificate]:
     """Return the polished point with its certificate.
 
-    Where the exact margin is missed, its frequency is watched too.
+    If the exact margin is missed, its frequency is watched too.
 
     Args:
         task: the design task.
         point: to start from (d).
-        cost_in: cost_in(task) is what is made small.
+        cost_in: cost_in(task) is the cost to minimise.
     """
     enough = task.margin * (1 - ROUNDING)
     for _ in range(POLISHED):
@@ -211,16 +211,16 @@ def search_population(task: Task) -> int:
 def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) -> Synthesis:
     """Return the front of rate, disturbance and noise, and its knee.
 
-    The knee is the point whose largest normalised loss is smallest; a loss is a logarithm between
+    The knee is the point whose largest normalised loss is smallest. A loss is a logarithm between
     the least (0) and greatest (1) on the front. The error that a wrong model leaves counts too, and
-    before all others: no model is exact, and gains that trust theirs look best in all else. Where
+    before all others: no model is exact, and gains that trust theirs look best in all else. If
     points of the front, or of a search of its own around the present gains, beat these in rate,
-    disturbance and noise, by 5 % if possible, the knee is chosen among them; where none does, a
-    remark says in what the knee is worse.
+    disturbance and noise, by 5 % if possible, the knee is chosen among them. If none does, a remark
+    names the scores in which the knee is worse.
 
     Args:
         task: the design task.
-        present: gains to beat; None: there are none.
+        present: gains to beat (None: there are none).
         seed: of the search.
         tick: tick(1) is called STARTS + ROUNDS times.
     """
@@ -290,7 +290,7 @@ def _pareto_costs(task: Task, points: Floats, limit: float) -> Floats:
 def _log_objectives(scores: Scores, limit: float) -> Floats:
     """Return logarithms of 1 / rate, disturbance and noise (b, 3).
 
-    They are inf where the rate is not above the limit [1/s].
+    They are inf if the rate is not above the limit [1/s].
     """
     admitted = scores.rate > limit
     slowness = 1 / np.where(admitted, scores.rate, 1.0)

@@ -1,4 +1,4 @@
-"""Cost of what a filter assumes of the sensor's shape: how much of a width's interval it is."""
+"""Cost of a filter's assumptions on the sensor's shape: their share of a width's interval."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from undeadzone.util.arrays import Floats
 def compute_shape_costs(problem: Problem) -> tuple[dict[str, float], ...]:
     """Return the deviation of each output's width at the end of a run, and its parts [z].
 
-    A part is what the variance would lose if the sensor were exact in that respect. Empty for an
+    A part is the variance that would be lost if the sensor were exact in that respect. Empty for an
     observer that does not allow for a shape.
 
     Args:
@@ -35,7 +35,7 @@ def compute_shape_costs(problem: Problem) -> tuple[dict[str, float], ...]:
 
 
 def _final_variances(problem: Problem, told: dict[str, Any]) -> Floats:
-    """Return the variance of each width at the end of a run whose sensor is told otherwise (p)."""
+    """Return the variance of each width at the end of a run with another assumed sensor (p)."""
     scenario = problem.scenario
     sensor = msgspec.structs.replace(scenario.sensor, **told)
     run: Run = simulate(msgspec.structs.replace(scenario, sensor=sensor), check_step=False)

@@ -27,7 +27,7 @@ NUDGE: Final = 1e-12
 class Task(NamedTuple):
     """Design task, its states balanced: x = units x_balanced.
 
-    Dynamics are in delta form if sampled (Ts). N = n + 2p errors (x~, d~); the reference's
+    Dynamics are in delta form if sampled (Ts). N = n + 2p errors (x~, d~). The reference's
     exosystem has k states, w' = S w.
 
     Attributes:
@@ -35,7 +35,7 @@ class Task(NamedTuple):
         linear: the model, balanced.
         A: its state matrix (n x n) [1/s].
         units: of the states (n).
-        Ts: sample time [s]; None: continuous time.
+        Ts: sample time [s] (None: continuous time).
         step: of the noise [s].
         schedule: the sides along the reference.
         whole: the same with the reference's corners (K spans).
@@ -109,7 +109,7 @@ def build_task(problem: Problem, margin: float) -> Task:
     if not schedule.sides.any():
         cure = find_remedies(model.linear, schedule)[0].text
         raise InputError(
-            f"reference: it never leaves the dead zone, so that the sensor says nothing; {cure}"
+            f"reference: it never leaves the dead zone, so that all samples are censored; {cure}"
         )
     times = np.concatenate([[0.0], np.cumsum(whole.spans)[:-1]]) * (1.0 if Ts is None else Ts)
     S, model_errors, source = _build_storage_inputs(problem, flow, units)
@@ -239,14 +239,14 @@ class Scores(NamedTuple):
 def score_gains(
     task: Task, L: Floats, gamma: Floats, mismatch: bool = True, gains: bool = True
 ) -> Scores:
-    """Return the scores of b candidates; nan for scores that are not requested.
+    """Return the scores of b candidates, nan for scores that are not requested.
 
     Args:
         task: the design task.
         L: balanced gains (b, n, p).
         gamma: gains of the widths (b, p).
-        mismatch: whether model errors are asked.
-        gains: whether disturbance and noise are asked.
+        mismatch: whether to score model errors.
+        gains: whether to score disturbance and noise.
     """
     n, p = task.n, task.p
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * p)
@@ -393,8 +393,8 @@ def search_box(task: Task) -> tuple[Floats, Floats]:
 
 
 def list_gains_at_limit(task: Task, point: Floats) -> str:
-    """Return the names of gains at a point (d) that are the largest that the step allows;
-    empty if none.
+    """Return the names of gains at a point (d) that are the largest that the step allows, empty if
+    none.
     """
     _, greatest = search_box(task)
     size = task.n * task.p

@@ -67,7 +67,7 @@ class TestRuns(NamedTuple):
     values: Floats
 
     @property
-    def problem(self) -> Problem:
+    def first_problem(self) -> Problem:
         """Return the problem of the first candidate."""
         return self.batch.problem
 
@@ -142,7 +142,7 @@ def prepare_test_runs(
         scenario: the first candidate
         probes: other candidates
         runs: how many
-        seed: of what the runs draw
+        seed: of the numbers that the runs draw
 
     Raises:
         InputError or a subclass
@@ -158,7 +158,7 @@ def prepare_test_runs(
     for column in bind_ensemble(problem, loop).columns:
         if slots & {slot for slot, _ in column.slots}:
             raise InputError(
-                f"tune: [ensemble] varies {column.name}, which what is tuned decides. "
+                f"tune: [ensemble] varies {column.name}, which the tuned numbers determine. "
                 "Keep one of them"
             )
     none_yet = TestRuns(prepare_batch(scenario, slots), form, np.empty(0, int), np.empty((0, 0)))
@@ -169,30 +169,28 @@ class OneByOne(NamedTuple):
     """Runs of an observer that computes in Python: they differ in noise and disturbance alone.
 
     Attributes:
-        problem: of the first candidate
+        first_problem: of the first candidate
         runs: how many: the first ones of the seed
         seed: of noise and disturbance
         values_by_name: nothing, see `TestRuns.values_by_name`
     """
 
-    problem: Problem
+    first_problem: Problem
     runs: int = 0
     seed: int = 0
     values_by_name: Mapping[str, Floats] = {}
 
     def redraw_runs(self, runs: int, seed: int) -> OneByOne:
         """Return the first `runs` runs of a seed, or one if all runs are equal."""
-        sensor = self.problem.sensor
+        sensor = self.first_problem.sensor
         noisy = sensor.noise.any() or sensor.noise_before.any()
-        differ = noisy or random_disturbance(self.problem)
-        return OneByOne(self.problem, runs if differ else 1, seed)
+        differ = noisy or random_disturbance(self.first_problem)
+        return OneByOne(self.first_problem, runs if differ else 1, seed)
 
     def simulate_candidates(
         self, candidates: Sequence[Problem], threads: int | None = None
     ) -> Floats:
-        """Return the metrics (candidates x runs x columns) of candidates; threads: not
-        used.
-        """
+        """Return the metrics (candidates x runs x columns) of candidates (threads: not used)."""
         return np.stack([self._simulate_candidate(candidate) for candidate in candidates])
 
     def _simulate_candidate(self, candidate: Problem) -> Floats:
@@ -247,7 +245,7 @@ class Objective(NamedTuple):
         names: addresses of the numbers of a candidate
         scenarios: as they are, without a candidate's numbers
         frames: of each scenario
-        threads: on which to compute; None: one per processor
+        threads: number of threads (None: one per processor)
         test_runs: of each scenario
     """
 
@@ -262,7 +260,8 @@ class Objective(NamedTuple):
         """Return the objective on the first runs of a seed.
 
         Args:
-            probes: candidates (rows) that move whatever others will move; the first one is possible
+            probes: candidates (rows) that move all numbers that others will move. The first one
+                must be possible
             seed: of the runs
 
         Raises:
@@ -319,7 +318,7 @@ class Objective(NamedTuple):
     def candidate_margins(self, candidates: Sequence[Problems | None]) -> Floats:
         """Return the least margin of each candidate's certificates.
 
-        It is inf if no certificate is asked for, -inf for a candidate that is refused.
+        It is inf if no certificate is required, -inf for a candidate that is refused.
         """
         margins = np.full(len(candidates), np.inf)
         for k, problems in enumerate(candidates):
@@ -371,7 +370,7 @@ def _require_metric(metric: str, problem: Problem) -> None:
     for i in range(problem.plant.p):
         known += [f"d_{edge}_error[{i}]" for edge in EDGES]
     if metric not in known:
-        raise InputError(f"tune.metric: {metric!r} is none of {', '.join(known)}")
+        raise InputError(f"tune.metric: expected one of {', '.join(known)}, found {metric!r}")
 
 
 def loss_statistic(name: str, lost: Floats) -> Floats:
@@ -383,15 +382,15 @@ def loss_statistic(name: str, lost: Floats) -> Floats:
 
 
 def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Floats:
-    """Return the size of a metric; above LIMIT, but finite, for runs that diverged: the
-    faster, the more.
+    """Return the size of a metric, finite but above LIMIT for runs that diverged, the more the
+    faster.
 
     Args:
         metric: a column of `metrics`, or the error of a width such as `d_right_error[0]`
         runs: on which the rows were computed
         rows: of metrics (... x columns)
     """
-    problem, sensor = runs.problem, runs.problem.sensor
+    problem, sensor = runs.first_problem, runs.first_problem.sensor
     names = metrics.metric_names(problem.plant, sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:
@@ -417,7 +416,7 @@ def _divergence_rate(columns: Mapping[str, Floats], step: float) -> Floats:
 
 
 def certificate_margin(problem: Problem) -> float:
-    """Return the margin of the certificate; below 0 for gains without a certificate.
+    """Return the margin of the certificate, below 0 for gains without a certificate.
 
     Raises InputError.
     """

@@ -37,7 +37,7 @@ class Parameter(NamedTuple):
         low, high: the bounds of its range
         log: whether shares of the range are counted on a logarithmic scale
         whole: whether it is a whole number
-        start: where the search begins
+        start: first value of the search
     """
 
     name: str
@@ -122,7 +122,7 @@ def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tupl
 
 
 def _build_parameter(address: str, name: str, bounds: Range, number: Number) -> Parameter:
-    """Return a number with its checked bounds and its start; address: of its entry.
+    """Return a number with its checked bounds and its start (address: of its entry).
 
     Raises InputError.
     """
@@ -156,7 +156,7 @@ def values_at_shares(tuned: Sequence[Parameter], u: Floats) -> Floats:
 def fill_default_gains(scenario: Scenario, what: Tune) -> Scenario:
     """Return the scenario with its observer's default L, if L is tuned but left to the method.
 
-    What is tuned of it is moved into its bounds.
+    The start of a tuned number is moved into its bounds.
     """
     of_gains = [address for address in what.entries if stem(address) == GAINS]
     observer: Any = scenario.observer

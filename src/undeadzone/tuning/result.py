@@ -34,8 +34,8 @@ class SimulatedCandidate(NamedTuple):
 
     Attributes:
         values: its numbers
-        cost: on the runs tuned on; inf where it was refused
-        margin: of its certificate; inf if none was asked for
+        cost: on the runs tuned on (inf if it was refused)
+        margin: of its certificate (inf if none was required)
         stage: of the search that came upon it
     """
 
@@ -61,9 +61,9 @@ class HeldOut(NamedTuple):
     """Effect of tuning in one scenario on held-out runs.
 
     Attributes:
-        before: what the scenario as it is is worth
-        after: what the tuned one is worth
-        runs: how many; one if nothing differs between runs
+        before: score of the scenario as it is
+        after: score of the tuned one
+        runs: how many (one if nothing differs between runs)
     """
 
     before: HeldOutCost
@@ -78,15 +78,15 @@ class Tuned:
     Attributes:
         scenarios: the tuned scenarios
         what: the table [tune]
-        seed: of the runs tuned on; seed + 1 is that of `held_out`
-        parameters: what was tuned
+        seed: of the runs tuned on (seed + 1 is that of `held_out`)
+        parameters: tuned numbers
         values: the numbers found
         trials: every candidate, in order
         runs: simulated to tune, of every candidate in every scenario
         cost: of the scenarios as they are and tuned, on the runs tuned on
         held_out: of each scenario
         change: of the cost on held-out runs, the same ones before and after
-        margin: of the certificate; None if none was asked for
+        margin: of the certificate (None if none was required)
     """
 
     scenarios: tuple[Scenario, ...]
@@ -108,7 +108,7 @@ class Tuned:
 
     @property
     def certified(self) -> bool:
-        """Return whether a required certificate holds; True if none was required."""
+        """Return whether a required certificate holds, or True if none was required."""
         return self.margin is None or self.margin >= self.what.margin
 
     @property
@@ -144,7 +144,7 @@ class Tuned:
     def save(self, path: str | os.PathLike[str], index: int = 0) -> Path:
         """Write a tuned scenario as TOML, every number exactly.
 
-        Files that the scenario names stay where they are.
+        Files that the scenario names stay in their place.
 
         Args:
             path: of the file
@@ -154,7 +154,7 @@ class Tuned:
             The path.
 
         Raises:
-            FileError: where it cannot be written
+            FileError: if it cannot be written
         """
         path = to_path(path)
         before, after = (worth.value.value for worth in self.held_out[index][:2])
@@ -173,8 +173,7 @@ class Tuned:
         """Return all results, ready for JSON.
 
         Returns:
-            What was tuned and how, costs, held-out runs and every candidate; null where there is no
-            bound.
+            Tuned numbers, method, costs, held-out runs and every candidate (null without a bound).
         """
         keys = ("name", "low", "high", "log", "start")
         parameters = []
@@ -277,7 +276,7 @@ def validate_best(
 
     Args:
         on: the objective
-        tuned: what was tuned
+        tuned: tuned numbers
         candidates: those simulated, in order
         seed: of the runs tuned on
     """
@@ -327,8 +326,8 @@ def estimate_cost(name: str, lost: Floats) -> HeldOutCost:
 def estimate_change(on: Objective, lost: list[Floats], seed: int) -> Interval:
     """Return the change of the cost by tuning, between the quantiles of resampled runs.
 
-    A run is drawn with both its losses. The interval is unbounded where resampling says nothing:
-    for one run, or the worst of them.
+    A run is drawn with both its losses. The interval is unbounded if resampling gives no bound: for
+    one run, or the worst of them.
 
     Args:
         on: the objective

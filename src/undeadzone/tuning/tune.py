@@ -64,27 +64,28 @@ def tune(
     Candidates are lanes and meet the same runs. Half of the budget searches the box by CMA-ES,
     Hansen and Ostermeier (2001), or on a grid for a single number. Then, for the mean, which is
     smooth, L-BFGS-B (SLSQP under the certificate) follows gradients whose differences are lanes
-    too. What is left goes to CMA-ES around the best, which needs no slope where runs take turns as
-    the median or the worst. The same seed gives the same numbers, whatever the threads.
+    too. The rest goes to CMA-ES around the best, which needs no slope if different runs become the
+    median or the worst. The same seed gives the same numbers with any number of threads.
 
     References:
         N. Hansen, A. Ostermeier (2001), doi:10.1162/106365601750190398
 
     Args:
         scenarios: one, or several whose mean is made small
-        what: numbers and their bounds, metric, statistic, budget; default: the [tune] of the first
-            scenario
-        frames: what counts as 0 and as 1 in each scenario; default: the metric itself
-        threads: on which to compute; default: one per processor
-        progress: called with the number of candidates just tried; None: a bar in a notebook
-        keep: file that keeps what candidates cost, to be deleted once the result is; None: none
-        resume: take up what a stopped search left in `keep`
+        what: numbers and their bounds, metric, statistic, budget (default: the [tune] of the first
+            scenario)
+        frames: values that count as 0 and as 1 in each scenario (default: the metric itself)
+        threads: number of threads (default: one per processor)
+        progress: called with the number of candidates just tried (None: a bar in a notebook)
+        keep: file that keeps the costs of candidates, to be deleted once the result is saved (None:
+            none)
+        resume: continue a stopped search from the costs in `keep`
 
     Returns:
-        The tuned scenarios, every candidate, and what the numbers are worth on held-out runs.
+        The tuned scenarios, every candidate, and the score of the numbers on held-out runs.
 
     Raises:
-        InputError or a subclass: by key of [tune]; FileError for `keep`
+        InputError or a subclass: by key of [tune], FileError for `keep`
 
     Example:
         >>> gamma = uz.Range(between=(1.0, 50.0), log=True)
@@ -196,8 +197,8 @@ class Evaluation(NamedTuple):
     """Costs and margins of candidates, or their slopes.
 
     Attributes:
-        cost: of each, inf where one was not simulated
-        margin: of their certificates, inf where none is asked for
+        cost: of each, inf if one was not simulated
+        margin: of their certificates, inf if none is required
     """
 
     cost: Floats
@@ -215,11 +216,11 @@ class Search(NamedTuple):
     """State of a running search.
 
     Attributes:
-        objective: what is to be made small
-        parameters: what is tuned
-        candidates: those simulated so far, in order; the list grows
+        objective: objective to minimise
+        parameters: tuned numbers
+        candidates: those simulated so far, in order (the list grows)
         progress: called with the number of candidates just simulated
-        kept: what candidates of an earlier run cost, on disk; None: nothing is kept
+        kept: costs of candidates of an earlier run, on disk (None: nothing is kept)
     """
 
     objective: Objective
@@ -309,8 +310,7 @@ def difference_gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Eval
     """Return (the evaluation of u, its slopes) by differences over REACH to either side within
     the box [0, 1].
 
-    All candidates are evaluated in one call. Where a neighbour is refused, u itself stands in for
-    it.
+    All candidates are evaluated in one call. If a neighbour is refused, u itself stands in for it.
     """
     shifts = REACH * np.vstack([np.zeros(u.size), np.eye(u.size), -np.eye(u.size)])
     sides = np.clip(u + shifts, 0.0, 1.0)
@@ -325,7 +325,7 @@ def difference_gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Eval
 
 
 def _difference_slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
-    """Return the slopes of values at u, ahead and behind (1 + 2 d); 0 where `reach` (d) is 0."""
+    """Return the slopes of values at u, ahead and behind (1 + 2 d), or 0 where `reach` (d) is 0."""
     ahead, behind = np.split(np.where(refused, values[0], values)[1:], 2)
     with np.errstate(invalid="ignore"):
         slopes = (ahead - behind) / np.where(reach > 0, reach, np.inf)
@@ -333,27 +333,27 @@ def _difference_slopes(values: Floats, refused: Floats, reach: Floats) -> Floats
 
 
 def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None:
-    """Minimise along the slope within the box and the certificate; size: of the cost, to
-    divide by.
+    """Minimise along the slope within the box and the certificate (size: of the cost, to divide
+    by).
     """
     from scipy.optimize import minimize
 
     least = what.margin + 1e-6  # so that rounding does not cost the certificate
 
     @functools.cache
-    def at(point: bytes) -> tuple[Evaluation, Evaluation]:
+    def evaluate_point(point: bytes) -> tuple[Evaluation, Evaluation]:
         """Return the evaluation of a point and its slopes."""
         return difference_gradient(evaluate, np.frombuffer(point))
 
     def cost(u: Floats) -> tuple[float, Floats]:
         """Return the scaled cost of a point and its slopes."""
-        worth, slopes = at(u.tobytes())
+        worth, slopes = evaluate_point(u.tobytes())
         return min(float(worth.cost[0]) / size, FORBIDDEN), slopes.cost / size
 
     certificate = {
         "type": "ineq",
-        "fun": lambda u: np.maximum(at(u.tobytes())[0].margin - least, -1e3),
-        "jac": lambda u: at(u.tobytes())[1].margin[None],
+        "fun": lambda u: np.maximum(evaluate_point(u.tobytes())[0].margin - least, -1e3),
+        "jac": lambda u: evaluate_point(u.tobytes())[1].margin[None],
     }
     method: dict[str, Any] = {"method": "L-BFGS-B"}
     if what.certified:
@@ -384,7 +384,7 @@ def _count_grid_cells(what: Tune) -> int:
 def _evolve_candidates(
     evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: float
 ) -> None:
-    """Search by evolution until the budget of this stage is spent; spread: of its first steps.
+    """Search by evolution until the budget of this stage is spent (spread: of its first steps).
 
     Candidates without the certificate are not simulated, which costs nothing of the budget.
     """
@@ -399,7 +399,7 @@ def _evolve_candidates(
 
 
 def _penalise_margin(worth: Evaluation, least: float) -> Floats:
-    """Return the cost of candidates; a cost beyond FORBIDDEN grows with the lack of margin."""
+    """Return the cost of candidates. A cost beyond FORBIDDEN grows with the lack of margin."""
     lack = np.clip(least - worth.margin, 0.0, 1e6)
     return np.where(worth.margin < least, FORBIDDEN * (1 + lack), worth.cost)
 
@@ -409,8 +409,8 @@ class Sweep(NamedTuple):
 
     Attributes:
         axes: values by address
-        cost: the statistic of the metric (an axis for each number); inf where a point is refused
-        margin: of the certificate, in the same shape; inf if it was not asked for
+        cost: the statistic of the metric (an axis for each number) (inf if a point is refused)
+        margin: of the certificate, in the same shape (inf if none was required)
     """
 
     axes: dict[str, Floats]
@@ -430,18 +430,18 @@ def sweep(
 
     Args:
         scenario: with or without the tables [tune] and [ensemble]
-        grid: values by address, such as {"observer.gamma": [1.0, 10.0]}; the first point must be
+        grid: values by address, such as {"observer.gamma": [1.0, 10.0]}. The first point must be
             possible
-        what: metric, statistic, number of runs, whether certificates are asked for; default: the
-            [tune] of the scenario
+        what: metric, statistic, number of runs, whether certificates are required (default: the
+            [tune] of the scenario)
         seed: of the runs, unless `what` has one
-        threads: on which to compute; default: one per processor
+        threads: number of threads (default: one per processor)
 
     Returns:
         The axes, and cost and margin at every point.
 
     Raises:
-        InputError: or a subclass, for what is wrong with the scenario.
+        InputError: or a subclass, for errors in the scenario.
     """
     what = what or scenario.tune or Tune()
     axes = _resolve_axes(scenario, grid)

@@ -1,10 +1,10 @@
 """Results of a long computation on disk, one per line, so that a stopped computation can be
 resumed.
 
-The first line says of what the answers are. Each line begins with a checksum of its rest, so
-nothing that was torn is believed, and ends where the next one begins.
+The first line identifies the computation. Each line begins with a checksum of its rest, so that a
+torn line is not used, and ends at the beginning of the next one.
 
-What is kept of a computation that something stops, and who may write it.
+The results of a stopped computation are kept, and only one process may write them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def report_saved_on_stop(leave: Callable[[], str]) -> Iterator[None]:
     """Provide a block whose interruption or error reports the saved results.
 
     Args:
-        leave: closes the file and returns the sentence that says what it holds; empty: nothing.
+        leave: closes the file and returns the sentence that describes its content (empty: nothing).
     """
     try:
         yield
@@ -51,9 +51,9 @@ def load_saved_problem(
 
     Args:
         path: of the file.
-        head: what it begins with, JSON where it is such a file.
+        head: its first line, JSON if it is a file of saved results.
         mark: a key of every such problem.
-        words: that it is no such file, that it is one.
+        words: messages that it is not such a file, and that it is one.
         resume: whether it may be taken up.
 
     Raises:
@@ -78,7 +78,7 @@ SUM = 16  # hexadecimal digits of a checksum
 
 
 class Answers:
-    """Open file of results, locked against other processes; created if missing.
+    """Open file of results, locked against other processes, created if missing.
 
     Args:
         path: of the file.
@@ -123,7 +123,7 @@ class Answers:
 
     @contextmanager
     def hold_file(self) -> Iterator[None]:
-        """Provide the open file and close it at the end; report the saved answers after an
+        """Provide the open file and close it at the end. Report the saved answers after an
         interruption.
 
         Then a file without answers is deleted. One that is complete stays, until what its answers

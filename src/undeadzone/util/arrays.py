@@ -27,7 +27,7 @@ def decode_array(kind: type, value: Any) -> Floats:
     """Return a float array from the TOML value of a field of type `Array`.
 
     Raises:
-        ValueError: not numbers; msgspec says where.
+        ValueError: not numbers (msgspec adds the place).
         NotImplementedError: a field of another type.
     """
     if kind is not np.ndarray:
@@ -36,7 +36,7 @@ def decode_array(kind: type, value: Any) -> Floats:
 
 
 def to_float_array(value: Any) -> Floats:
-    """Return a float array from numbers, nested lists, or MATLAB's text "[0 1; -1 -2]".
+    """Return a float array from numbers, nested lists, or MATLAB's text `"[0 1; -1 -2]"`.
 
     Raises:
         ValueError: other text, booleans, ragged lists, non-finite or huge entries.
@@ -70,7 +70,7 @@ def fill_masked(value: Any) -> Any:
 
 
 def parse_matlab_matrix(text: str) -> list[list[float]]:
-    """Return the rows of a matrix in MATLAB's notation: "[0 1; -1 -2]".
+    """Return the rows of a matrix in MATLAB's notation: `"[0 1; -1 -2]"`.
 
     Raises:
         ValueError: another text.
@@ -86,7 +86,7 @@ def parse_matlab_matrix(text: str) -> list[list[float]]:
 
 
 def require_array(key: str, value: Any) -> Floats:
-    """Return the value as a float array; an error contains the key.
+    """Return the value as a float array. An error contains the key.
 
     Raises:
         InputError: not numbers.
@@ -100,13 +100,13 @@ def require_array(key: str, value: Any) -> Floats:
 def require_matrix(
     key: str, value: Any, rows: int | None = None, columns: int | None = None, why: str = ""
 ) -> Floats:
-    """Return a 2-D float array of a given shape; a single number is a 1 x 1 matrix.
+    """Return a 2-D float array of a given shape (a single number is a 1 x 1 matrix).
 
     Args:
         key: named in errors.
         value: numbers or nested lists.
-        rows, columns: expected; None: any.
-        why: what the rows and columns are, for the error.
+        rows, columns: expected (None: any).
+        why: meaning of the rows and columns, for the error.
 
     Raises:
         InputError: not numbers.
@@ -125,14 +125,14 @@ def require_matrix(
 
 
 def require_vector(key: str, value: Any, size: int, why: str = "") -> Floats:
-    """Return a 1-D float array; a single number is repeated, an n x 1 or 1 x n matrix
+    """Return a 1-D float array. A single number is repeated, an n x 1 or 1 x n matrix
     flattened.
 
     Args:
         key: named in errors.
         value: numbers or nested lists.
         size: expected.
-        why: what the entries are, for the error.
+        why: meaning of the entries, for the error.
 
     Raises:
         InputError: not numbers.
@@ -253,7 +253,7 @@ def bounds_of_runs(flags: Flags) -> tuple[Integers, Integers]:
 def to_json_value(value: Any) -> Any:
     """Return a value for JSON, which has no nan or inf: None in their place.
 
-    Dictionaries, lists and tuples are searched for them; named tuples become dictionaries.
+    Dictionaries, lists and tuples are searched for them, and named tuples become dictionaries.
     """
     if hasattr(value, "_asdict"):
         value = value._asdict()
@@ -285,12 +285,12 @@ def rows_since_start(start: Integers, size: int) -> Integers:
 
 
 def shift_rows(rows: Floats, samples: int, start: Integers) -> Floats:
-    """Return rows of records shifted by a number of samples; the end values of a record are
+    """Return rows of records shifted by a number of samples. The end values of a record are
     held.
 
     Args:
         rows: of all records, one after another (N or N x m).
-        samples: by how many; negative: earlier.
+        samples: by how many (negative: earlier).
         start: first row of each record (R).
     """
     record = np.searchsorted(start, np.arange(len(rows)), side="right") - 1
@@ -325,5 +325,5 @@ def _matrix_text(rows: int | None, columns: int | None) -> str:
 
 
 def _in_brackets(why: str) -> str:
-    """Return the explanation of an expected shape in brackets; empty if the text is."""
+    """Return the explanation of an expected shape in brackets, "" if it is empty."""
     return f" ({why})" if why else ""

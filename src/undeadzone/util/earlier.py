@@ -69,8 +69,8 @@ def translate_stds(stds: Sequence[Any], schema: int | None, where: object) -> li
     """Return the standard deviations of a results file, translated to the current schema.
 
     Args:
-        stds: deviations by name, of each output; what is no table stays as it is.
-        schema: of the file; None: it has no number, as files had none up to schema 2.
+        stds: deviations by name, of each output (other values stay unchanged).
+        schema: of the file (None: it has no number, as files had none up to schema 2).
         where: the file, for the warning.
     """
     if schema is not None and schema >= SCHEMA:
@@ -113,7 +113,7 @@ def _has_nonzero(value: Any) -> bool:
 
 
 def _halve_numbers(value: Any) -> Any:
-    """Return half of a number, or of each entry in nested lists; values of other types stay."""
+    """Return half of a number, or of each entry in nested lists. Values of other types stay."""
     if isinstance(value, list):
         return [_halve_numbers(each) for each in value]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,4 +1,4 @@
-"""Reading of plain files of limited size; writing of files that are complete or absent."""
+"""Reading of plain files of limited size, and writing of files that are complete or absent."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def convert_write_errors(path: Path) -> Iterator[None]:
 def replace_file(path: Path) -> Iterator[Path]:
     """Provide a temporary path beside `path` that takes its name once written.
 
-    Nothing is left half-written. A link of that name is replaced, not what it leads to; a device or
-    a pipe is not.
+    Nothing is left half-written. A link of that name is replaced, and not its target. A device or a
+    pipe is not replaced.
 
     Raises:
         FileError: the file cannot be written.
@@ -79,10 +79,10 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
 
     Args:
         path: the file.
-        largest: number of bytes that are read; a larger file is refused.
+        largest: number of bytes that are read. A larger file is refused.
 
     Raises:
-        OSError, ValueError: with the `reason`, also for what is no plain file.
+        OSError, ValueError: with the `reason`, also if it is not a plain file.
     """
     with open_plain(path, largest) as file:
         most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # memory asked for
@@ -94,14 +94,14 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
 
 @contextmanager
 def open_plain(path: Name, largest: int | None = None) -> Iterator[BinaryIO]:
-    """Provide a user's file, open for reading; nothing else that may stand in its place.
+    """Provide a user's plain file, open for reading.
 
     Args:
         path: the file.
-        largest: number of bytes that it may have; None: any.
+        largest: number of bytes that it may have (None: any).
 
     Raises:
-        OSError, ValueError: with the `reason`, also for what is no plain file.
+        OSError, ValueError: with the `reason`, also if it is not a plain file.
     """
     _require_plain_status(os.stat(to_path(path)), largest)  # to open a device may do something
     with open(open_descriptor(path, os.O_RDONLY), "rb") as file:
@@ -124,27 +124,26 @@ def require_plain_file(path: Name, largest: int | None = None) -> None:
 
     Args:
         path: of the file, which is not opened.
-        largest: number of bytes that it may have; None: any.
+        largest: number of bytes that it may have (None: any).
     """
     _require_plain_status(os.stat(to_path(path)), largest)
 
 
 @contextmanager
 def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.FileIO]:
-    """Provide the open, locked file in which a computation saves its results; created if
-    missing.
+    """Provide the open, locked file in which a computation saves its results, created if missing.
 
-    Nobody else may read it, and nothing is written through a link that someone put in its place.
-    It is closed if what is done inside fails, else it stays open.
+    Nobody else may read it, and nothing is written through a link that someone put in its place. It
+    is closed if the block inside fails, else it stays open.
 
     Args:
-        path: of the file; its folder is made too.
+        path: of the file. Its folder is made too.
         mode: `r+` or `a+`.
-        largest: number of bytes that it may have; None: any.
+        largest: number of bytes that it may have (None: any).
 
     Raises:
-        FileError: it cannot be written, is no plain file, has another name besides, or another
-            process has it.
+        FileError: it cannot be written, is not a plain file, has a second name, or is locked by
+            another process.
     """
     with convert_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -167,7 +166,7 @@ def lock_file(path: Path, mode: str, largest: int | None = None) -> Iterator[io.
 
 
 def _open_or_create(name: str, flags: int) -> int:
-    """Open a file, or create a missing one; the content stays, links are not followed."""
+    """Open a file, or create a missing one. The content stays, links are not followed."""
     return open_descriptor(name, flags | getattr(os, "O_NOFOLLOW", 0) | os.O_CREAT)
 
 
@@ -202,7 +201,8 @@ def write_all_bytes(path: Path, file: io.FileIO, data: bytes, offset: int | None
         path: of the file.
         file: which is open.
         data: to be written.
-        offset: where; None: where the file stands, or at its end if that is how it is open.
+        offset: place in the file (None: its present position, or its end if it is open for
+            appending).
 
     Raises:
         FileError: disk full, or the file was removed.
@@ -230,7 +230,7 @@ def load_arrays(path: Path, largest: int) -> dict[str, Any]:
         largest: number of bytes that it may have, and unpack to.
 
     Raises:
-        OSError: with the `reason`, also for what is no plain file; and NO_ARRAYS.
+        OSError: with the `reason`, also if it is not a plain file, and NO_ARRAYS.
     """
     import numpy as np
 
@@ -260,13 +260,13 @@ def _describe_excess_size(size: int, largest: int) -> str:
 
 
 def require_folder(folder: Path) -> None:
-    """Raise FileError unless files can be written in a folder; the test leaves no file behind.
+    """Raise FileError unless files can be written in a folder. The test leaves no file behind.
 
     Called before a long computation, whose results would be lost otherwise. The folder itself is
     not made for it: another process might count on it, or fail to make its own.
 
     Args:
-        folder: it need not exist; then it must be possible to make it.
+        folder: it need not exist. Then it must be possible to make it.
     """
     with convert_write_errors(folder):
         there = next(place for place in (folder, *folder.parents) if os.path.lexists(place))
@@ -289,7 +289,7 @@ def write_text(text: str, path: Name) -> Path:
 def failure_reason(error: Exception) -> str:
     """Return the reason that a file could not be read or written, without its path.
 
-    In the system's words where there are any.
+    It is the system's message, if there is one.
     """
     if isinstance(error, OSError) and error.errno:
         return os.strerror(error.errno)

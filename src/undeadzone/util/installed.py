@@ -1,4 +1,4 @@
-"""What installed packages register: found by entry points, imported when it is named."""
+"""Entry points that installed packages register, found by group and imported by name."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def list_registered_places(group: str) -> dict[str, str]:
-    """Return where registered objects are, `module:name`, by name; read anew after an
+    """Return where registered objects are, `module:name`, by name. They are read anew after an
     installation.
 
     Args:
@@ -31,8 +31,8 @@ def list_registered_places(group: str) -> dict[str, str]:
 
 @functools.lru_cache
 def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dict[str, str]:
-    """Return the `module:Class` of a group by method; cached while the searched folders are
-    unchanged.
+    """Return the `module:Class` of a group by method. They are cached while the searched folders
+    are unchanged.
     """
     from importlib.metadata import entry_points
 

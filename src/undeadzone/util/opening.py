@@ -28,15 +28,15 @@ class Bound(NamedTuple):
     Attributes:
         named: as the user names it.
         real: links followed.
-        descriptor: of the open folder; None on a system without `openat2`.
+        descriptor: of the open folder (None on a system without `openat2`).
     """
 
     named: Path
     real: Path
     descriptor: int | None
 
-    def holds(self, path: Path) -> bool:
-        """Return whether a path begins in this folder, whatever it leads to."""
+    def contains_path(self, path: Path) -> bool:
+        """Return whether a path begins in this folder, or its target does."""
         named = Path(os.path.abspath(self.named))
         places = Path(os.path.abspath(path)), Path(os.path.realpath(path))
         return any(each.is_relative_to(named) or each.is_relative_to(self.real) for each in places)
@@ -59,11 +59,11 @@ def bind_folder(folder: Path) -> None:
 
 
 def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600) -> int:
-    """Open a file or folder that a user or a scenario names; return its descriptor.
+    """Open a file or folder that a user or a scenario names, and return its descriptor.
 
     Args:
         path: of it.
-        flags: of `os.open`; a call that would wait for the other end of a pipe does not.
+        flags: of `os.open`. A call that would wait for the other end of a pipe does not.
         mode: of a new file.
 
     Raises:
@@ -72,7 +72,7 @@ def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600)
     flags |= getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     if not flags & PATH_ALONE:  # a pipe may have taken a file's place
         flags |= getattr(os, "O_NONBLOCK", 0)
-    bound = next((each for each in _BOUNDS if each.holds(Path(path))), None)
+    bound = next((each for each in _BOUNDS if each.contains_path(Path(path))), None)
     if bound is None:
         return os.open(path, flags, mode)
     descriptor = _open_beneath(bound, _resolve(bound, Path(path), flags), flags, mode)
@@ -87,10 +87,10 @@ def require_beneath(path: Path) -> None:
     """Raise OSError for a path that begins in a folder that binds this process, and leads out.
 
     Args:
-        path: of what is to be written; it need not exist.
+        path: of the file to be written. It need not exist.
     """
     for bound in _BOUNDS:
-        if bound.holds(path):
+        if bound.contains_path(path):
             _resolve(bound, path, 0)
 
 
@@ -105,7 +105,7 @@ def _resolve(bound: Bound, path: Path, flags: int) -> Path:
 
 
 def _open_beneath(bound: Bound, relative: Path, flags: int, mode: int) -> int:
-    """Open a file beneath a folder without following any link; return its descriptor."""
+    """Open a file beneath a folder without following any link, and return its descriptor."""
     if bound.descriptor is not None:
         kernel: Any = ctypes.CDLL(None, use_errno=True)
         creates = flags & os.O_CREAT

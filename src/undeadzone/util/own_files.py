@@ -49,7 +49,7 @@ def require_own_file(
     Args:
         path: of the file, which need not exist.
         force: whether it may be replaced all the same.
-        is_own: tells a file that undeadzone wrote; None: by its digest.
+        is_own: predicate of a file that undeadzone wrote (None: by its digest).
     """
     known = is_own or is_own_file
     with convert_write_errors(path):  # a name that is too long
@@ -92,7 +92,7 @@ def content_digest(content: bytes) -> str:
 
 
 def is_own_file(path: Path) -> bool:
-    """Return whether a text is as undeadzone wrote it; line ends do not count."""
+    """Return whether a text is as undeadzone wrote it. Line ends do not count."""
     try:
         text = read_bytes(path).decode().replace("\r\n", "\n")
     except (OSError, ValueError):

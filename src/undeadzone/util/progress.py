@@ -1,7 +1,7 @@
 """Progress bars of a computation, on a terminal or in a notebook.
 
-A notebook shows what is displayed by number, and each update takes the place of the one before:
-nothing is printed twice, and nothing is left once the computation is done.
+A notebook shows displays by number, and each update takes the place of the one before: nothing is
+printed twice, and nothing is left once the computation is done.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def notebook_progress(
     """Provide the function that counts the steps just done: a bar in a notebook, unless given.
 
     Args:
-        progress: what the caller gave; None: a bar in a notebook, nothing elsewhere.
+        progress: the caller's function (None: a bar in a notebook, nothing elsewhere).
         what: words in front of the bar.
-        total: steps in all; None: unknown.
-        unit: what is counted; with it the bar shows how many per second.
+        total: steps in all (None: unknown).
+        unit: unit of the count (with it the bar shows how many per second).
     """
     if progress is not None:
         yield progress
@@ -57,7 +57,7 @@ def terminal_progress(
     """Provide the function that counts steps for a command: a bar on stderr if it is a
     terminal.
 
-    Arguments as of `in_notebook`; of: the observer that is set up first.
+    The arguments are those of `notebook_progress`, and `of`: the observer that is set up first.
     """
     if not sys.stderr.isatty() or OF_KERNEL in os.environ:
         yield ignore_progress
@@ -92,7 +92,7 @@ def _show_bar(
 
     Steps may be counted from several threads.
 
-    Until the first step it says what is set up.
+    Until the first step it shows the part that is set up.
     """
     began, lock = time.monotonic(), threading.Lock()
     seen = 0
@@ -173,7 +173,7 @@ class _NotebookBar:
     def draw(self, what: str, done: int, total: int | None, rate: str) -> None:
         """Draw the bar, or update it if the last time is at least PAUSE ago.
 
-        Other threads than the main one cannot tell to which cell they belong.
+        Other threads than the main one do not know their cell.
         """
         now = time.monotonic()
         if now - self._last < PAUSE or threading.current_thread() is not threading.main_thread():

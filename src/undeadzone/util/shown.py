@@ -34,9 +34,9 @@ def format_blocks(blocks: Sequence[Block], width: int | None = None) -> str:
     """Return blocks as text, separated by empty lines.
 
     Args:
-        blocks: what is shown.
+        blocks: blocks to show.
         width: characters that a line may have: longer ones are folded, and tables that are wider
-            have a line for each cell; None: any.
+            have a line for each cell (None: any).
     """
     return "\n\n".join("\n".join(_format_block(block, width)) for block in blocks)
 
@@ -53,24 +53,24 @@ def source_to_html(words: str) -> str:
 
 
 def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
-    """Return the figure that `uz.plot` draws for a result; a method of every result.
+    """Return the figure that `uz.plot` draws for a result (a method of every result).
 
     Args:
         result: what `uz.plot` takes.
-        path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-        ax: axes that take the panel that says most; None: a new figure with all panels.
+        path: the file to write, a PNG, PDF or SVG by its suffix (None writes none).
+        ax: axes that take the most informative panel (None: a new figure with all panels).
     """
     return uz.plot(result, path, ax)
 
 
 def format_result(result: Any) -> str:
-    """Return the tables that a result's command prints; `__repr__` of results with `blocks`."""
+    """Return the tables that a result's command prints (`__repr__` of results with `blocks`)."""
     return format_blocks(result.blocks())
 
 
 def result_to_html(result: Any) -> str:
-    """Return the tables and the figure of a result as HTML; `_repr_html_` of results with
-    `blocks`.
+    """Return the tables and the figure of a result as HTML (`_repr_html_` of results with
+    `blocks`).
     """
     shown = blocks_to_html(result.blocks())
     try:
@@ -94,7 +94,7 @@ def _format_block(block: Block, width: int | None) -> list[str]:
 
 
 def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
-    """Return lines `name  value`; a list takes a line for each of its entries."""
+    """Return lines `name  value`. A list takes a line for each of its entries."""
     longest = max(len(escape_controls(name)) for name in pairs)
     lines = []
     for name, value in pairs.items():
@@ -109,7 +109,7 @@ def _align_lines(pairs: Pairs, width: int | None) -> list[str]:
 
 
 def _align_columns(rows: Rows, width: int | None) -> list[str]:
-    """Return lines of aligned columns; a line for each cell if the table is too wide."""
+    """Return lines of aligned columns, or a line for each cell if the table is too wide."""
     shown = [[escape_controls(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
     if width is not None and sum(widths) + 2 * len(widths) - 2 > width:
@@ -132,7 +132,7 @@ def _list_records(rows: Sequence[Sequence[str]], width: int) -> list[str]:
 
 
 def _fold_line(words: str, width: int | None) -> list[str]:
-    """Return a line as lines of limited width; longer words stay whole."""
+    """Return a line as lines of limited width. Longer words stay whole."""
     if width is None or len(words) <= width:
         return [words]
     return textwrap.wrap(words, width, break_long_words=False, break_on_hyphens=False)

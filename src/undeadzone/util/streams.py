@@ -17,7 +17,7 @@ class WaitingFile(io.FileIO):
     """File of a descriptor whose reads and writes wait until they are possible."""
 
     def write(self, data: ReadableBuffer, /) -> int:
-        """Write as many bytes as fit and return the number; wait if none fit.
+        """Write as many bytes as fit, wait if none fit, and return the number.
 
         Args:
             data: bytes.
@@ -29,11 +29,10 @@ class WaitingFile(io.FileIO):
             select.select([], [self], [])
 
     def readinto(self, room: WriteableBuffer, /) -> int:
-        """Read bytes into a buffer and return the number: 0 at the end; wait for the first
-        byte.
+        """Read bytes into a buffer, wait for the first byte, and return the number (0 at the end).
 
         Args:
-            room: where they go.
+            room: buffer that they go to.
         """
         while True:
             count: int | None = super().readinto(room)
@@ -45,8 +44,8 @@ class WaitingFile(io.FileIO):
 def let_streams_wait() -> None:
     """Put streams that wait in the place of stdin, stdout and stderr, where these are descriptors.
 
-    A stream that a caller has replaced stays; so does every stream on Windows, where none is
-    switched to not blocking.
+    A stream that a caller has replaced stays, as does every stream on Windows, as all streams block
+    there.
     """
     if sys.platform == "win32":
         return

@@ -25,17 +25,17 @@ def escape_controls(text: str) -> str:
 
 
 def to_one_line(text: str) -> str:
-    """Return a printable text on one line; line ends and runs of blanks become single blanks."""
+    """Return a printable text on one line. Line ends and runs of blanks become single blanks."""
     return escape_controls(" ".join(text.split()))
 
 
 def label_with_unit(words: str, unit: str) -> str:
-    """Return words and unit in brackets; the unit 1 is left out."""
+    """Return words and unit in brackets. The unit 1 is left out."""
     return words if unit == "1" else f"{words} [{unit}]"
 
 
 def append_unit(words: str, unit: str) -> str:
-    """Return words followed by the unit; the unit 1 is left out."""
+    """Return words followed by the unit. The unit 1 is left out."""
     return words if unit == "1" else f"{words} {unit}"
 
 
@@ -87,8 +87,8 @@ def format_with_interval(
     """Return a value and its 95 % interval as text, to the second digit of the deviation.
 
     Args:
-        value: the number; None: there is none.
-        std: its standard deviation; None: not known.
+        value: the number (None: there is none).
+        std: its standard deviation (None: not known).
         least, most: ends of the range in which it is known to lie.
     """
     if value is None or std is None or not math.isfinite(value):
@@ -101,30 +101,30 @@ def format_with_interval(
 
 
 def bracket_interval(value: float, low: float, high: float, form: str) -> str:
-    """Return a value and its interval: 0.98 [0.55, 1.41]; `form` as `format` takes it."""
+    """Return a value and its interval: 0.98 [0.55, 1.41]. `form` is that of `format`."""
     return f"{value:{form}} [{low:{form}}, {high:{form}}]"
 
 
 def _format_4_digits(value: float | None) -> str:
-    """Return a number to four digits as text; nan for None."""
+    """Return a number to four digits as text, nan for None."""
     return "nan" if value is None else f"{value:.4g}"
 
 
 def escape_json_controls(text: str) -> str:
     """Return a JSON text with every control character replaced by its JSON escape.
 
-    JSON itself demands that below 0x20 only; terminals obey others too.
+    JSON itself demands that below 0x20 only, but terminals obey others too.
     """
     return text if text.isprintable() else "".join(map(_escape_json_control, text))
 
 
 def fill_words(text: str, words: Mapping[str, Any]) -> str:
-    """Return a text with each `@word@` filled in; a line `@?word@` stays only if the word is
+    """Return a text with each `@word@` filled in. A line `@?word@` stays only if the word is
     true.
 
     Args:
         text: of lines.
-        words: what stands for each word, as text.
+        words: text for each word.
     """
     lines = _ASKED.sub(lambda line: line[2] if words[line[1]] else "", text)
     return _WORD.sub(lambda word: str(words[word[1]]), lines)

@@ -1,4 +1,4 @@
-"""Structs as TOML text, with exact numbers; fields that are None are left out."""
+"""Structs as TOML text, with exact numbers. Fields with value None are left out."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def to_toml(value: msgspec.Struct) -> str:
 
 
 def to_tables(value: msgspec.Struct) -> dict[str, Any]:
-    """Return a struct as dictionaries, lists and numbers with its tag; fields that are None
-    are left out.
+    """Return a struct as dictionaries, lists and numbers with its tag. Fields with value None are
+    left out.
 
     Raises:
         InputError: something in it that no text can hold.
@@ -63,7 +63,7 @@ def _to_python_value(value: Any) -> Any:
 
 
 def _drop_none(value: Any) -> Any:
-    """Return a tree of dictionaries and lists without the keys whose value is None."""
+    """Return a tree of dictionaries and lists without the keys with value None."""
     if isinstance(value, dict):
         return {key: _drop_none(entry) for key, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):

@@ -1,6 +1,6 @@
 """Nested named tuples of arrays, flattened to one vector and back.
 
-A tree holds NumPy values or CasADi symbols; its leaves are arrays, numbers or None.
+A tree holds NumPy values or CasADi symbols. Its leaves are arrays, numbers or None.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def drop_last_field(tree: Any, kind: Any) -> Any:
 
 
 def iterate_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every leaf in order with its dotted name; None has no leaves.
+    """Yield every leaf in order with its dotted name (None has no leaves).
 
     Args:
         tree: the tree.
@@ -67,7 +67,7 @@ def unpack_columns(like: Any, rows: Floats) -> Any:
 
 
 def pack_tree(tree: Any) -> Floats:
-    """Return all numbers of a NumPy tree as a vector; matrices column by column, as in CasADi."""
+    """Return all numbers of a NumPy tree as a vector (matrices column by column, as in CasADi)."""
     parts = [np.ravel(np.asarray(leaf, float), order="F") for _, leaf in iterate_leaves(tree)]
     return np.concatenate(parts) if parts else np.empty(0)
 

@@ -40,8 +40,8 @@ class AdaptiveZoneInverse(
 ):
     """Exact inverse with its own widths, which adapt by the normalised gradient.
 
-    What enters the plant is linear in the widths b on the side of u, so that z = C (xi + Phi b)
-    with xi' = A xi + B m u and Phi' = A Phi - B m chi; b moves against the error of the observer's
+    The plant's input is linear in the widths b on the side of u, so that z = C (xi + Phi b) with
+    xi' = A xi + B m u and Phi' = A Phi - B m chi. b moves against the error of the observer's
     deadzone inverse (y of a clean sensor). Tao and Kokotovic, Adaptive control of plants with
     unknown dead-zones, IEEE Trans. Automatic Control 39 (1994). It needs a stable, linear plant, in
     sampled time.
@@ -52,7 +52,7 @@ class AdaptiveZoneInverse(
     Attributes:
         gain: of the normalised gradient [1/s].
         widths0: b_r and b_l at first, one or one per input [u].
-        width_max: largest width, one or one per input [u]; default none.
+        width_max: largest width, one or one per input [u] (default none).
     """
 
     gain: float = GAIN

@@ -98,14 +98,14 @@ class Contest(NamedTuple):
             title: name of the scenario.
 
         Raises:
-            InputError: or a subclass, where the method is not applicable.
+            InputError: or a subclass, if the method is not applicable.
         """
         numbers = self.numbers.get(method, NOTHING)
         known = {**method_registry(), **self.own}
         return enter_method(known[method], build_setting(self.scenarios[title]), numbers)
 
     def replay(self, method: str, title: str) -> tuple[Problem, Outputs]:
-        """Repeat a run with the first seed; return the problem and all signals.
+        """Repeat a run with the first seed, and return the problem and all signals.
 
         Args:
             method: name in the catalogue.
@@ -117,7 +117,7 @@ class Contest(NamedTuple):
     @property
     def drawn(self) -> tuple[str, str, str]:
         """Return module and functions that draw the contest for `uz.plot`."""
-        return "undeadzone_arena.contest.page", "first", "panel"
+        return "undeadzone_arena.contest.page", "plot_first_figure", "panel"
 
     def summary(self) -> dict[str, Any]:
         """Return all numbers, ready for JSON, with null for a missing number."""
@@ -173,8 +173,8 @@ class Contest(NamedTuple):
         """Draw the contest.
 
         Args:
-            path: the file to write, a PNG, PDF or SVG by its suffix; None writes none.
-            ax: axes that take the panel that says most; None: a new figure with all panels.
+            path: the file to write, a PNG, PDF or SVG by its suffix (None writes none).
+            ax: axes that take the most informative panel (None: a new figure with all panels).
         """
         return shown.plot(self, path, ax)
 
@@ -208,17 +208,17 @@ def arena(
     """Run methods against each other, a user's own included (docs/arena.md).
 
     Args:
-        scenarios: by name, or in a list, whose titles name them; None: those that the arena holds
-            out. Each method takes the place of their observer.
-        also: options of your own observers by name, `{"mine": Mine()}`; what is not given there is
-            filled with what the scenario declares, as for every method.
-        methods: names in the catalogue; None: all that fit, or with `also` the recommended ones.
+        scenarios: by name, or in a list, whose titles name them (None: those that the arena holds
+            out). Each method takes the place of their observer.
+        also: options of your own observers by name, `{"mine": Mine()}` (options left out are filled
+            with those that the scenario declares, as for every method).
+        methods: names in the catalogue (None: all that fit, or with `also` the recommended ones).
         seeds: of the runs of each method on each scenario.
-        processes: at once; None: one per processor, and one alone with `also`.
-        progress: called with the number of runs just done; None: a bar in a notebook.
+        processes: at once (None: one per processor, and one alone with `also`).
+        progress: called with the number of runs just done (None: a bar in a notebook).
 
     Returns:
-        The contest; `uz.plot(contest)` draws it, `contest.save("results.json")` keeps it.
+        The contest. `uz.plot(contest)` draws it, `contest.save("results.json")` keeps it.
 
     Raises:
         InputError: there is no such method, or a name of your own is one of the catalogue's.
@@ -254,14 +254,14 @@ def run_contest(
     """Run methods against each other on scenarios.
 
     Args:
-        methods: names in the catalogue, or methods by name; None: all.
+        methods: names in the catalogue, or methods by name (None: all).
         scenarios: by name.
         seeds: of the runs of each method on each scenario.
         numbers: of the knobs, by method.
-        processes: at once; None: one per processor.
-        progress: called with the number of runs just done; None: a bar in a notebook.
-        keep: file that keeps results, to be deleted once the contest is; None: none.
-        resume: take up what a stopped contest left in `keep`.
+        processes: at once (None: one per processor).
+        progress: called with the number of runs just done (None: a bar in a notebook).
+        keep: file that keeps results, to be deleted once the contest is saved (None: none).
+        resume: continue a stopped contest from the results in `keep`.
 
     Raises:
         InputError: or a subclass.

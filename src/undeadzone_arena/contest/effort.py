@@ -37,8 +37,8 @@ def effort_text(
         names: of the methods.
         grounds: scenarios by name.
         runs: of each method on each scenario.
-        what: what a run is for: seeds, candidates.
-        processes: at once; None: one per processor.
+        what: unit of the runs: seeds, candidates.
+        processes: at once (None: one per processor).
     """
     total = len(names) * len(grounds) * runs
     at_once = process_count(len(names) * len(grounds), processes)

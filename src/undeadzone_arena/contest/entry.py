@@ -27,7 +27,7 @@ def read_knob_numbers(path: Path | None = None) -> Numbers:
     """Read the numbers of the knobs, by method, that `undeadzone arena --tune` found.
 
     Args:
-        path: of a file of one's own; None: those that come with the package.
+        path: of a file of one's own (None: those that come with the package).
 
     Raises:
         FileError: the file cannot be read.
@@ -47,10 +47,9 @@ def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> S
     The method takes the place of the controller too if it has its own.
 
     Args:
-        method: what is entered.
+        method: the method to enter.
         ground: the scenario, and what may be known of it.
-        numbers: of the method's knobs, by address; those that lack are in the middle of their
-            range.
+        numbers: of the method's knobs, by address (missing ones are in the middle of their range).
 
     Raises:
         InputError: or a subclass.
@@ -117,12 +116,13 @@ def _to_continuous_time(method: Method, ground: Setting) -> Setting:
 def _part_options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[str, Any]) -> Any:
     """Return the options of a part.
 
-    They are what is known, by the names that the part has for it, then what has its address.
+    They are the prior information, by the names of the part's options, then the options with its
+    address.
 
     Args:
         kind: the struct of the options.
         part: observer or controller.
-        prior: what is known.
+        prior: prior information.
         options: of all parts, by address.
 
     Raises:
@@ -138,8 +138,8 @@ def _part_options(kind: Any, part: str, prior: PriorKnowledge, options: Mapping[
     for field in msgspec.structs.fields(kind):
         if field.required and field.name not in chosen:
             raise InputError(
-                f"{prefix}{field.name}: {kind.__struct_config__.tag!r} needs it, and nothing that "
-                "is declared of a dead zone says it"
+                f"{prefix}{field.name}: {kind.__struct_config__.tag!r} needs it, but the "
+                "declarations of the dead zone do not contain it"
             )
     return kind(**chosen)
 

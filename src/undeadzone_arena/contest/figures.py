@@ -77,7 +77,7 @@ def plot_regret_map(
 
     Args:
         rows: the methods in order
-        regrets: of each method (scenarios x seeds); the mean over seeds is shown
+        regrets: of each method (scenarios x seeds). The mean over seeds is shown
         scenarios: their titles
     """
     from matplotlib.colors import LogNorm
@@ -110,7 +110,7 @@ def plot_regret_map(
 
 
 def regret_cell_text(value: float) -> str:
-    """Return a regret in short form: 12, 1.2, .12 or −.12, or a dash if not finite."""
+    """Return a regret in short form: `12`, `1.2`, `.12` or `−.12`, or a dash if not finite."""
     if not np.isfinite(value):
         return "–"
     if value >= 9.95:

@@ -25,7 +25,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     """Row of the leaderboard: the numbers of one method.
 
     Regrets are means over seeds. Intervals are those of 95 % confidence. Errors are those of the
-    runs that did not diverge; None where no run has one.
+    runs that did not diverge, or None if no run has one.
 
     Attributes:
         method: its name.
@@ -34,7 +34,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
         median_interval: of the median.
         worst_regret: over scenarios.
         worst_interval: of the worst.
-        worst_scenario: where it is worst.
+        worst_scenario: title of its worst scenario.
         diverged: share of all runs.
         not_applicable: share of all runs.
         behind: median over scenarios of the difference to the best contestant on the same scenario
@@ -79,11 +79,11 @@ def select_contestants(rows: Sequence[Row]) -> list[Row]:
 
 
 def compute_regrets(results: Sequence[Result]) -> dict[str, Floats]:
-    """Compute the regret (scenarios x seeds) [zones] of each method, NaN where it was refused.
+    """Compute the regret (scenarios x seeds) [zones] of each method, NaN if it was refused.
 
     It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
-    two runs that do not diverge the one with the smaller J has the smaller regret, whatever the
-    lines do.
+    two runs that do not diverge the one with the smaller J has the smaller regret, for any
+    reference lines.
     """
     scenarios = list(dict.fromkeys(result.scenario for result in results))
     seeds = list(dict.fromkeys(result.seed for result in results))
@@ -115,7 +115,7 @@ def rank_methods(
 ) -> list[Row]:
     """Sort the methods by median regret, and equals by the worst.
 
-    Where one is not applicable the regret of the naive observer counts.
+    If a method is not applicable, the regret of the naive observer counts.
 
     Args:
         results: of the runs.
@@ -204,8 +204,8 @@ def regret_intervals(regret: Floats, seed: int = 0) -> tuple[Interval, Interval]
 
     The intervals are from the bootstrap.
 
-    Seeds are drawn anew within every scenario; for the median scenarios are too. The worst is that
-    of these very scenarios: resampled ones could only leave it out.
+    Seeds are drawn anew within every scenario, and for the median the scenarios too. The worst is
+    that of these very scenarios: resampled ones could only leave it out.
 
     Args:
         regret: (scenarios x seeds).

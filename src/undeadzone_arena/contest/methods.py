@@ -73,11 +73,11 @@ class Method(NamedTuple):
 
     Attributes:
         observer: options of the observer.
-        knobs: what is tuned, by address, `observer.speed`.
-        fixed: options that are not what they are by default, by address.
-        derived: derived(prior, knobs) is more options, from what is known of the scenario.
-        controller: options of its own controller; None: the scenario's.
-        compensator: options of its own compensator, which needs an actuator; None: the scenario's.
+        knobs: the tuned options, by address, `observer.speed`.
+        fixed: options that differ from their defaults, by address.
+        derived: derived(prior, knobs) is more options, from the prior information on the scenario.
+        controller: options of its own controller (None: the scenario's).
+        compensator: options of its own compensator, which needs an actuator (None: the scenario's).
         continuous: whether it exists in continuous time alone.
         reference: whether it is a line to compare with, no contestant.
         informed: whether it knows the disturbance and the true plant, too.

@@ -30,16 +30,16 @@ class RunMetrics(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         tracking: z - r of the tracked outputs, the true z [z].
         estimation: z - z^ [z].
-        width: |error| of d_r + d_l at the end, relative to the true d_r + d_l; None where the run's
-            readings cannot tell or the method does not try.
+        width: |error| of d_r + d_l at the end, relative to the true d_r + d_l (None if the run's
+            readings do not determine it or the method does not estimate it).
         centre: |error| of (d_r - d_l)/2 at the end, relative to half of the true d_r + d_l.
-        coverage: share of claimed 95 % intervals of widths that hold the truth at the end; None
-            without claims.
-        settling: from when on |z - r| stays within a tenth of the largest |r| [s]; None: never.
+        coverage: share of the method's 95 % intervals of widths that contain the truth at the end
+            (None without intervals).
+        settling: time from which |z - r| stays within a tenth of the largest |r| [s] (None: never).
         effort: rms of u [u].
         slew: rms of the change of u per step [u].
         cost: of a step, measured [s].
-        diverged: whether a signal left 1e12 times its scale or was no number.
+        diverged: whether a signal left 1e12 times its scale or was not a number.
         zone: half of the true d_r + d_l at the end, mean over the outputs [z]: what ignoring the
             zone costs, and so the unit of a regret.
     """
@@ -64,7 +64,7 @@ class Result(msgspec.Struct, frozen=True, kw_only=True):
         method: its name.
         scenario: its name.
         seed: of the run.
-        worth: what the run is worth; None where the method is not applicable.
+        worth: score of the run (None if the method is not applicable).
         reason: that the method gives for not being applicable.
     """
 
@@ -79,7 +79,7 @@ def measure_run(problem: Problem, out: Outputs, truth: Floats, cost: float) -> R
     """Compute the metrics of a run.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         out: its signals (a row per sample).
         truth: true widths at the end (2 x p) [z].
         cost: of a step [s].

@@ -94,10 +94,10 @@ def write_arena(
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 
     Args:
-        contest: what is shown
+        contest: contest to show
         runs: of some methods, as `traces.traced` gives them
-        folder: where the files go; created if needed
-        origin: what it takes to get the same again; None: nobody can
+        folder: folder of the files (created if needed)
+        origin: data to compute the same again (None: unknown)
 
     Returns:
         The paths of the files.
@@ -109,7 +109,7 @@ def write_arena(
 def arena_figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     """Build the figures by name. `runs` are those that `traces.trace_runs` returns."""
     drawn = {
-        "leaderboard": first(contest),
+        "leaderboard": plot_first_figure(contest),
         "scenarios": plot_regret_map(
             contest.rows, compute_regrets(contest.results), list(contest.scenarios)
         ),
@@ -120,7 +120,7 @@ def arena_figures(contest: Contest, runs: Sequence[Trace]) -> dict[str, Figure]:
     return drawn
 
 
-def first(contest: Contest) -> Figure:
+def plot_first_figure(contest: Contest) -> Figure:
     """Plot median and worst regret of every method."""
     return plot_ranking(contest.rows, contest_size_text(contest))
 

@@ -1,6 +1,6 @@
 """Prior information of a method about a scenario, without the truth.
 
-That is the model, the sensor but for its widths, and what the scenario declares.
+That is the model, the sensor but for its widths, and the declarations of the scenario.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ class PriorKnowledge(NamedTuple):
 
     Attributes:
         kind: of the sensor.
-        declared: the claims of the scenario.
+        declared: the declared assumptions of the scenario.
         model: sampled if the simulation is.
         widths: declared ranges of all d_r, then all d_l (2p x 2) [z].
         reach: how far |z|, |z'|, ... may go, from the reference and the widths (relative degree)
             [z, z/s, ...].
         loop_rate: geometric mean of the closed loop's poles [1/s].
-        actuator: what is known of it; None: there is none.
+        actuator: prior information on it (None: there is none).
     """
 
     kind: str
@@ -134,9 +134,9 @@ class Setting(NamedTuple):
 
 
 def build_settings(scenarios: Mapping[str, Scenario]) -> dict[str, Setting]:
-    """Build the setting of each scenario, by title. Raises InputError with the title.
+    """Build the setting of each scenario, by title.
 
-    Raises InputError, which names one.
+    Raises InputError with the title.
     """
     found = {}
     for title, scenario in scenarios.items():
@@ -177,8 +177,8 @@ def build_setting(scenario: Scenario) -> Setting:
 def scenario_assumptions(scenario: Scenario) -> Assumptions:
     """Return the assumptions that the scenario declares.
 
-    Where it declares nothing, what its observer claims; else that widths lie between 0 and VAGUE
-    times the largest.
+    They are those of its observer if it declares nothing. If its observer has none, they are that
+    widths lie between 0 and VAGUE times the largest.
     """
     if scenario.declared is not None:
         return scenario.declared
@@ -212,7 +212,7 @@ def _reference_reach(problem: Problem, width: float) -> Floats:
 def _loop_rate(problem: Problem) -> float:
     """Return the geometric mean of the poles of A - B K [1/s].
 
-    It is ten times the plant's fastest where the controller has no K.
+    It is ten times the plant's fastest if the controller has no K.
     """
     K, model = problem.controller.K, problem.model
     if K is None:

@@ -27,7 +27,7 @@ def process_pool(count: int | None) -> Iterator[ProcessPoolExecutor]:
     process may import they may too: they take its path of modules before anything else is done.
 
     Args:
-        count: of them; None: one per processor.
+        count: of them (None: one per processor).
     """
     context = multiprocessing.get_context("spawn")
     with _safe_start(), ProcessPoolExecutor(count, context, initializer=_start_worker) as made:
@@ -56,7 +56,7 @@ def iterate_results(
     Whoever stops in between, by Ctrl-C or SIGTERM too, waits for no task.
 
     Args:
-        count: of processes; None: one per processor.
+        count: of processes (None: one per processor).
         function: of a module, that computes.
         tasks: its arguments, by number.
 

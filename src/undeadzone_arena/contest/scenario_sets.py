@@ -42,7 +42,7 @@ def scenarios_from_files(
 
     Args:
         paths: of the files.
-        confine: a folder outside of which they may name no file; None: any.
+        confine: a folder outside of which they may name no file (None: any).
     """
     own = {Path(path).stem: read(path, confine) for path in paths}
     if len(own) < len(paths):

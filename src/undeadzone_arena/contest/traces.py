@@ -1,6 +1,6 @@
-"""Example runs: those of the best method, the worst, the paper's and the naive one.
+"""Example runs of the best, the worst, the paper's and the naive method.
 
-They are shown on the scenario where the best does as it usually does.
+They are shown on the scenario on which the best method has its typical regret.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def trace_runs(contest: Contest, title: str | None = None) -> list[Trace]:
 
     Args:
         contest: whose methods.
-        title: of the scenario; None: the typical one.
+        title: of the scenario (None: the typical one).
     """
     if not contest.contestants:
         return []

@@ -61,7 +61,7 @@ def run_trial(
 
     Args:
         name: of the method.
-        method: what is tried.
+        method: the method to run.
         title: of the scenario.
         ground: the scenario, and what may be known of it.
         seeds: of the runs.
@@ -122,7 +122,7 @@ class TrialJob(NamedTuple):
 
     Attributes:
         name: of the method.
-        method: the method; None: that of this name in the catalogue.
+        method: the method (None: that of this name in the catalogue).
         title: of the scenario.
         scenario: the scenario.
         seeds: of the runs.
@@ -150,14 +150,14 @@ def score_methods(
     """Run methods on scenarios, with the reference lines (FRAME), and return the results.
 
     Args:
-        methods: names in the catalogue, or methods of one's own by name, which run in this
-            process; None: all of the catalogue that fit.
-        scenarios: by name; None: those held out.
+        methods: names in the catalogue, or methods of one's own by name, which run in this process
+            (None: all of the catalogue that fit).
+        scenarios: by name (None: those held out).
         seeds: of the runs of each method on each scenario.
-        numbers: of the knobs, by method; None: those that come with the package.
-        processes: at once; None: one per processor.
+        numbers: of the knobs, by method (None: those that come with the package).
+        processes: at once (None: one per processor).
         progress: called with the number of runs just done.
-        kept: results of an earlier run on disk, of methods of the catalogue; None: none.
+        kept: results of an earlier run on disk, of methods of the catalogue (None: none).
 
     Raises:
         InputError: or a subclass.

@@ -46,10 +46,11 @@ def tune_methods(
         budget: candidates of each method.
         seeds: of the runs.
         search: seed of the evolution.
-        processes: at once; None: one per processor.
+        processes: at once (None: one per processor).
         progress: called with the number of methods just done.
-        keep: file that keeps what is found of methods, to be deleted once it is saved; None: none.
-        resume: take up what a stopped run left in `keep`.
+        keep: file that keeps the results of methods, to be deleted once they are saved (None:
+            none).
+        resume: continue a stopped run from the results in `keep`.
 
     Raises:
         InputError: or a subclass.
@@ -117,8 +118,8 @@ def best_candidate(
 ) -> TunedMethod:
     """Return the candidate of least cost out of `budget`.
 
-    They come from an evolution that begins in the middle of the ranges, on logarithmic scales; from
-    a grid for a single knob.
+    They come from an evolution that begins in the middle of the ranges, on logarithmic scales, or
+    from a grid for a single knob.
 
     Args:
         method: whose knobs.
@@ -168,11 +169,11 @@ def mean_regret(
 ) -> float:
     """Return the mean regret of a method over scenarios and seeds [zones].
 
-    It counts CAP where the method is not applicable with these numbers, lest it be tuned to refuse
-    what is hard.
+    It counts CAP if the method is not applicable with these numbers, lest it be tuned to refuse
+    hard scenarios.
 
     Args:
-        method: what is tried.
+        method: the method to tune.
         grounds: scenarios by name, and what may be known of them.
         frame: results of the lines that are always there.
         seeds: of the runs.

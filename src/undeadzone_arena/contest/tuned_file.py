@@ -41,7 +41,7 @@ class Tuned(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         seeds: of the runs.
         search: seed of the evolution.
         scenarios: names of those tuned on.
-        methods: what was found, by method.
+        methods: tuned numbers, by method.
     """
 
     budget: int

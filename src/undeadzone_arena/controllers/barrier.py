@@ -28,8 +28,8 @@ class Barrier(Options, frozen=True, kw_only=True, tag="barrier"):
 
     Attributes:
         bound: largest |z - r| [z].
-        rate: rate at which each error decays [1/s]; default ten times the fastest pole of the
-            plant.
+        rate: rate at which each error decays [1/s] (default ten times the fastest pole of the
+            plant).
     """
 
     bound: float

@@ -12,9 +12,9 @@ from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, build
 class FuzzyFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="fuzzy_feedback"):
     """Wang (1993), Tong and Li (2009): b u = r^(n) - W'phi(x^) - feedback, phi of fuzzy sets.
 
-    phi are the firing strengths of `rules` fuzzy sets per axis. It makes y / m, or what the
-    observer makes of it (`z_inverse`), follow r: with an observer that is blind to the dead zone,
-    the wrong output.
+    phi are the firing strengths of `rules` fuzzy sets per axis. It makes y / m, or the observer's
+    inverse of it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the
+    wrong output.
 
     Attributes:
         rules: number of fuzzy sets per axis, at least 2.

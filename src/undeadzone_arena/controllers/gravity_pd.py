@@ -58,7 +58,7 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
         return Controller(GravityPDParams(model.params, K), lambda p: None, step, K=K)
 
     def _joint_gain(self, model: System) -> Floats:
-        """Return K (m x n) of x = [motors; links; their speeds].
+        """Return K (m x n) of x = `[motors; links; their speeds]`.
 
         Raises InputError, ShapeError.
 

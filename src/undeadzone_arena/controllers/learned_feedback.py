@@ -31,10 +31,10 @@ class FeedbackOptions(Options, frozen=True, kw_only=True):
     Attributes:
         reach: |z|, |z'|, ... up to which the functions hold, one per derivative below the relative
             degree.
-        speed: all poles of its observer [1/s]; default 40 times the fastest pole.
-        bandwidth: all poles of the error [1/s]; default 10 times the fastest pole.
-        gain: gain of the weights [1/s^2]; default 50 times the fastest pole squared.
-        leak: leak of the weights [1/s]; default a hundredth of the fastest pole.
+        speed: all poles of its observer [1/s] (default 40 times the fastest pole).
+        bandwidth: all poles of the error [1/s] (default 10 times the fastest pole).
+        gain: gain of the weights [1/s^2] (default 50 times the fastest pole squared).
+        leak: leak of the weights [1/s] (default a hundredth of the fastest pole).
     """
 
     reach: Array
@@ -94,9 +94,9 @@ def build_learned_feedback(
 ) -> Controller:
     """Build the controller for z^(r) = f + b u, r the relative degree, f unknown, b known.
 
-    x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading; E = x^
-    less r and its derivatives; b u = r^(r) - W'phi - L_r e - feedback E,
-    W' = gain phi s - leak W, s = slide E = (d/dt + bandwidth)^(r-1) E_1.
+    x^' = chain x^ + input (b u + W'phi(x^)) + L e, e = z - x^_1, z the inverted reading. E = x^
+    less r and its derivatives. b u = r^(r) - W'phi - L_r e - feedback E, W' = gain phi s - leak W,
+    s = slide E = (d/dt + bandwidth)^(r-1) E_1.
 
     Args:
         model: the model, continuous or sampled.

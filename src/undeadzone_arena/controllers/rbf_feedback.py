@@ -13,7 +13,7 @@ class RBFFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="rbf_feedback"
     """Sanner and Slotine (1992): b u = r^(n) - W'phi(x^) - feedback, phi Gaussians.
 
     Also Lewis, Yesildirek and Liu (1996). The Gaussians stand at `centres` places per axis. It
-    makes y / m, or what the observer makes of it (`z_inverse`), follow r: with an observer that is
+    makes y / m, or the observer's inverse of it (`z_inverse`), follow r: with an observer that is
     blind to the dead zone, the wrong output.
 
     References:

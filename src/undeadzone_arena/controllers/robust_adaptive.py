@@ -1,6 +1,7 @@
 """Robust adaptive control without an inverse, for an actuator with an unknown dead zone.
 
-The zone is a slope and a bounded rest; the bound is learnt, and countered where the error is.
+The zone is a slope and a bounded rest. The bound is learnt, and compensated while there is an
+error.
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
         X.-S. Wang, C.-Y. Su, H. Hong (2004), doi:10.1016/j.automatica.2003.10.021
 
     Attributes:
-        rate: rate at which s decays [1/s]; default ten times the fastest pole of the plant.
-        poles: poles of the error on s = 0 (n - m of them) [1/s]; default about `rate`.
-        layer: |s| inside which nothing is learnt, one or one per input [u s]; default 1 / rate.
-        learning: rate at which k grows, one or one per input [1/s]; default rate^2 / 5.
-        slope_learning: rate at which phi moves [1 / (u s)]; default 0: the slope is 1.
-        most: largest k, one or one per input [u]; default none, but in sampled time k stays below
-            half of layer / step, beyond which s would chatter.
+        rate: rate at which s decays [1/s] (default ten times the fastest pole of the plant).
+        poles: poles of the error on s = 0 (n - m of them) [1/s] (default about `rate`).
+        layer: |s| inside which nothing is learnt, one or one per input [u s] (default 1 / rate).
+        learning: rate at which k grows, one or one per input [1/s] (default rate^2 / 5).
+        slope_learning: rate at which phi moves [1 / (u s)] (default 0: the slope is 1).
+        most: largest k, one or one per input [u] (default none, but in sampled time k stays below
+            half of layer / step, beyond which s would chatter).
     """
 
     rate: float | None = None
@@ -107,7 +108,7 @@ class RobustAdaptiveParams(NamedTuple):
     Attributes:
         model: numbers of the model.
         G: from the error to s (m x n), G B = 1.
-        keep: -rate, or what is left of s after a step.
+        keep: -rate, or the factor of s per step.
         layer: |s| inside which nothing is learnt (m).
         learning: rate of the bound (m).
         slope: rate of phi.

@@ -1,6 +1,6 @@
-"""Sliding-mode controller: it drives the tracking error onto a plane on which the error decays.
+"""Sliding-mode controller: it drives the tracking error onto a plane of decaying errors.
 
-It does so whatever a bounded input disturbance does.
+It does so for any bounded input disturbance.
 """
 
 from __future__ import annotations
@@ -27,22 +27,23 @@ from undeadzone.util.arrays import (
 
 
 class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
-    """Sliding mode: Slotine and Li (1991); sampled, the reaching law of Gao, Wang, Homaifa (1995).
+    """Sliding mode: Slotine and Li (1991), and if sampled the reaching law of Gao, Wang, Homaifa
+    (1995).
 
-    u = u_ff - G (f(x^, u_ff) - f(x_ref, u_ff)) - rate s - gain sat(s / boundary),
-    s = G (x^ - x_ref), G B = I. Needs as many independent columns of B as inputs; of a nonlinear
-    plant, a constant B.
+    u = u_ff - G (f(x^, u_ff) - f(x_ref, u_ff)) - rate s - gain sat(s / boundary), s = G (x^ -
+    x_ref), G B = I. It needs as many independent columns of B as inputs. A nonlinear plant needs a
+    constant B.
 
     References:
         W. Gao, Y. Wang, A. Homaifa (1995), doi:10.1109/41.370376
 
     Attributes:
         gain: what exceeds the input disturbances to suppress, one or one per input [u].
-        poles: poles of the error on s = 0 (n - m of them) [1/s]; default about ten times the
-            fastest pole of the plant.
-        rate: rate at which s decays [1/s]; default ten times the fastest pole of the plant.
-        boundary: layer in which the law is linear, one or one per input [u s]; default
-            gain / (2 rate).
+        poles: poles of the error on s = 0 (n - m of them) [1/s] (default about ten times the
+            fastest pole of the plant).
+        rate: rate at which s decays [1/s] (default ten times the fastest pole of the plant).
+        boundary: layer in which the law is linear, one or one per input [u s] (default gain / (2
+            rate)).
     """
 
     gain: Array
@@ -103,7 +104,7 @@ class SlidingModeParams(NamedTuple):
     Attributes:
         model: numbers of the model.
         G: from the error to s (m x n), G B = 1.
-        keep: -rate, or what is left of s after a step.
+        keep: -rate, or the factor of s per step.
         gain: gain of the switching term (m).
         boundary: its layer (m).
     """

@@ -11,9 +11,8 @@ from undeadzone_arena.controllers.learned_feedback import FeedbackOptions, build
 class TaylorFeedback(FeedbackOptions, frozen=True, kw_only=True, tag="taylor_feedback"):
     """Multidimensional Taylor network (Yan and Kang 2017): b u = r^(n) - W'phi(x^) - feedback.
 
-    phi are the monomials of x^ / reach up to `degree`. It makes y / m, or what the observer makes
-    of it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the wrong
-    output.
+    phi are the monomials of x^ / reach up to `degree`. It makes y / m, or the observer's inverse of
+    it (`z_inverse`), follow r: with an observer that is blind to the dead zone, the wrong output.
 
     Attributes:
         degree: highest degree of a monomial.

@@ -36,16 +36,16 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
         poles: poles of A - L C (n) [1/s], in place of L and speed.
-        speed: speed of A - L C [1/s], in place of L and poles; default 30 mean poles of the plant,
-            fewer beyond second order.
+        speed: speed of A - L C [1/s], in place of L and poles (default 30 mean poles of the plant,
+            fewer beyond second order).
         law: normalised gradient or recursive least squares.
-        gain: gain of the gradient, or the initial spread of least squares [1/s]; default 300 times
-            the fastest pole.
+        gain: gain of the gradient, or the initial spread of least squares [1/s] (default 300 times
+            the fastest pole).
         forgetting: rate at which least squares forget [1/s].
-        silent: "hold" corrects and learns on an active side only; "zero" is the literal inverse,
-            which takes silence for z = 0.
+        silent: "hold" corrects and learns on an active side only ("zero" is the literal inverse,
+            which takes a censored sample for z = 0).
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z], which projection keeps; default none.
+        width_max: d_M per side, one or one per output [z], which projection keeps (default none).
     """
 
     L: Array | None = None
@@ -76,5 +76,5 @@ class AdaptiveInverse(Options, frozen=True, kw_only=True, tag="adaptive_inverse"
 
 
 def side_indicators(params: Any, y: Any, side: Any, z: Any) -> Any:
-    """Return chi_bar of (12): 1 on the right, -1 on the left, so that W = [d_r; d_l] (2)."""
+    """Return chi_bar of (12): 1 on the right, -1 on the left, so that W = `[d_r; d_l]` (2)."""
     return ca.vertcat(side > 0, -(side < 0))

@@ -1,4 +1,4 @@
-"""Extended Kalman filter on [x; d_r; d_l]: the dead zone is linearised at the estimate.
+"""Extended Kalman filter on `[x; d_r; d_l]`: the dead zone is linearised at the estimate.
 
 More in docs/methods/ekf.md.
 """
@@ -34,7 +34,7 @@ DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
-    """Extended Kalman filter on [x; d_r; d_l] (Smith, Schmidt, McGee 1962); sampled time.
+    """Extended Kalman filter on `[x; d_r; d_l]` (Smith, Schmidt, McGee 1962), sampled time.
 
     Joint with parameters: Cox (1964). By default noise is at least 1 % of the range, x_std five
     times and drift 0.5 % of the largest width.
@@ -43,8 +43,8 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         H. Cox (1964), doi:10.1109/TAC.1964.1105635
 
     Attributes:
-        mode: the branch of the dead zone is the predicted one, where the estimate is (the Jacobian
-            of the dead zone itself), or the measured one.
+        mode: the branch of the dead zone is the predicted one, at the estimate (the Jacobian of the
+            dead zone itself), or the measured one.
         pseudo: in measured mode, a silent sensor that the estimate contradicts is a reading on the
             violated edge.
     """
@@ -56,7 +56,7 @@ class EKF(JointAssumptions, frozen=True, kw_only=True, tag="ekf"):
         """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: the slope of a jump sensor's reading says nothing of its widths, "
+                "observer.method: the slope of a jump sensor's reading contains no width, "
                 "so that 'ekf' cannot find them. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
@@ -82,7 +82,7 @@ def correct_measured(
 ) -> RobustUpdate:
     """Correct on the measured branch.
 
-    With `pseudo`, a silent sensor is read on the branch where the estimate is.
+    With `pseudo`, a silent sensor is read on the branch of the estimate.
     """
     n, p, i = model.n, model.p, sample.i
     X = belief.mean

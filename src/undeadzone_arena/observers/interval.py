@@ -24,30 +24,30 @@ NOISE = 6.0  # bound that is assumed of a Gaussian noise, in rms
 
 
 class Interval(Options, frozen=True, kw_only=True, tag="interval"):
-    """Gouze, Rapaport and Hadj-Sadok (2000); Mazenc and Bernard (2011): guaranteed bounds.
+    """Gouze, Rapaport and Hadj-Sadok (2000), and Mazenc and Bernard (2011): guaranteed bounds.
 
-    Their midpoints are the estimates; x_std, ... are half the intervals' widths / sqrt(3), the
-    standard deviation of a uniform distribution. Where claimed bounds contradict each other the
-    boxes start anew.
+    Their midpoints are the estimates. x_std, ... are half the intervals' widths / sqrt(3), the
+    standard deviation of a uniform distribution. If assumed bounds contradict each other, the boxes
+    are restarted.
 
     References:
         F. Mazenc, O. Bernard (2011), doi:10.1016/j.automatica.2010.10.019
 
     Attributes:
-        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
-            defaults to that of right.
-        noise: bound of the noise of a reading, one or one per output [y]; default six times the
-            sensor's rms.
-        noise_before: bound of the noise ahead of the sensor, one or one per output [z]; default six
-            times the sensor's rms.
+        right, left: assumed ranges [lo, hi] of d_r and d_l, one or one per output [z] (left
+            defaults to that of right).
+        noise: bound of the noise of a reading, one or one per output [y] (default six times the
+            sensor's rms).
+        noise_before: bound of the noise ahead of the sensor, one or one per output [z] (default six
+            times the sensor's rms).
         disturbance: bound of the input disturbance, one or one per input [u].
-        x_max: bound of |x(0)|, one or one per state; default five times the largest width.
-        L: gain (n x p) [1/s]; default 0 for a stable plant.
+        x_max: bound of |x(0)|, one or one per state (default five times the largest width).
+        L: gain (n x p) [1/s] (default 0 for a stable plant).
         poles: poles of A - L C (n) [1/s], in place of L.
-        speed: speed of A - L C [1/s], in place of L; default twice the fastest pole for a plant
-            that is not stable.
-        contraction: how fast bounds follow what a reading tells, in continuous time [1/s]; default
-            ten times the fastest pole.
+        speed: speed of A - L C [1/s], in place of L (default twice the fastest pole for a plant
+            that is not stable).
+        contraction: rate at which bounds follow a reading, in continuous time [1/s] (default ten
+            times the fastest pole).
     """
 
     right: Array

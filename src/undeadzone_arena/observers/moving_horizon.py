@@ -49,7 +49,7 @@ NODES = 40  # of a horizon, if the period is not given
 
 
 class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_horizon"):
-    """Moving horizon estimation of [x; d_r; d_l], Rao, Rawlings, Mayne (2003); sampled time.
+    """Moving horizon estimation of `[x; d_r; d_l]`, Rao, Rawlings, Mayne (2003), sampled time.
 
     The widths stay in their range. By default noise is at least 1 % of the range, x_std five times
     and drift 0.5 % of the largest width. It runs in Python: in single runs only.
@@ -58,12 +58,12 @@ class MovingHorizon(JointAssumptions, frozen=True, kw_only=True, tag="moving_hor
         C. V. Rao, J. B. Rawlings, D. Q. Mayne (2003), doi:10.1109/TAC.2002.808470
 
     Attributes:
-        horizon: length of the horizon [s]; default a quarter period of the plant, 50 samples if
-            it only integrates.
-        period: time between the readings that are used, and between solutions [s]; default a
-            fortieth of the horizon.
-        slack: rms by which a silent sensor's z may be outside its zone, one or one per output [z];
-            default noise.
+        horizon: length of the horizon [s] (default a quarter period of the plant, 50 samples if it
+            only integrates).
+        period: time between the readings that are used, and between solutions [s] (default a
+            fortieth of the horizon).
+        slack: rms by which a silent sensor's z may be outside its zone, one or one per output [z]
+            (default noise).
         solver: solver of CasADi, exact ("daqp") or by alternating directions ("osqp").
     """
 
@@ -128,7 +128,7 @@ class HorizonState(NamedTuple):
 
     Attributes:
         window: the nodes.
-        X: [x; d_r; d_l] now (n + 2p).
+        X: `[x; d_r; d_l]` now (n + 2p).
         cov: covariance at the newest node (n + 2p x n + 2p).
         F, f, G: x now = F x + f + G w of that node's x (n x n, n, n x m).
         since: samples since that node.
@@ -151,12 +151,12 @@ class HorizonSetup(NamedTuple):
     Attributes:
         model: the sampled model.
         sensor: the dead zone.
-        prior: what it starts from.
-        weights: what the programme weighs its errors by.
+        prior: prior at its start.
+        weights: weights of the programme's errors.
         stride: samples of an interval.
         rms: rms of the disturbance that is held over a node's samples (m) [u]: it moves the state
             as far as white noise does.
-        doubt: of readings; None: none is wrong.
+        doubt: of readings (None: no doubt).
         tangents: the model's straight lines.
         solve: solver of the programme.
     """
@@ -190,11 +190,11 @@ def build_moving_horizon(
     Args:
         model: the sampled model.
         sensor: the dead zone.
-        prior: what it starts from.
-        weights: what the programme weighs its errors by.
+        prior: prior at its start.
+        weights: weights of the programme's errors.
         nodes: intervals of the horizon.
         stride: samples of an interval.
-        glitches: probability that a reading is wrong; 0: none is.
+        glitches: probability that a reading is wrong (0: none is).
         plugin: CasADi's name of the solver.
     """
     rms = np.sqrt(prior.variance / stride)
@@ -233,8 +233,8 @@ def correct_horizon(
 
     Every `stride` samples a node is added.
 
-    A reading that is likelier a glitch counts as missing. Where most of late were, or the state
-    left all bounds, all begins anew from the prior.
+    A reading that is likelier a glitch counts as missing. If most recent ones did, or the state
+    left all bounds, the filter is restarted from the prior.
     """
     n, p = setup.model.n, setup.model.p
     if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
@@ -270,8 +270,8 @@ def add_horizon_node(
     Args:
         setup: the estimator.
         s: the state before the reading.
-        y: reading y / m, 0 where it is missing (p).
-        side: measured side, 0 where the reading is missing (p).
+        y: reading y / m, 0 if it is missing (p).
+        side: measured side, 0 if the reading is missing (p).
         seen: whether there was a reading (p).
     """
     n, p, m = setup.model.n, setup.model.p, setup.model.m

@@ -1,4 +1,4 @@
-"""Bootstrap particle filter on [x; d_r; d_l] (docs/methods/particle_filter.md)."""
+"""Bootstrap particle filter on `[x; d_r; d_l]` (docs/methods/particle_filter.md)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ STREAM = 0x7061727469636C65  # of the random numbers, apart from those of noise 
 
 
 class ParticleFilter(JointAssumptions, frozen=True, kw_only=True, tag="particle_filter"):
-    """Bootstrap filter of Gordon, Salmond, Smith (1993) on [x; d_r; d_l]; sampled time.
+    """Bootstrap filter of Gordon, Salmond, Smith (1993) on `[x; d_r; d_l]`, sampled time.
 
     Systematic resampling of Kitagawa (1996), when fewer than half of the particles count,
     1 / sum w^2. Widths are drawn evenly from their range and stay in it. By default noise is at
@@ -72,7 +72,7 @@ class ParticleState(NamedTuple):
 
     Attributes:
         x: states (n x M).
-        widths: [d_r; d_l] (2p x M).
+        widths: `[d_r; d_l]` (2p x M).
         weights: weights, of sum 1 (M).
         sample: number of the sample.
         seed: seed of the random numbers.
@@ -103,7 +103,7 @@ class ParticleSetup(NamedTuple):
     Attributes:
         model: the sampled model.
         sensor: the dead zone.
-        prior: what it starts from.
+        prior: prior at its start.
         particles: how many there are.
         glitches: probability that a reading is wrong.
         columns: the model on as many columns.

@@ -32,16 +32,16 @@ class RobustGradient(Options, frozen=True, kw_only=True, tag="robust_gradient"):
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
         poles: poles of A - L C (n) [1/s], in place of L and speed.
-        speed: speed of A - L C [1/s], in place of L and poles; default 8 mean poles of the plant,
-            fewer beyond second order.
-        gamma: adaptation gain of the widths, one or one per output [1/s]; default 3 times the
-            fastest pole.
+        speed: speed of A - L C [1/s], in place of L and poles (default 8 mean poles of the plant,
+            fewer beyond second order).
+        gamma: adaptation gain of the widths, one or one per output [1/s] (default 3 times the
+            fastest pole).
         sharpness: sharpness of the indicators (8)-(10) at the edges that C x^ meets [1/z].
         rho: how far the robust term, which enters by the inputs, moves z^ at most in steady state
             [z].
         width: |e| at which the robust term saturates [z].
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z]; default none.
+        width_max: d_M per side, one or one per output [z] (default none).
     """
 
     L: Array | None = None

@@ -29,7 +29,7 @@ LEVANT = (1.1, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0, 12.0)
 
 
 class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
-    """Davila, Fridman and Levant (2005) for second order; Levant (1998, 2003) for higher orders.
+    """Davila, Fridman and Levant (2005) for second order, Levant (1998, 2003) for higher orders.
 
     The latter is the exact differentiator with the model in it. In coordinates z_i, z_i', ...
     (r for output i) the k-th is corrected by lambda_k lipschitz^(k/r) |e|^((r-k)/r) sgn e: 1.5 and
@@ -41,17 +41,18 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
         J. A. Moreno, M. Osorio (2012), doi:10.1109/TAC.2012.2186179
 
     Attributes:
-        lipschitz: what exceeds the effect of a disturbance on the r-th derivative, one or one per
-            output [z/s^r]; default 5 times the fastest pole, to the power r, fit for z of order 1.
+        lipschitz: a bound that exceeds the effect of a disturbance on the r-th derivative, one or
+            one per output [z/s^r] (default 5 times the fastest pole, to the power r, fit for z of
+            order 1).
         L: gain of a linear correction beside it (Moreno and Osorio 2012) (n x p) [1/s], which an
-            unstable plant needs; default none.
+            unstable plant needs (default none).
         poles: poles of A - L C (n) [1/s], in place of L.
         speed: speed of A - L C [1/s], in place of L.
-        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 takes
-            the reading for the output.
+        gamma: adaptation gain of the widths, one or one per output [1/s] (0 with widths0 = 0 takes
+            the reading for the output).
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
-            default none.
+        width_max: d_M per side, one or one per output [z]. The widths stay within [0, width_max]
+            (default none).
     """
 
     lipschitz: Array | None = None
@@ -94,8 +95,6 @@ class SuperTwisting(Options, frozen=True, kw_only=True, tag="super_twisting"):
 
     def _lipschitz_bound(self, model: System, orders: list[int]) -> Floats:
         """Return `lipschitz` as given, or its default (p) [z/s^r].
-
-        Raises InputError, ShapeError.
 
         Raises InputError, ShapeError.
         """

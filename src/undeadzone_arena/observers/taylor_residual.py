@@ -21,8 +21,8 @@ class TaylorResidual(LearnedOptions, frozen=True, kw_only=True, tag="taylor_resi
     phi are the powers of z^ / reach up to `degree`.
 
     Attributes:
-        reach: |z| up to which it holds, one or one per output [z]; beyond, the powers stay as they
-            are.
+        reach: |z| up to which it holds, one or one per output [z] (beyond it, the powers stay
+            constant).
         degree: highest power.
     """
 

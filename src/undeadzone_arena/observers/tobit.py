@@ -1,4 +1,4 @@
-"""Tobit Kalman filter on [x; d_r; d_l]: a reading is predicted by its mean over both branches.
+"""Tobit Kalman filter on `[x; d_r; d_l]`: a reading is predicted by its mean over both branches.
 
 More in docs/methods/tobit.md.
 """
@@ -35,7 +35,8 @@ DEFAULTS = JointDefaults(noise=0.01, drift=0.005, x_std=5.0)
 
 
 class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
-    """Tobit Kalman filter on [x; d_r; d_l] (Allik, Miller, Piovoso, Zurakowski 2016); sampled time.
+    """Tobit Kalman filter on `[x; d_r; d_l]` (Allik, Miller, Piovoso, Zurakowski 2016), sampled
+    time.
 
     Here for the two edges of a dead zone that are not known, with the spread of the prediction in
     the chances of the branches. Defaults as those of `ekf`.
@@ -45,7 +46,7 @@ class Tobit(JointAssumptions, frozen=True, kw_only=True, tag="tobit"):
         """Build the filter for a sampled model."""
         if sensor.kind == "jump":
             raise InputError(
-                "observer.method: 'tobit' takes a reading for what lies beyond an edge, and a jump "
+                "observer.method: 'tobit' takes a reading for the excess over an edge, but a jump "
                 "sensor reads z itself. Use 'censored'"
             )
         prior = build_joint_prior(self, model, sensor, DEFAULTS)
@@ -59,7 +60,7 @@ def correct_tobit(
 ) -> RobustUpdate:
     """Correct by the mean of the reading and by its slopes, averaged over the branches.
 
-    On each branch the reading is max(s, 0) of a normal s, whose moments are known; a reading at a
+    On each branch the reading is max(s, 0) of a normal s, whose moments are known. A reading at a
     limit bounds it.
     """
     n, p, i = model.n, model.p, sample.i

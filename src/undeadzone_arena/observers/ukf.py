@@ -1,4 +1,4 @@
-"""Unscented Kalman filter on [x; d_r; d_l]: 2 N + 1 points pass through the dead zone.
+"""Unscented Kalman filter on `[x; d_r; d_l]`: 2 N + 1 points pass through the dead zone.
 
 More in docs/methods/ukf.md.
 """
@@ -29,7 +29,7 @@ DEFAULTS = JointDefaults(noise=0.15, drift=0.1, x_std=0.5)
 
 
 class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
-    """Unscented Kalman filter on [x; d_r; d_l], Julier and Uhlmann (1997); sampled time.
+    """Unscented Kalman filter on `[x; d_r; d_l]`, Julier and Uhlmann (1997), sampled time.
 
     Weights of Wan and van der Merwe (2000). By default noise is at least 15 % of the range, drift
     10 % and x_std 50 % of the largest width.

@@ -38,19 +38,19 @@ class WalcottZak(Options, frozen=True, kw_only=True, tag="walcott_zak"):
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
         poles: poles of A - L C (n) [1/s], in place of L and speed.
-        speed: speed of A - L C [1/s], in place of L and poles; default ten times the fastest pole
-            of the plant.
-        rho: what the injection adds to e' at most, one or one per output [z/s]; default 5 times the
-            fastest pole, fit for z of order 1.
-        boundary: the layer in which the injection is linear, one or one per output [z]; fit for z
-            of order 1.
-        Q: weight of the Lyapunov equation, a number, one per state, or a matrix; default 1 in units
-            that make the states alike.
-        gamma: adaptation gain of the widths, one or one per output [1/s]; 0 with widths0 = 0 is the
-            classical observer, which takes the reading for the output.
+        speed: speed of A - L C [1/s], in place of L and poles (default ten times the fastest pole
+            of the plant).
+        rho: largest injection into e', one or one per output [z/s] (default 5 times the fastest
+            pole, fit for z of order 1).
+        boundary: the layer in which the injection is linear, one or one per output [z] (fit for z
+            of order 1).
+        Q: weight of the Lyapunov equation, a number, one per state, or a matrix (default 1 in units
+            that make the states alike).
+        gamma: adaptation gain of the widths, one or one per output [1/s] (0 with widths0 = 0 is the
+            classical observer, which takes the reading for the output).
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M per side, one or one per output [z]; the widths stay within [0, width_max];
-            default none.
+        width_max: d_M per side, one or one per output [z]. The widths stay within [0, width_max]
+            (default none).
     """
 
     L: Array | None = None
@@ -95,7 +95,7 @@ class SlidingLaw(NamedTuple):
 
     Attributes:
         G: direction (n x p).
-        rho: what the injection adds at most (p), per step when sampled.
+        rho: largest injection (p), per step when sampled.
         boundary: the layer in which it is linear (p) [z].
     """
 
@@ -129,7 +129,7 @@ def sliding_direction(model: System, L: Floats, Q: Array | None) -> Floats:
     Args:
         model: the model, continuous or sampled.
         L: gain (n x p), per step when the model is sampled.
-        Q: weight of the Lyapunov equation; None: 1 in units that make the states alike.
+        Q: weight of the Lyapunov equation (None: 1 in units that make the states alike).
 
     Raises:
         InputError, ShapeError: for another weight.

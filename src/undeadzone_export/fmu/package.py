@@ -51,9 +51,9 @@ class FmuVariable(NamedTuple):
     Attributes:
         name: as importers show it.
         causality: "input", "output" or "parameter".
-        meaning: what it is.
-        unit: its unit; empty: it has none.
-        start: its value at first; None for outputs, which are calculated.
+        meaning: its meaning.
+        unit: its unit (empty: it has none).
+        start: its value at first (None for outputs, which are calculated).
         is_flag: whether it is a Boolean.
     """
 
@@ -117,7 +117,7 @@ def model_description(
     """Return the text of modelDescription.xml.
 
     Args:
-        report: what the manifest holds.
+        report: content of the manifest.
         listed: the variables, in the order of their references.
         sources: names of the C files to be compiled.
         version: of FMI, 2 or 3.
@@ -275,9 +275,9 @@ def build_fmu(
     """Build the FMU and return its bytes.
 
     Args:
-        printed: what was printed.
+        printed: the printed nodes.
         files: the C files by name.
-        report: what the manifest holds.
+        report: content of the manifest.
         units: names of the scenario's units.
         version: of FMI, 2 or 3.
 
@@ -311,7 +311,7 @@ def _model_header(printed: Code, report: dict[str, Any], version: int) -> str:
         "readings": step.readings,
         "outputs": total_size(step.outputs),
         "params": total_size(step.params),
-        "real": printed.real,
+        "real": printed.c_type,
     }
     return fill_template("templates/fmu_model.h", words)
 

@@ -171,11 +171,11 @@ def write_live_page(scenario: Scenario, out: Path, force: bool = False) -> dict[
 
     Args:
         scenario: a linear scenario, sampled or continuous.
-        out: the HTML file; an earlier page there is replaced.
+        out: the HTML file. An earlier page there is replaced.
         force: whether any file there is.
 
     Returns:
-        What the page costs.
+        Size and cost of the page.
 
     Raises:
         InputError: a scenario that the page cannot show.

@@ -79,7 +79,7 @@ def build_sliders(problem: Problem, loop: Loop, sizes: Floats) -> list[Slider]:
     Args:
         problem: the checked parts of the scenario.
         loop: its closed loop.
-        sizes: largest |z| that the reference asks for (p) [z].
+        sizes: largest |z| of the reference (p) [z].
     """
     scenario = problem.scenario
     made = _breakpoint_sliders(problem, loop, sizes)
@@ -199,7 +199,7 @@ def _key_sliders(problem: Problem, loop: Loop, wanted: Slider, change: Change) -
     Args:
         problem: the checked parts of the scenario.
         loop: its closed loop.
-        wanted: what the slider may take.
+        wanted: wanted range of the slider.
         change: gives the scenario with a value of the key.
     """
     for least in (wanted.least, wanted.most / TICKS):  # 0 may be another kind of scenario
@@ -234,7 +234,7 @@ def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> 
 
     Return None if the key does more than move numbers by polynomials of degree two.
 
-    None where it does more than move them by polynomials of degree two.
+    None if it does more than move them by polynomials of degree two.
     """
     between = 0.37 * wanted.least + 0.63 * wanted.most
     points = np.array([wanted.least, wanted.most, between])

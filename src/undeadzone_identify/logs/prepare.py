@@ -48,12 +48,12 @@ def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
     ok &= ~_flag_dropouts(grid, ok, remarks)
     ok &= ~_flag_stuck(grid, ok, remarks)
     ends = range_ends(grid.y, ok, grid.quantum)
-    at = ends.at(grid.y, ok)
+    at = ends.find_readings_at_ends(grid.y, ok)
     visits = [bounds_of_runs(at & side)[0].size for side in (grid.y > 0, grid.y < 0)]
     if not ends.has_ends or max(visits) < VISITS:
         return ok, RangeEnds(-np.inf, np.inf, 0)
     remarks.append(
-        f"{ends.number} readings stick at the ends of the range {ends.text}: there they "
+        f"{ends.number} readings stick at the ends of the range {ends.range_text}: there they "
         "only bound the output, and are taken as missing"
     )
     between = ok & ~at
@@ -221,7 +221,7 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
     u, y = grid.u / u_scale, y / y_scale
     data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
-    stuck, quantum = ends.text if ends.has_ends else "", grid.quantum / y_scale
+    stuck, quantum = ends.range_text if ends.has_ends else "", grid.quantum / y_scale
     if options.kind == "jump":
         data, limits, jumps = to_dead_zone_data(data, options)
         return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, jumps)

@@ -150,8 +150,8 @@ class ChainModel:
     def _simulate(self, theta: Floats) -> Floats:
         """Return z of any numbers (N)."""
         layout, u = self.simulator.layout, self.simulator.data.u[:, 0]
-        numerator = np.append(0.0, theta[layout.b])
-        denominator = layout.full_denominator(theta[layout.a])
+        numerator = np.append(0.0, theta[layout.numerators])
+        denominator = layout.full_denominator(theta[layout.denominator])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(u.size)
         for part, start in zip(self.simulator.data.record_slices(), starts, strict=True):
@@ -193,7 +193,7 @@ class ChainModel:
             )
         return y, rows
 
-    def word(self, theta: Floats) -> str:
+    def class_word(self, theta: Floats) -> str:
         """Return the verdict's word for what is there: an element that vanishes is not.
 
         Args:
@@ -285,7 +285,7 @@ def fit_chains(
         LeastSquares(filtered).fit_from_starts([np.concatenate([zoned, widths, f]) for f in taps])
     )
     there = [one for one in fits if one is not None]
-    return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
+    return best_of_each((one.model.class_word(one.theta), one.density.bic, one) for one in there)
 
 
 def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
@@ -336,7 +336,7 @@ def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) 
         passed = data._replace(u=(v / scale)[:, None], climbs=None)
         fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
-        theta[layout.b] /= scale
+        theta[layout.numerators] /= scale
         found.append(Begun(fit.bic, np.append(theta, numbers)))
     return sorted(found, key=lambda one: one.cost)[:most]
 

@@ -191,7 +191,7 @@ def _start_point(
 ) -> Floats:
     """Return a start point from a plant, the factor of its gain, and the element's parameters."""
     theta = np.append(plant.theta[: model.base], p)
-    theta[model.simulator.layout.b] *= gain
+    theta[model.simulator.layout.numerators] *= gain
     return theta
 
 
@@ -287,7 +287,7 @@ class MapModel:
         """Restrict the widths of the input's zone to 0 or above; other parameters are
         free.
         """
-        widths = self.simulator.layout.input
+        widths = self.simulator.layout.input_widths
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
@@ -383,7 +383,7 @@ def _start_maps(fit: ZoneFit) -> list[Begun]:
         ("other", cubic_map, [(plain, 1.0, [0.0, 0.0])]),
     ]
     jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
-    blurs = [max(part * fit.s, LEAST_BLUR) for part in BLURS]
+    blurs = [max(part * fit.disturbance_rms, LEAST_BLUR) for part in BLURS]
     for blur in [BLUR_BEHIND] if is_behind else blurs:
         maps.append(("jump", partial(noisy_jump_map, blur), jumps))
         if not is_behind:

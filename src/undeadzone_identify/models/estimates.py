@@ -100,12 +100,12 @@ class CachedMaxima:
         self._count += 1
         question = [self._count, array_digest(start)]
 
-        def answer(missing: list[int]) -> Iterator[tuple[int, Any]]:
+        def yield_maximum(missing: list[int]) -> Iterator[tuple[int, Any]]:
             """Yield the computed maximum as an answer of the cache."""
             top = compute()
             yield 0, [top.theta.tolist(), float(top.value)]
 
-        theta, value = self._answers.compute_missing([question], answer)[0]
+        theta, value = self._answers.compute_missing([question], yield_maximum)[0]
         return Maximum(np.array(theta), value)
 
 
@@ -280,7 +280,7 @@ class Interval(NamedTuple):
         return Interval(self.value, self.low - below, self.high + above)
 
     @property
-    def half(self) -> float:
+    def half_width(self) -> float:
         """Return half the width of the interval."""
         return 0.5 * (self.high - self.low)
 

@@ -186,7 +186,7 @@ class KalmanObjective:
         self.model = model
         self.limits = limits
         self.climbs = data.climbs
-        self.log_q, self.lane_q = layout.b.stop, layout.n * (1 + layout.m)
+        self.log_q, self.lane_q = layout.numerators.stop, layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
@@ -209,7 +209,7 @@ class KalmanObjective:
             return False
         if self.model and abs(p[-1]) > 4:
             return False
-        poles = polynomial_roots(p[self.layout.a])
+        poles = polynomial_roots(p[self.layout.denominator])
         return bool(np.abs(poles).max(initial=0.0) < 1 - 1e-4)
 
     def lane_numbers(self, p: Floats) -> Floats:
@@ -221,8 +221,8 @@ class KalmanObjective:
         phi = math.tanh(p[-1]) if self.model else 0.0
         at_first = q * q / max(1 - phi * phi, 1e-4)
         tail = [q * q, r * r, right, left, phi, 5.0, at_first]
-        a = self.layout.full_denominator(p[self.layout.a])[1:]
-        return np.concatenate([a, p[self.layout.b], tail])
+        a = self.layout.full_denominator(p[self.layout.denominator])[1:]
+        return np.concatenate([a, p[self.layout.numerators], tail])
 
     def log_densities(self, points: Floats) -> Floats:
         """Return log densities of the samples (points x N) for several parameter sets
@@ -274,11 +274,13 @@ class KalmanObjective:
         """
         p = np.zeros(self.size)
         p[: self.log_q] = fit.theta[: self.log_q]
-        disturbance = math.sqrt(share) * fit.s
-        white = max(math.sqrt(1 - share) * fit.s, 2 * QUIETEST)
+        disturbance = math.sqrt(share) * fit.disturbance_rms
+        white = max(math.sqrt(1 - share) * fit.disturbance_rms, 2 * QUIETEST)
         phi = min(max(fit.rho, 0.5), 0.99)
         colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
-        gain = math.sqrt(input_noise_gain(p[layout.a], p[layout.b], layout.n, colour))
+        gain = math.sqrt(
+            input_noise_gain(p[layout.denominator], p[layout.numerators], layout.n, colour)
+        )
         root = math.sqrt(1 - phi * phi)
         if self.model == AT_OUTPUT:
             log_q = math.log(disturbance * root)

@@ -336,12 +336,14 @@ def to_moving_plant(
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout
-    numbers = ca.DM(np.append(layout.full_denominator(theta[layout.a])[1:], theta[layout.b]))
+    numbers = ca.DM(
+        np.append(layout.full_denominator(theta[layout.denominator])[1:], theta[layout.numerators])
+    )
     F, B, G, H = (
         part.full() for part in observer_form_matrices(layout.n, layout.m, WHITE, numbers)
     )
     power = 1.0
     if not layout.integrators:
-        power = input_noise_gain(theta[layout.a], theta[layout.b], layout.n, 0.0)
+        power = input_noise_gain(theta[layout.denominator], theta[layout.numerators], layout.n, 0.0)
     q = max(rms, FAINTEST) / math.sqrt(max(power, 1e-9))
     return MovingPlant(F, B, H[0], q**2 * G, AT_FIRST**2 * np.eye(layout.n), max(noise, FAINTEST))

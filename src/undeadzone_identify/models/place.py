@@ -289,7 +289,7 @@ class PlaceStarts:
         begun = [(self.plant, size) for size in sizes]
         for level in (0.3, 0.8):
             plant = self.plain.copy()
-            plant[self.simulator.layout.b] *= 1 + 0.5 * level
+            plant[self.simulator.layout.numerators] *= 1 + 0.5 * level
             begun.append((plant, np.full(2, level)))
         return begun
 
@@ -385,7 +385,7 @@ class InputZoneFit(NamedTuple):
 
         The half is the widest of the stages', and by how much these differ is added to it.
         """
-        first, values, halves = self.fit.model.simulator.layout.input.start, [], []
+        first, values, halves = self.fit.model.simulator.layout.input_widths.start, [], []
         for target, theta in self.stages:
             row = weight_row(target.free, theta.size, first, weights)
             halves.append(target.robust_covariance(theta).half_and_degrees(row))
@@ -456,9 +456,12 @@ def _starts_between_zones(
     """Return start points: a linear plant of raised gain between zones of several sizes."""
     layout, begun = objective.layout, list[Floats]()
     for gain, size in LOUDER:
-        theta = np.zeros(layout.size)
-        theta[layout.a], theta[layout.b] = plain.theta[layout.a], gain * plain.theta[layout.b]
-        theta[layout.input] = size * known.model.part_numbers(known.theta, "input")
+        theta = np.zeros(layout.parameter_count)
+        theta[layout.denominator], theta[layout.numerators] = (
+            plain.theta[layout.denominator],
+            gain * plain.theta[layout.numerators],
+        )
+        theta[layout.input_widths] = size * known.model.part_numbers(known.theta, "input")
         sensor = size * known.model.part_numbers(known.theta, "sensor")
         theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
         begun.append(theta)

@@ -175,29 +175,29 @@ class Layout:
     zoned: bool = False
 
     @cached_property
-    def a(self) -> slice:
+    def denominator(self) -> slice:
         """Return the places of the denominator's free coefficients a_1, a_2, ..."""
         return slice(0, self.n - self.integrators)
 
     @cached_property
-    def b(self) -> slice:
+    def numerators(self) -> slice:
         """Return the places of the numerators, input by input."""
-        return slice(self.a.stop, self.a.stop + self.n * self.m)
+        return slice(self.denominator.stop, self.denominator.stop + self.n * self.m)
 
     @cached_property
     def x0(self) -> slice:
         """Return the places of the initial states, record by record."""
-        return slice(self.b.stop, self.b.stop + self.n * self.records)
+        return slice(self.numerators.stop, self.numerators.stop + self.n * self.records)
 
     @cached_property
-    def input(self) -> slice:
+    def input_widths(self) -> slice:
         """Return the places of the widths of the input's zone; empty without a zone."""
         return slice(self.x0.stop, self.x0.stop + 2 * self.zoned)
 
     @cached_property
     def right(self) -> int:
         """Return the place of d_r; d_l, log s and atanh rho follow."""
-        return self.input.stop
+        return self.input_widths.stop
 
     def full_denominator(self, a: Floats) -> Floats:
         """Return the coefficients 1, a_1 to a_n of the denominator, integrators included
@@ -209,7 +209,7 @@ class Layout:
         return whole
 
     @cached_property
-    def size(self) -> int:
+    def parameter_count(self) -> int:
         """Return the number of parameters in theta."""
         return self.right + 4
 
@@ -221,7 +221,7 @@ class Layout:
             theta: a, b, x0, and what follows.
         """
         x0 = np.zeros(self.n * self.records)
-        return np.concatenate([theta[: other.b.stop], x0, theta[other.x0.stop :]])
+        return np.concatenate([theta[: other.numerators.stop], x0, theta[other.x0.stop :]])
 
 
 class PlantSimulator:
@@ -256,7 +256,7 @@ class PlantSimulator:
 
     def pass_inputs(self, theta: Floats) -> Floats:
         """Return the inputs after their dead zone (N x m)."""
-        u, zone = self.data.u, theta[self.layout.input]
+        u, zone = self.data.u, theta[self.layout.input_widths]
         return dead_zone(u, *zone) if self.layout.zoned else u
 
     def simulate_z(self, theta: Floats) -> Floats:
@@ -267,10 +267,10 @@ class PlantSimulator:
     def _simulate_plant(self, theta: Floats) -> Floats:
         """Simulate z (N) for the plant's parameters; the latest result is cached."""
         layout = self.layout
-        denominator = layout.full_denominator(theta[layout.a])
+        denominator = layout.full_denominator(theta[layout.denominator])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         lagged = self._lag_inputs(self.pass_inputs(theta)) if layout.zoned else self.lagged
-        z = lagged @ theta[layout.b]  # what drives it, at first
+        z = lagged @ theta[layout.numerators]  # what drives it, at first
         for part, state in zip(self.records, x0, strict=True):
             own = z[part]
             own[: layout.n] += state[: own.size]
@@ -284,34 +284,36 @@ class PlantSimulator:
         """
         layout = self.layout
         n = layout.n
-        whole, u = layout.full_denominator(theta[layout.a]), self.pass_inputs(theta)
-        slopes = np.zeros((z.size, layout.size))
+        whole, u = layout.full_denominator(theta[layout.denominator]), self.pass_inputs(theta)
+        slopes = np.zeros((z.size, layout.parameter_count))
         for r, part in enumerate(self.records):
             size = part.stop - part.start
-            by_a = lfilter([1.0], np.append(1.0, theta[layout.a]), z[part])
+            by_a = lfilter([1.0], np.append(1.0, theta[layout.denominator]), z[part])
             sources = np.column_stack([u[part], np.eye(size, 1)])
             filtered = lfilter([1.0], whole, sources, axis=0)
             own = slopes[part]
-            for i in range(layout.a.stop):
+            for i in range(layout.denominator.stop):
                 own[i + 1 :, i] = -by_a[: size - 1 - i]
             for i in range(n):
                 own[i:, layout.x0.start + n * r + i] = filtered[: size - i, -1]
-                own[i + 1 :, layout.b.start + i : layout.b.stop : n] = filtered[: size - 1 - i, :-1]
+                own[i + 1 :, layout.numerators.start + i : layout.numerators.stop : n] = filtered[
+                    : size - 1 - i, :-1
+                ]
             if layout.zoned:
                 moved = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
-                gain = np.append(0.0, theta[layout.b])
-                own[:, layout.input] = lfilter(gain, whole, moved, axis=0)
+                gain = np.append(0.0, theta[layout.numerators])
+                own[:, layout.input_widths] = lfilter(gain, whole, moved, axis=0)
         return slopes
 
     def dc_gain(self, theta: Floats) -> Floats:
         """Return the DC gain from each input to z (m); with integrators, to their input."""
         layout = self.layout
-        numerators = theta[layout.b].reshape(layout.m, layout.n)
-        return numerators.sum(axis=1) / (1 + theta[layout.a].sum())
+        numerators = theta[layout.numerators].reshape(layout.m, layout.n)
+        return numerators.sum(axis=1) / (1 + theta[layout.denominator].sum())
 
     def plant_poles(self, theta: Floats) -> Any:
         """Return the poles of the sampled plant (n), complex; integrators last."""
-        moving = polynomial_roots(theta[self.layout.a])
+        moving = polynomial_roots(theta[self.layout.denominator])
         return np.append(moving, np.ones(self.layout.integrators))
 
     def has_settling_poles(self, theta: Floats, margin: float = 1.0) -> bool:
@@ -320,7 +322,7 @@ class PlantSimulator:
         """
         if not np.isfinite(theta).all():
             return False
-        for pole in polynomial_roots(theta[self.layout.a]).tolist():
+        for pole in polynomial_roots(theta[self.layout.denominator]).tolist():
             slow = abs(cmath.phase(pole)) < 4 * math.pi / self.longest
             if not abs(pole) < 1 - margin * (SLOW if slow else RINGING) / self.longest:
                 return False
@@ -332,7 +334,7 @@ class PlantSimulator:
 
     def settling_constants(self, theta: Floats) -> float:
         """Return the time constants of the slowest pole within the longest record [1]."""
-        slowest = np.abs(polynomial_roots(theta[self.layout.a])).max(initial=1e-300)
+        slowest = np.abs(polynomial_roots(theta[self.layout.denominator])).max(initial=1e-300)
         return float(-np.log(slowest) * self.longest)
 
 
@@ -427,8 +429,8 @@ def first_order_noise(runs: int, size: int, phi: float) -> Floats:
 
 def plant_response(layout: Layout, plant: Floats, noise: Floats) -> Floats:
     """Return the plant's response to noise at its first input (runs x size), settled."""
-    numerator = np.append(0.0, plant[layout.b][: layout.n])
-    denominator = layout.full_denominator(plant[layout.a])
+    numerator = np.append(0.0, plant[layout.numerators][: layout.n])
+    denominator = layout.full_denominator(plant[layout.denominator])
     return np.asarray(lfilter(numerator, denominator, noise, axis=1))[:, SETTLED:]
 
 

@@ -119,7 +119,7 @@ def _own_half_intervals(fit: PlayFit) -> dict[str, float]:
 
 def _uncorrected_gap(fit: PlayFit, noise: float) -> PlayGap:
     """Return the parameters of the fit with intervals by (I1)."""
-    count = fit.model.simulator.layout.b.stop
+    count = fit.model.simulator.layout.numerators.stop
     V = fit.squares.robust_covariance(fit.theta).V[:count, :count]
     intervals = _gap_intervals(fit.theta, fit.model, _own_half_intervals(fit))
     return PlayGap(fit, fit.theta, intervals, V, None, noise, True)
@@ -145,7 +145,7 @@ def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop:
         apart = float(weights @ (simulated.theta - theta))
         halves[name] = math.hypot(own, float(weights @ (moved - theta)), apart)
     intervals = _gap_intervals(moved, model, halves)
-    count = model.simulator.layout.b.stop
+    count = model.simulator.layout.numerators.stop
     most = STRONGEST_OF_BOTH if model.zone else STRONGEST
     return PlayGap(fit, moved, intervals, scatter[:count, :count], ahead, noise, ahead.rms < most)
 

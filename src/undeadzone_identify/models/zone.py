@@ -75,7 +75,7 @@ class ZoneObjective:
     def _constant_places(self) -> Flags:
         """Return the flags of constant parameters in theta (P)."""
         right = self.layout.right
-        fixed = np.zeros(self.layout.size, bool)
+        fixed = np.zeros(self.layout.parameter_count, bool)
         fixed[right] = self.limits.right[0] == self.limits.right[1]
         fixed[right + 1] = not self.limits.zone or self.limits.left[0] == self.limits.left[1]
         fixed[right + 1] |= self.limits.tied
@@ -128,7 +128,7 @@ class ZoneObjective:
         """Restrict the widths of a trial to their limits."""
         widths = slice(self.layout.right, self.layout.right + 2)
         theta[widths] = self.limits.clip_widths(*theta[widths])
-        theta[self.layout.input] = np.maximum(theta[self.layout.input], 0.0)
+        theta[self.layout.input_widths] = np.maximum(theta[self.layout.input_widths], 0.0)
         return theta
 
     def sample_scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
@@ -145,7 +145,7 @@ class ZoneObjective:
         scores[0, self.layout.x0] -= self.x0_weight * theta[self.layout.x0]
         if self.limits.tied:
             scores[:, right] += scores[:, right + 1]
-        fixed = np.ones(self.layout.size, bool)
+        fixed = np.ones(self.layout.parameter_count, bool)
         fixed[self.free] = False
         scores[:, fixed] = 0.0
         return terms.value, scores, slope
@@ -247,7 +247,7 @@ class ZoneObjective:
         """Return the row of weights of d_r and d_l over the free parameters; (1, 1) for
         the width.
         """
-        size, first = self.layout.size, self.layout.right
+        size, first = self.layout.parameter_count, self.layout.right
         return estimates.weight_row(self.free, size, first, (right, left), self.limits.tied)
 
     def unexplained_readings(self, theta: Floats) -> Floats:

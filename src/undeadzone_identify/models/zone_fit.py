@@ -60,7 +60,7 @@ class ZoneFit(NamedTuple):
         return self.right + self.left
 
     @property
-    def s(self) -> float:
+    def disturbance_rms(self) -> float:
         """Return the rms of the disturbance of z, scaled."""
         return math.exp(float(self.theta[self.objective.layout.right + 2]))
 
@@ -78,7 +78,7 @@ class ZoneFit(NamedTuple):
 
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y given z] (N): the zone's characteristic, rounded by noise ahead."""
-    z, right, left, s = fit.z, fit.right, fit.left, fit.s
+    z, right, left, s = fit.z, fit.right, fit.left, fit.disturbance_rms
     if not fit.objective.limits.zone:
         return z - right
     if fit.objective.kind == "behind":
@@ -133,9 +133,9 @@ def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
 
 def remove_odd_poles(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
     """Remove the least real poles, or the least of all, from a fit; return its parameters."""
-    poles = polynomial_roots(fit.theta[fit.objective.layout.a]).astype(complex)
+    poles = polynomial_roots(fit.theta[fit.objective.layout.denominator]).astype(complex)
     order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
-    kept = poles[order[poles.size - simulator.layout.a.stop :]]
+    kept = poles[order[poles.size - simulator.layout.denominator.stop :]]
     return nearest_numbers(fit, simulator, np.atleast_1d(np.real(np.poly(kept)))[1:])
 
 
@@ -149,13 +149,13 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
         a: the poles' coefficients.
     """
     layout = simulator.layout
-    theta = np.zeros(layout.size)
-    theta[layout.a], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
-    linear = slice(layout.b.start, layout.x0.stop)  # z is linear in b and x(0)
+    theta = np.zeros(layout.parameter_count)
+    theta[layout.denominator], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
+    linear = slice(layout.numerators.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
     missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
-    theta[layout.right + 2] = 0.5 * math.log(fit.s**2 + missed)
+    theta[layout.right + 2] = 0.5 * math.log(fit.disturbance_rms**2 + missed)
     return theta
 
 
@@ -185,10 +185,10 @@ def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
     """Fit the output error without a zone, about a level: y = z - d_r."""
     level = (0.0, 0.0) if simulator.layout.integrators else (-math.inf, math.inf)
     objective = ZoneObjective(simulator, "behind", WidthLimits(right=level, zone=False), use)
-    theta: Floats = np.zeros(objective.layout.size)
+    theta: Floats = np.zeros(objective.layout.parameter_count)
     a, b, _ = fit_arx(simulator, None, use)
-    theta[objective.layout.a] = stabilise_poles(a)
-    theta[objective.layout.b] = b
+    theta[objective.layout.denominator] = stabilise_poles(a)
+    theta[objective.layout.numerators] = b
     if simulator.layout.integrators and a.size:
         theta = _of_slow_poles(objective, theta)
     above = simulator.simulate_z(theta) - simulator.data.y
@@ -216,12 +216,12 @@ def _of_slow_poles(objective: ZoneObjective, begun: Floats) -> Floats:
 
     best: Floats = begun
     least = left(begun)
-    linear = slice(layout.b.start, layout.x0.stop)
+    linear = slice(layout.numerators.start, layout.x0.stop)
     for share in SLOWEST:
         pole = math.exp(-1 / (share * simulator.longest))
-        poles = pole ** (4.0 ** np.arange(layout.a.stop))
+        poles = pole ** (4.0 ** np.arange(layout.denominator.stop))
         theta = begun.copy()
-        theta[layout.a] = np.real(np.poly(poles))[1:]
+        theta[layout.denominator] = np.real(np.poly(poles))[1:]
         columns = simulator.z_gradient(theta, simulator.simulate_z(theta))[:, linear]
         theta[linear] = np.linalg.lstsq(columns[use], y[use], rcond=1e-10)[0]
         if simulator.has_settling_poles(theta) and left(theta) < least:
@@ -257,7 +257,7 @@ def zone_starts(objective: ZoneObjective) -> list[Floats]:
     of_silence = float(np.quantile(np.abs(linear.z), silent))
     for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):
         theta = linear.theta.copy()
-        theta[layout.b] *= 1 + 0.9 * share
+        theta[layout.numerators] *= 1 + 0.9 * share
         theta[layout.right : layout.right + 2] = widths_about_level(linear, share)
         theta[layout.right + 2] = math.log(0.4)
         theta[layout.right + 3] = 0.0
@@ -283,9 +283,9 @@ def start_by_branch(objective: ZoneObjective) -> Floats | None:
         return None
     width = np.clip((levels[1] - levels[0]) / total, 0.02, 6.0)
     shift = (levels[1] + levels[0]) / total / 2
-    theta = np.zeros(layout.size)
-    theta[layout.a] = stabilise_poles(a)
-    theta[layout.b] = b
+    theta = np.zeros(layout.parameter_count)
+    theta[layout.denominator] = stabilise_poles(a)
+    theta[layout.numerators] = b
     theta[layout.right] = max(width / 2 - shift, 0.02)
     theta[layout.right + 1] = max(width / 2 + shift, 0.02)
     theta[layout.right + 2] = math.log(0.2)
@@ -307,7 +307,7 @@ def fit_arx(
         a (n), b (m n), and the constants of right and left; None where too few runs speak.
     """
     data, layout = simulator.data, simulator.layout
-    n, free = layout.n, layout.a.stop
+    n, free = layout.n, layout.denominator.stop
     good = data.ok if use is None else data.ok & use
     y = data.y
     for _ in range(layout.integrators):

@@ -64,7 +64,7 @@ class NextLog(NamedTuple):
     heads: tuple[str, ...]
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """Return the signal and its expected gain in words."""
         if self.left is None:
             gain = f"{self.what}: {self.nats:.3g} nats apart"
@@ -73,7 +73,7 @@ class NextLog(NamedTuple):
         return f"{self.name} from rest, {self.t[-1]:.4g} s; {gain}"
 
     @property
-    def table(self) -> str:
+    def input_table(self) -> str:
         """Return the input as CSV text."""
         rows = [",".join(self.heads)]
         for t, u in zip(self.t.tolist(), self.u.tolist(), strict=True):
@@ -115,7 +115,7 @@ class ModelAccount(NamedTuple):
         model, x0 = self.model, self.model.simulator.layout.x0
         first, size = model.base, self.theta.size
         if isinstance(model, MapModel) and model.shape is identity_map:
-            first = model.simulator.layout.input.start
+            first = model.simulator.layout.input_widths.start
         tied = isinstance(model, PlayModel) and model.tied
         row = weight_row(model.free, size, first, DIRECTIONS[name], tied)
         return row[(model.free < x0.start) | (model.free >= x0.stop)]

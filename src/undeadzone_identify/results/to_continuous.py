@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import logm
 
 from undeadzone.errors import InputError
+from undeadzone.linalg.hold import undo_zoh
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.plant import Layout
@@ -34,7 +34,7 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
     form.
 
     Args:
-        a, b, layout: as for `sampled_matrices`.
+        a, b, layout: as for `observer_matrices`.
         step: sample time [s].
 
     Returns:
@@ -44,25 +44,10 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
         InputError: a pole that no plant in continuous time has: negative and real, or a delay.
     """
     sampled = observer_matrices(a, b, layout)
-    n = layout.n
-    poles = np.linalg.eigvals(sampled.A)
-    real = np.abs(poles.imag) < 1e-9 * np.maximum(np.abs(poles), 1e-12)
-    if np.any(np.abs(poles) < 1e-6):
-        raise InputError(
-            "plant: a sampled pole lies at 0, a delay, which a plant in continuous time with these"
-            " states does not have. Try another --order"
-        )
-    if np.any(real & (poles.real < 0)):
-        worst = float(poles[real & (poles.real < 0)][0].real)
-        raise InputError(
-            f"plant: a sampled pole lies at {worst:.3g}, and no plant in continuous time has a"
-            " negative real one. Try another --order, or sample faster"
-        )
-    block = np.zeros((n + layout.m, n + layout.m))
-    block[:n, :n], block[:n, n:] = sampled.A, sampled.B
-    block[n:, n:] = np.eye(layout.m)
-    both = np.real(logm(block)) / step
-    A, B, C = both[:n, :n], both[:n, n:], sampled.C
+    try:
+        A, B, C = undo_zoh(sampled, step)
+    except InputError as error:
+        raise InputError(f"{error}. Try another --order, or sample faster") from None
     polynomial = _characteristic_polynomial(A, layout.integrators)
     if layout.m == 1:
         return _controller_companion(A, B, C, polynomial)

@@ -16,9 +16,11 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.selection.decision import MODELS
+from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
+from undeadzone_identify.selection.decision import MODELS, VALVE
 from undeadzone_identify.selection.location import input_levels_of
 from undeadzone_identify.selection.odds import nats_behind_best
+from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.servo.likelihood import At
 
 WITHOUT_GAP = ("none", "friction")  # words of a servo whose gap is excluded
@@ -127,6 +129,9 @@ HEADS = {  # what was found, before its numbers
     "other": "Another nonlinearity",
     "undecided": "Undecided",
     "unclear": "Nothing can be said",
+    "stiction": "The valve sticks",
+    "external": "An oscillation from outside",
+    "tight_tuning": "The loop is tuned too tightly",
 }
 OPEN = ("operating_point", "undecided", "unclear")  # words that name nothing
 SHORT = {
@@ -138,6 +143,8 @@ SHORT = {
     "input_curve": "curve of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor and filter",
+    "external": "from outside",
+    "tight_tuning": "tight tuning",
 }
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
@@ -180,6 +187,9 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
         "servo": servo_numbers(answer),
+        "loop": None
+        if answer.found.valve is None
+        else loop_numbers(answer.found.valve, grid.step, answer.scale),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,
@@ -268,10 +278,10 @@ def headline(answer: Answer) -> str:
         answer: what a log says.
     """
     grid, word = answer.case.grid, answer.verdict
-    at_input = word in ("input_zone", "input_play", "friction")
+    at_input = word in ("input_zone", "friction", *VALVE)
     unit = unit_suffix(grid.input_unit if at_input else grid.output_unit)
     sides = [one for one in (answer.right, answer.left) if one is not None]
-    shown = [answer.width] if word in ("play", "both", "input_play") or not sides else sides
+    shown = [answer.width] if word in ("play", "both", *VALVE) or not sides else sides
     shown = [answer.found.friction] if word == "friction" else shown
     texts = [describe_interval(one, unit) for one in shown if one is not None]
     return ": ".join([HEADS[word], *([" / ".join(texts)] if texts else [])])
@@ -294,6 +304,8 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         lines["odds"] = describe_probabilities(answer)
     unit = unit_suffix(answer.case.grid.output_unit)
     lines |= _describe_widths(answer)
+    if answer.found.valve is not None:
+        lines |= _describe_valve(answer, answer.found.valve)
     if answer.found.friction is not None:
         of_input = unit_suffix(answer.case.grid.input_unit)
         lines["friction"] = f"{describe_interval(answer.found.friction, of_input)}, of the motor"
@@ -311,7 +323,7 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", unit_suffix(grid.output_unit)
-    if answer.verdict == "input_play":
+    if answer.verdict in VALVE:
         letter, unit = "c", unit_suffix(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
@@ -323,6 +335,8 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         if interval is None:
             continue
         title = _width_title(letter, name).removeprefix("d ")
+        if answer.found.valve is not None:
+            title = "S"
         lines[title] = describe_interval(interval, unit)
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
@@ -336,6 +350,14 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
     if element is not None and answer.found.offsets is not None:
         lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
+
+
+def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
+    """Describe S and J of a valve, and the shape of PV over OP."""
+    unit, lines = unit_suffix(answer.case.grid.input_unit), {}
+    if answer.verdict == "stiction":
+        lines["J"] = describe_interval(valve.jump, unit)
+    return lines | {"loop": shape_in_words(valve, answer.case.grid)}
 
 
 def _width_title(letter: str, name: str) -> str:
@@ -462,6 +484,9 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
+    if answer.found.valve is not None:
+        less = 100 * (1 - chosen.error / answer.found.valve.without)
+        share += f", one sample ahead ({less:.1f} % less than without the valve)"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
         f" fit {100 * chosen.share:.1f} %, one-step residual {white}"

@@ -195,9 +195,9 @@ def _late(signal: Floats, lag: int) -> Floats:
 def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:
     """Return what the plant makes of columns at its first input (N x K)."""
     layout, theta = fit.model.simulator.layout, fit.theta
-    numerator = np.append(0.0, theta[layout.b][: layout.n])
+    numerator = np.append(0.0, theta[layout.numerators][: layout.n])
     out = np.empty_like(columns)
     for part in fit.model.simulator.data.record_slices():
-        denominator = layout.full_denominator(theta[layout.a])
+        denominator = layout.full_denominator(theta[layout.denominator])
         out[part] = lfilter(numerator, denominator, columns[part], axis=0)
     return out

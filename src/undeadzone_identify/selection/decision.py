@@ -38,6 +38,8 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
 CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
+VALVE = ("stiction", "input_play")  # words of a valve's fault
+LOOP = (*VALVE, "external", "tight_tuning")  # words of why a loop swings: models/valve.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
@@ -83,6 +85,9 @@ MODELS = {
     "input_curve": "a smooth curve of the input",
     "input_play": "play between input and plant",
     "filtered_zone": "a dead zone of the sensor with a filter behind it",
+    "stiction": "a valve that sticks",
+    "external": "an oscillation from outside",
+    "tight_tuning": "a loop that is tuned too tightly",
 }
 
 
@@ -118,7 +123,7 @@ class Case(NamedTuple):
     servo: ServoGap | None = None
 
     @property
-    def data(self) -> RecordData:
+    def record_data(self) -> RecordData:
         """Return the records as fitted."""
         return self.fitted.prepared.data
 
@@ -143,7 +148,7 @@ class Case(NamedTuple):
     def offset_prior(self) -> float | None:
         """Return the prior rms of an output offset, scaled; None if free."""
         rms = self.options.parse_offset_rms()
-        return None if rms is None else rms / self.data.y_scale
+        return None if rms is None else rms / self.record_data.y_scale
 
 
 class Verdict(NamedTuple):
@@ -194,7 +199,7 @@ def detect_feedback(case: Case) -> Feedback:
     chance = orders.loop_p_value(case.chosen.pairs, case.recorded.u) if case.chosen.white else 1.0
     known = grid.r[np.isfinite(grid.r)]
     if known.size and np.ptp(known) > 0:
-        share = orders.feedback_share(grid.u, grid.y, case.data.ok, grid.r, grid.start)[0]
+        share = orders.feedback_share(grid.u, grid.y, case.record_data.ok, grid.r, grid.start)[0]
     return Feedback(chance, share)
 
 
@@ -249,7 +254,7 @@ def _verdict_at_range_ends(case: Case, word: str, odds: dict[str, float]) -> Ver
     None.
     """
     ends, clipped = case.fitted.prepared.ends, odds.get("none", 0.0) + odds.get("saturation", 0.0)
-    mostly = bool(ends) and case.data.ok.sum() < MOSTLY * case.grid.ok.sum()
+    mostly = bool(ends) and case.record_data.ok.sum() < MOSTLY * case.grid.ok.sum()
     stick = f"readings stick at the ends of the range {ends}"
     if ends and word in ("none", "saturation", "other") and (mostly or clipped > UNLIKELY):
         return build_verdict("saturation", f"{stick}; the odds are those of what lies between")
@@ -325,7 +330,7 @@ def _verdict_without_zone(case: Case) -> Verdict:
 
 def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict | None:
     """Return an unclear verdict with reasons, or None if a decision is possible."""
-    chosen, data = case.chosen, case.data
+    chosen, data = case.chosen, case.record_data
     within = 1 - best.rms / float(data.y[data.ok].std())
     share = chosen.share if word in FITTED else within
     reasons = []
@@ -357,7 +362,7 @@ def _verdict_by_residual(case: Case) -> Verdict:
     if residuals.has_memory:
         memory = "the residual depends on the direction of z^: a memory, perhaps play"
         verdict = verdict.add_cautions(memory)
-    if not case.data.silent_zeros and not case.chosen.white:
+    if not case.record_data.silent_zeros and not case.chosen.white:
         verdict = verdict.add_cautions("the one-step residual is not white")
     return verdict
 
@@ -408,7 +413,7 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
     """
     if fit.objective.kind != "behind" or fit.objective.layout.integrators:
         return None
-    z, margin = fit.z, WELL_INSIDE * fit.s
+    z, margin = fit.z, WELL_INSIDE * fit.disturbance_rms
     inside = fit.objective.readings.ok & (z < fit.right - margin) & (z > -fit.left + margin)
     y = fit.objective.data.y[inside]
     if y.size < 50:
@@ -416,7 +421,7 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
     mean = float(y.mean())
     covariance, degrees = long_run_covariance((y - mean)[:, None])
     half = student_quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
-    return mean if abs(mean) > max(half, RELEVANT * fit.s) else None
+    return mean if abs(mean) > max(half, RELEVANT * fit.disturbance_rms) else None
 
 
 def cubic_spring_share(fit: ZoneFit) -> tuple[float, float, float]:
@@ -449,8 +454,8 @@ def cubic_spring_share(fit: ZoneFit) -> tuple[float, float, float]:
 def _cubic_response(fit: ZoneFit) -> Floats:
     """Return G z^3 along the records (N)."""
     layout = fit.objective.layout
-    denominator = layout.full_denominator(fit.theta[layout.a])
-    numerator = np.append(0.0, fit.theta[layout.b][: layout.n])
+    denominator = layout.full_denominator(fit.theta[layout.denominator])
+    numerator = np.append(0.0, fit.theta[layout.numerators][: layout.n])
     out = np.empty(fit.z.size)
     for part in fit.objective.data.record_slices():
         out[part] = lfilter(numerator, denominator, fit.z[part] ** 3)

@@ -169,7 +169,7 @@ def _find_glitches(chosen: OrderFit) -> Integers:
     fit = chosen.singles
     ok = fit.objective.readings.ok
     density = fit.objective.z_and_terms(fit.theta)[1].value
-    normal = -0.5 * math.log(2 * math.pi) - math.log(fit.s)
+    normal = -0.5 * math.log(2 * math.pi) - math.log(fit.disturbance_rms)
     silent = ok & (fit.objective.readings.side == 0) & fit.objective.data.silent_zeros
     unusual = density - np.where(silent, 0.0, normal) < -0.5 * GLITCH**2
     places = np.flatnonzero(ok & unusual)
@@ -199,7 +199,7 @@ def likely_delay(fits: list[OrderFit]) -> int:
         """Return the residual rms of a linear plant with a delay, scaled."""
         if samples not in left:
             fit = fit_linear(PlantSimulator(delay_inputs(data, samples), order, integrators))
-            left[samples] = fit.s
+            left[samples] = fit.disturbance_rms
         return left[samples]
 
     best = min(PROBES, key=scan)
@@ -279,7 +279,7 @@ def _refit_with_delay(fit: ZoneFit, samples: int) -> ZoneFit:
     One has the numerators with which z is nearest to what it was, the other the linear plant.
     """
     objective = fit.objective.objective_along(delay_inputs(fit.objective.data, samples))
-    poles = fit.theta[objective.layout.a]
+    poles = fit.theta[objective.layout.denominator]
     begun = [
         nearest_numbers(fit, objective.simulator, poles),
         _start_from_linear(fit, objective.simulator),
@@ -294,6 +294,6 @@ def _start_from_linear(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
     theta = fit.theta.copy()
     plant = fit_linear(simulator).theta
     theta[: layout.right] = plant[: layout.right]
-    theta[layout.b] *= float(fit.z.std() / simulator.simulate_z(plant).std())
+    theta[layout.numerators] *= float(fit.z.std() / simulator.simulate_z(plant).std())
     theta[layout.right + 2] = math.log(ROUGH)
     return theta

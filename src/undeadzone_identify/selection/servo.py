@@ -169,7 +169,7 @@ def _is_servo_likely(servo: ServoGap | None, word: str) -> bool:
 
 def _share_of_verdict(case: Case, found: Findings) -> float:
     """Return the share of the readings that the verdict's model explains [1]."""
-    y = case.data.y[case.data.ok]
+    y = case.record_data.y[case.record_data.ok]
     return 1 - best_model_of(found.verdict.word, found.models).rms / max(float(y.std()), 1e-300)
 
 
@@ -290,16 +290,18 @@ def _compare_noisy_servo(case: Case, servo: ServoGap, found: Findings) -> Findin
 def _servo_family(case: Case, servo: ServoGap) -> Family:
     """Return a servo and a plant without a zone, on the readings of the rival models."""
     log, none = servo.log, case.rivals["none"]
-    own = np.full(case.data.y.size, np.nan)
+    own = np.full(case.record_data.y.size, np.nan)
     errors = servo_slopes(log, servo.servo)
     each = student.logpdf(errors.e * np.exp(-errors.log_s), DEGREES) - errors.log_s
-    own[log.error_samples(False)] = each + math.log(case.data.y_scale / log.y_scale)
-    compared = plant.busiest_stretches(case.data._replace(y=np.arange(own.size, dtype=float)))
+    own[log.error_samples(False)] = each + math.log(case.record_data.y_scale / log.y_scale)
+    compared = plant.busiest_stretches(
+        case.record_data._replace(y=np.arange(own.size, dtype=float))
+    )
     value = own[compared.y.astype(int)]
     there = compared.ok & np.isfinite(value)
     value = np.where(there, value, none.value)
     numbers = servo.servo.structure.free_places(log.ticks, False).size
-    rms = float(errors.e.std()) * log.y_scale / case.data.y_scale
+    rms = float(errors.e.std()) * log.y_scale / case.record_data.y_scale
     return {"none": none, "play": Density("play", value, numbers, rms)}
 
 
@@ -363,7 +365,7 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
         case: the log.
         servo: with its gap.
     """
-    grid, data, one = case.grid, case.data, servo.servo
+    grid, data, one = case.grid, case.record_data, servo.servo
     u = shift_rows(grid.u[:, 0], total_delay(case.options, servo), grid.start)
     own = data._replace(
         u=u[:, None] / data.u_scale,
@@ -376,8 +378,8 @@ def build_servo_element(case: Case, servo: ServoGap) -> Element:
     free = int(servo.is_integrating)
     simulator = plant.PlantSimulator(own, servo_order(one), free)
     layout = simulator.layout
-    count = layout.b.stop
-    theta = np.zeros(layout.size)
+    count = layout.numerators.stop
+    theta = np.zeros(layout.parameter_count)
     scale = float(data.u_scale[0]) / data.y_scale
     theta[:count] = to_sampled_plant(servo, one.theta, scale)
     z, readings, side = servo.predict_readings(one)
@@ -413,9 +415,9 @@ def _servo_widths(
     width, even = servo.gap, servo.gap.scale_by(0.5)
     if centre is None:
         return {"right": even, "left": even, "width": width, "centre": None}
-    offset = math.inf if case.offset_prior is None else case.offset_prior * case.data.y_scale
-    centre = Interval.from_half_width(centre.value, math.hypot(centre.half, offset))
-    half = math.hypot(even.half, centre.half)
+    offset = math.inf if case.offset_prior is None else case.offset_prior * case.record_data.y_scale
+    centre = Interval.from_half_width(centre.value, math.hypot(centre.half_width, offset))
+    half = math.hypot(even.half_width, centre.half_width)
     right = Interval.from_half_width(even.value + centre.value, half)
     left = Interval.from_half_width(even.value - centre.value, half)
     return {"right": right, "left": left, "width": width, "centre": centre}

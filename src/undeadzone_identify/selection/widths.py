@@ -182,7 +182,7 @@ def lower_width_bound(fit: ZoneFit, side: str) -> float:
     noise = fit.objective.zone_noise(fit.theta)
     drop = 0.5 * float(chi2.ppf(0.95, 1))
     base = float(single_densities(readings, z, noise).value.sum())
-    low, high = reach - 6 * fit.s, reach + 6 * fit.s
+    low, high = reach - 6 * fit.disturbance_rms, reach + 6 * fit.disturbance_rms
     for _ in range(60):
         middle = 0.5 * (low + high)
         right = middle if side == "right" else noise.right
@@ -254,7 +254,7 @@ def widen_by_profile(fit: ZoneFit, side: str, edge: Interval, scale: float) -> I
     naive = float(row @ spread.naive @ row)
     drop = 0.5 * float(fisher.ppf(0.95, 1, degrees)) * robust / max(naive, 1e-300)
     own = fit.right if side == "right" else fit.left
-    reach = REACH * max(edge.half / scale, 1e-6)
+    reach = REACH * max(edge.half_width / scale, 1e-6)
     ends = []
     away = np.linspace(0.0, 1.0, POINTS + 1)
     for values in (np.sort(own - reach * away), own + reach * away):

@@ -388,7 +388,7 @@ def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) 
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
             " at the motor's side hears little of the gap behind it)"
         )
-    elif gap.half > WIDEST * gap.value:
+    elif gap.half_width > WIDEST * gap.value:
         reasons.append(
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"

@@ -215,3 +215,10 @@ def test_stiff_and_marginally_certified_designs_are_not_broken() -> None:
         found = certify(linear, gains, np.ones(1))
         if found.certified:
             assert not falsify(found.dynamics, found.V, 2000, seed=seed).broken
+
+
+def test_the_largest_growth_is_that_of_the_worst_trajectory() -> None:
+    """Of one switch, it is 1 + the rise."""
+    proof = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    attack = falsify(proof.dynamics, proof.V, trajectories=500, switches=1)
+    assert attack.growth == pytest.approx(1 + attack.rise, rel=1e-12)

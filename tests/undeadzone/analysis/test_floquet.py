@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm, solve_continuous_lyapunov
+from test_identifiability import visiting
 
 from scenes import random_plant, scene
 from undeadzone.analysis.branch_schedule import (
@@ -416,3 +417,11 @@ def test_the_gain_is_the_most_that_one_pass_makes_of_an_error() -> None:
     assert (np.linalg.norm(M * units / units[:, None] @ ends, axis=0)).max() <= (
         found.gain * np.linalg.norm(ends, axis=0).max()
     )
+
+
+def test_what_does_not_move_grows_as_time_and_its_square() -> None:
+    schedule = visiting([True], [True])
+    still = integrate_spans(np.zeros((3, 2, 2)), [np.eye(2)], schedule, 1)
+    for k, t in enumerate(schedule.spans):
+        np.testing.assert_allclose(still.G[0, k], t * np.eye(2), rtol=1e-12)
+        np.testing.assert_allclose(still.GG[0, k], t**2 / 2 * np.eye(2), rtol=1e-12)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from scipy.linalg import expm
 from scenes import PAPER_PLANT, random_plant, scene, table
 from undeadzone.analysis.branch_schedule import Schedule, plan_schedule
 from undeadzone.analysis.error_dynamics import branch_pattern
-from undeadzone.analysis.identifiability.disturbance import first_order_inputs
+from undeadzone.analysis.identifiability.disturbance import first_order_inputs, unknown_bias
 from undeadzone.analysis.identifiability.information import (
     ReadingConditions,
     information_matrix,
@@ -26,10 +28,12 @@ from undeadzone.analysis.identifiability.linear import (
     WidthIdentifiability,
     find_remedies,
     null_space_basis,
+    remedy_to_reach_edges,
     unobservable_changes,
     unobservable_subspace,
     width_identifiability,
 )
+from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import deadzone
@@ -38,6 +42,7 @@ from undeadzone.plants.options import Plant, TransferFunction
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
+from undeadzone.signals.exosystem import Random
 from undeadzone.simulation.simulate import simulate
 from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
@@ -643,3 +648,57 @@ def test_a_sampled_random_disturbance_is_the_continuous_one() -> None:
         )
     for name in ("right", "width", "centre"):
         assert found[1][name] == pytest.approx(found[0][name], rel=0.03)
+
+
+def test_a_random_disturbance_leaves_no_bias() -> None:
+    gusts = Random(rms=1.0, correlation_time=0.1)
+    assert unknown_bias(gusts, np.ones((2, 1)), 10.0) is None
+    assert unknown_bias(None, np.ones((2, 1)), 10.0) is None
+
+
+@pytest.mark.parametrize("mean", [0.3, -0.3])
+def test_a_swing_that_cures_reaches_both_edges(mean: float) -> None:
+    still = visiting([True], [True])._replace(
+        low=np.array([mean]), mean=np.array([mean]), high=np.array([mean])
+    )
+    swing, about = map(
+        float, re.findall(r"of (\S+) about (\S+) reaches", remedy_to_reach_edges(still, 0).text)[0]
+    )
+    assert about == mean
+    assert mean + swing > 1.0
+    assert mean - swing < -1.0
+
+
+@pytest.mark.parametrize("larger", [0, 1])
+def test_readings_without_noise_are_as_exact_as_the_larger_edge(larger: int) -> None:
+    stds = []
+    for levels in ([1.0, 1.0], [8.0, 8.0], np.eye(2)[larger] * 7 + 1):
+        schedule = visiting([True], [True])._replace(levels=np.array([levels]))
+        known = optimal_deviations(
+            PAPER_PLANT.linear, schedule, ReadingConditions(np.zeros(1), 0.01, 15.0)
+        )
+        stds.append(known.widths[0]["width"])
+    assert stds[1] == pytest.approx(8 * stds[0], rel=1e-9)
+    assert stds[2] == pytest.approx(stds[1], rel=1e-9)
+
+
+def test_a_bias_that_does_nothing_tells_as_much_of_an_actuator() -> None:
+    drive: Any = SimpleNamespace(slope_right=1.0, slope_left=1.0)
+    modes, schedule = np.array([[1.0], [-1.0], [0.0]]), visiting([True], [True])
+    without, with_bias = (
+        sensor_actuator_identifiability(PAPER_PLANT.linear, schedule, modes, drive, bias)
+        for bias in (None, np.zeros((2, 1)))
+    )
+    assert without.inputs == with_bias.inputs
+    assert without.inputs[0].width
+    assert without.outputs == with_bias.outputs
+
+
+def test_a_jump_tells_nothing_of_widths_by_its_readings() -> None:
+    hidden = unobservable_changes(PAPER_PLANT.linear, np.array([[True, True]]), jump=True)
+    assert not hidden.is_width_known(0, "right")
+    assert not hidden.is_width_known(0, "left")
+    seen = unobservable_changes(
+        PAPER_PLANT.linear, visiting([True], [True]).branch_visits(2), jump=False
+    )
+    assert seen.is_width_known(0, "right")

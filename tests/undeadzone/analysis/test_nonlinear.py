@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -18,6 +19,7 @@ from undeadzone.analysis.convergence.floquet import matrix_exponentials
 from undeadzone.analysis.identifiability import linearised_run, nonlinear
 from undeadzone.analysis.identifiability.disturbance import unknown_bias
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability, width_identifiability
+from undeadzone.analysis.identifiability.linearised_run import _assemble_run
 from undeadzone.analysis.identifiability.nonlinear import (
     Observability,
     observability_along,
@@ -468,3 +470,37 @@ def test_a_step_of_magnus_is_of_fourth_order() -> None:
         off.append(np.abs(expm(exponent[0]) - exact).max())
     assert off[0] < 1e-5
     assert off[0] > 20 * off[1]  # a factor of 2^5 a step
+
+
+@pytest.mark.parametrize("part", ["steps", "outputs"])
+def test_a_run_ends_where_one_entry_of_a_derivative_is_not_finite(part: str) -> None:
+    steps, outputs = np.zeros((5, 2, 4)), np.zeros((5, 1, 4))
+    {"steps": steps, "outputs": outputs}[part][3, 0, 1] = np.nan
+    cut = _assemble_run(steps, outputs, np.arange(5), 1e-9)
+    assert len(cut.steps) == len(cut.outputs) == 3
+
+
+@pytest.mark.parametrize(("lost", "state"), [("right", "x[0]"), ("left", "x[1]")])
+def test_the_state_that_shifts_is_that_of_the_lost_edge(
+    monkeypatch: pytest.MonkeyPatch, lost: str, state: str
+) -> None:
+    """Of output 1: its right edge hides behind x[0], its left one behind x[1]."""
+    monkeypatch.setattr(nonlinear, "symmetric", lambda model, change: False)
+    hidden: Any = SimpleNamespace(scale=np.ones(4), basis=np.eye(4)[:, 2:])
+    hidden.restrict_to_part = lambda part: SimpleNamespace(
+        basis=hidden.basis, is_width_known=lambda i, name: False
+    )
+    known: Any = SimpleNamespace(hidden=hidden, follow=np.eye(2, 4, k=2))
+    model: Any = SimpleNamespace(arm=None, n=2)
+    words = nonlinear._describe_state_shift(model, known, 1, lost, "edge", "rest")
+    assert f"along this run {state} can shift with the edges" in words
+
+
+def test_what_follows_a_state_that_diverged_tells_nothing() -> None:
+    """One of two states leaves all bounds where readings tell; inputs and the other stay small."""
+    trial = swinging("pendulum")
+    row = 300 + int(np.flatnonzero(trial.side[300:, 0])[0])
+    whole = trial._replace(x=trial.x.copy())
+    whole.x[row:, 0] = 1e12
+    before = Trial(trial.model, trial.x[:row], trial.u[:row], trial.z[:row], trial.sensor)
+    assert whole.verdicts()[0].std == before.verdicts()[0].std

@@ -24,6 +24,12 @@ from undeadzone.analysis.certificate.passivity import (
     recheck_proof,
 )
 from undeadzone.analysis.certificate.weights import margin_of_weights
+from undeadzone.analysis.dissipation import (
+    Inequality,
+    _least_eigenvalue_and_rounding,
+    _lyapunov_storage,
+    check_inequality,
+)
 from undeadzone.analysis.error_dynamics import Dynamics, adaptation_matrix, build_error_dynamics
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.hold import zoh
@@ -532,3 +538,44 @@ def test_models_that_are_marginally_stable_are_told_from_those_that_diverge() ->
     assert is_defective(chain, None)
     assert is_defective(np.block([[undamped, np.eye(2)], [np.zeros((2, 2)), undamped]]), None)
     assert is_defective(delta_form(zoh(Matrices(chain, np.eye(2), np.eye(2)), 0.1), 0.1).A, 0.1)
+
+
+@pytest.mark.parametrize("Ts", [0.5, 2.0])
+def test_the_start_of_the_search_proves_a_sampled_plant(Ts: float) -> None:
+    """Poles near -1, where Tustin's rule with a wrong sign ends in another P."""
+    F = np.array([[-0.9, 3.0], [0.0, -0.8]])
+    P = _lyapunov_storage((F - np.eye(2)) / Ts, Ts)
+    assert np.linalg.eigvalsh(P).min() > 0
+    assert np.linalg.eigvalsh(F.T @ P @ F - P).max() < 0
+
+
+@pytest.mark.parametrize("Ts", [None, 0.1, 2.0])
+@pytest.mark.parametrize("chain", [True, False])
+def test_a_chain_of_integrators_is_defective_beside_any_other_pole(
+    Ts: float | None, chain: bool
+) -> None:
+    A = np.diag([0.0, 0.0, -0.3])
+    A[0, 1] = float(chain)
+    assert is_defective(A, Ts) is chain
+    if Ts is not None:  # a pole at z = -1 of two states, which a sign would take for one at z = 3
+        flip = np.array([[-2.0, float(chain)], [0.0, -2.0]]) / Ts
+        assert is_defective(flip, Ts) is chain
+
+
+def test_the_margin_that_a_check_shows_is_that_of_the_worst_matrix() -> None:
+    """Two supplies, -1 and -0.1 off the diagonal: eigenvalues -1 + 0.9 and -1 + 0.1."""
+    A = (np.array([[-1.0, 0.0], [0.0, -1.0]]),)
+    supplies = tuple(2 * np.array([[0.0, c], [c, 0.0]]) for c in (0.9, 0.1))
+    sizes = tuple(np.abs(supply) for supply in supplies)
+    proof = check_inequality(Inequality(A, np.zeros((2, 0)), supplies, sizes, None, 0.0), np.eye(2))
+    assert proof.proved
+    assert proof.lmi == pytest.approx(-0.1, rel=1e-12)
+
+
+def test_the_bound_on_rounding_grows_with_what_is_summed() -> None:
+    bounds = [
+        _least_eigenvalue_and_rounding(np.eye(3), size * np.ones((3, 3)))[1]
+        for size in (1.0, 100.0, 1000.0)
+    ]
+    assert bounds[0] > 3 * np.finfo(float).eps
+    assert bounds[2] > 5 * bounds[1] > 25 * bounds[0]

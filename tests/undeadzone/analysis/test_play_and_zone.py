@@ -20,7 +20,9 @@ import undeadzone as uz
 from undeadzone.analysis.branch_schedule import plan_schedule, schedule_of_record
 from undeadzone.analysis.identifiability.play_and_zone import (
     ReadingConditions,
+    _single_contact_reason,
     gap_and_width_information,
+    gap_prior_rows,
 )
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
@@ -553,3 +555,23 @@ def test_gaps_and_ranges_have_one_shape_for_any_number_of_outputs() -> None:
     assert two is not None
     assert two.ranges is None
     np.testing.assert_array_equal(two.left, [1.0, 2.0])
+
+
+@pytest.mark.parametrize(("side", "seen"), [(0, "right"), (1, "left")])
+def test_an_output_that_is_read_in_one_contact_alone_is_told_so(side: int, seen: str) -> None:
+    """Beyond one of both edges suffices."""
+    schedule: Any = None
+    read = np.zeros((2, 2), bool)
+    read[side, 1] = True
+    (words,) = _single_contact_reason(schedule, read, 0)
+    assert f"while it moves {seen} alone" in words
+
+
+def test_gaps_that_are_known_have_no_error_in_any_output() -> None:
+    linear = Matrices(-np.eye(2), np.eye(2), np.eye(2))
+    readings = ReadingConditions(np.full(2, 0.1), 0.01, 1.0, gaps_known=True)
+    rows = gap_prior_rows(linear, readings, 1.0)
+    gaps = np.eye(2 + 6 * 2)[2:6]
+    assert (rows @ gaps.T).any(axis=0).all()
+    for gap in gaps:
+        assert (rows == gap).all(axis=1).sum() == 1

@@ -17,10 +17,16 @@ from scipy.optimize import minimize_scalar
 from certificates import project, sector
 from scenes import PAPER_PLANT, scene
 from undeadzone.analysis.certificate.driven import add_leakage, ultimate_bound
+from undeadzone.analysis.certificate.nearest import _resolvent_at
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
 from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain
 from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator, falsify
-from undeadzone.analysis.error_dynamics import Dynamics, branch_pattern, build_error_dynamics
+from undeadzone.analysis.error_dynamics import (
+    Dynamics,
+    adaptation_matrix,
+    branch_pattern,
+    build_error_dynamics,
+)
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices
@@ -654,3 +660,29 @@ def test_sampled_leakage_asks_for_a_larger_gamma() -> None:
     gamma = np.diag(add_leakage(errors, 0.5).gamma)
     assert gamma == pytest.approx([4.0 / (1 - 0.1), 2.0 / (1 - 0.05)])
     assert (add_leakage(paper(None), 0.5).gamma == paper(None).gamma).all()
+
+
+def test_a_gain_to_three_times_the_output_is_three_times_the_gain() -> None:
+    found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    C = PAPER_PLANT.linear.C
+    one, three = (
+        l2_gain(found.dynamics, np.array([[0.0], [1.0]]), np.ones(1), size * C) for size in (1, 3)
+    )
+    assert three.disturbance == pytest.approx(3 * one.disturbance, rel=0.01)
+    assert three.noise == pytest.approx(3 * one.noise, rel=0.01)
+
+
+def test_a_gain_that_is_not_asked_for_is_0() -> None:
+    dynamics = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0])).dynamics
+    assert l2_gain(dynamics, noise=np.ones(1)).disturbance == 0.0
+    assert l2_gain(dynamics, E=np.array([[0.0], [1.0]])).noise == 0.0
+
+
+def test_the_resolvent_of_samples_reaches_its_limit() -> None:
+    A = np.array([[-1.0, 2.0], [0.0, -3.0]])
+    assert _resolvent_at(A, np.inf, 0.1) == pytest.approx(_resolvent_at(A, 1e9, 0.1), abs=1e-6)
+
+
+def test_no_edge_may_have_a_negative_gain() -> None:
+    with pytest.raises(InputError, match="must not be negative, found -1"):
+        adaptation_matrix([[-1.0, 2.0]], 1)

@@ -56,7 +56,7 @@ def test_a_cluster_continues_what_one_process_began(
 ) -> None:
     path = tmp_path / "runs.partial"
     job = sines(605)
-    begun = journal.start(path, job.layout)
+    begun = journal.open_store(path, job.layout)
     for block in (0, 7, 60):
         begun.write_block(block, job.block(block))
     begun.close()
@@ -87,7 +87,7 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(
         run_blocks.compute_job(
             functools.partial(sines, 605, wrong=40), path, cluster=dask.scheduler_address
         )
-    kept = journal.start(path, sines(605).layout, resume=True)
+    kept = journal.open_store(path, sines(605).layout, resume=True)
     kept.close()
     assert 0 < kept.runs_done < 605
     make = functools.partial(sines, 605)

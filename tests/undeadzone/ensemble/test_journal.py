@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[3]
 def stored(path: Path, runs: int = 95, blocks: range | None = None) -> Store:
     """A store with some blocks of `sines`, or all."""
     job = sines(runs)
-    store = journal.start(path, job.layout)
+    store = journal.open_store(path, job.layout)
     for block in reversed(blocks if blocks is not None else range(job.layout.number_of_blocks)):
         store.write_block(block, job.block(block))
     return store
@@ -39,7 +39,7 @@ def stored(path: Path, runs: int = 95, blocks: range | None = None) -> Store:
 
 def again(path: Path, runs: int = 95) -> list[int]:
     """The blocks that a second start finds missing."""
-    store = journal.start(path, layout(runs), resume=True)
+    store = journal.open_store(path, layout(runs), resume=True)
     store.close()
     return store.missing_blocks
 
@@ -84,7 +84,7 @@ def test_a_damaged_byte_loses_its_block_and_no_other(tmp_path: Path) -> None:
 
 
 def test_rows_in_the_wrong_block_are_not_believed(tmp_path: Path) -> None:
-    store = journal.start(tmp_path / "runs.partial", layout(100))
+    store = journal.open_store(tmp_path / "runs.partial", layout(100))
     for block in range(10):
         store.write_block(block, np.ones((10, 3)))
     store.close()
@@ -124,7 +124,7 @@ def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None
     store.close()
     words = "an unfinished ensemble is there. Continue it with --resume, or delete it to start anew"
     with pytest.raises(FileError, match=words):
-        journal.start(store.path, store.layout)
+        journal.open_store(store.path, store.layout)
     assert again(store.path) == []
 
 
@@ -136,7 +136,7 @@ def test_another_file_is_left_alone(tmp_path: Path, content: bytes, resume: bool
     path = tmp_path / "runs.partial"
     path.write_bytes(content)
     with pytest.raises(FileError, match="is not an unfinished ensemble"):
-        journal.start(path, layout(95), resume)
+        journal.open_store(path, layout(95), resume)
     assert path.read_bytes() == content
 
 
@@ -159,7 +159,7 @@ def test_another_file_is_left_alone(tmp_path: Path, content: bytes, resume: bool
 def test_another_problem_is_refused_with_the_difference(
     tmp_path: Path, other: journal.Layout, difference: str
 ) -> None:
-    journal.start(tmp_path / "runs.partial", other).close()
+    journal.open_store(tmp_path / "runs.partial", other).close()
     words = re.escape(f"holds another problem ({difference}); delete it to start anew")
     with pytest.raises(InputError, match=words):
         again(tmp_path / "runs.partial")
@@ -176,8 +176,8 @@ def test_other_versions_of_packages_are_another_problem(
 
 def test_a_long_scenario_in_the_header(tmp_path: Path) -> None:
     long = layout(20, scenario="x = 1\n" * 400_000)
-    journal.start(tmp_path / "runs.partial", long).close()
-    assert journal.start(tmp_path / "runs.partial", long, resume=True).missing_blocks == [0, 1]
+    journal.open_store(tmp_path / "runs.partial", long).close()
+    assert journal.open_store(tmp_path / "runs.partial", long, resume=True).missing_blocks == [0, 1]
 
 
 def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_store_in_use_is_refused(tmp_path: Path) -> None:
     words = "another process is writing it. Wait for it, or choose another name"
     for resume in (False, True):
         with pytest.raises(FileError, match=words):
-            journal.start(store.path, store.layout, resume)
+            journal.open_store(store.path, store.layout, resume)
     store.write_block(2, sines(95).block(2))
     store.close()
     assert again(store.path) == list(range(3, 10))
@@ -214,7 +214,7 @@ def test_a_full_disk_is_noticed_at_the_start(tmp_path: Path) -> None:
         run_blocks.compute_job(functools.partial(sines, 10_000), tmp_path / "runs.partial")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: "):
-        journal.start(tmp_path / "runs.partial", layout(10**17))
+        journal.open_store(tmp_path / "runs.partial", layout(10**17))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -223,20 +223,20 @@ def test_a_store_takes_disk_as_blocks_are_done(
 ) -> None:
     """20,000,000 runs take 1.6 GB in the end, and nothing before they are computed."""
     job = sines(20_000_000)
-    store = journal.start(tmp_path / "runs.partial", job.layout)
+    store = journal.open_store(tmp_path / "runs.partial", job.layout)
     assert store.size_in_bytes > 4e8
     for block in range(3):
         store.write_block(block, job.block(block))
     assert store.path.stat().st_blocks * 512 < 1e6
     store.close()
-    resumed = journal.start(store.path, job.layout, resume=True)
+    resumed = journal.open_store(store.path, job.layout, resume=True)
     assert resumed.runs_done == 30
     resumed.close()
     disk = os.statvfs(tmp_path)
     small = os.statvfs_result((*disk[:4], 100, *disk[5:]))
     monkeypatch.setattr(os, "fstatvfs", lambda descriptor: small)
     with pytest.raises(FileError, match=r"it needs [\d,]+ MB, and the disk has"):
-        journal.start(tmp_path / "more.partial", job.layout)
+        journal.open_store(tmp_path / "more.partial", job.layout)
     assert not (tmp_path / "more.partial").exists()
 
 
@@ -259,7 +259,7 @@ def test_unwritable_places(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for name in ("", "file/runs.partial", "zero\0byte", "x" * 300):
         with pytest.raises(FileError, match="cannot write"):
-            journal.start(tmp_path / name, layout(95))
+            journal.open_store(tmp_path / name, layout(95))
 
 
 @pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
@@ -269,12 +269,12 @@ def test_nothing_is_written_through_links(tmp_path: Path, link: str) -> None:
         outside.write_bytes(b"")
     getattr(path, link)(outside)
     with pytest.raises(FileError, match=r"runs\.partial: cannot write: it is .* delete it, or"):
-        journal.start(path, sines(605).layout)
+        journal.open_store(path, sines(605).layout)
     assert not outside.exists() or outside.read_bytes() == b""
 
 
 def test_what_is_kept_is_for_its_owner(tmp_path: Path) -> None:
-    store = journal.start(tmp_path / "runs.partial", sines(605).layout)
+    store = journal.open_store(tmp_path / "runs.partial", sines(605).layout)
     store.close()
     assert stat.S_IMODE(store.path.stat().st_mode) == 0o600
 

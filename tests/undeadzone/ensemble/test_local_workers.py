@@ -36,7 +36,7 @@ def test_they_give_the_same_bits(tmp_path: Path, whole: bytes) -> None:
 def test_they_continue_what_one_process_began(tmp_path: Path, whole: bytes) -> None:
     path, trace = tmp_path / "runs.partial", tmp_path / "trace"
     job = sines(605)
-    begun = journal.start(path, job.layout)
+    begun = journal.open_store(path, job.layout)
     for block in (0, 7, 60):
         begun.write_block(block, job.block(block))
     begun.close()
@@ -105,7 +105,7 @@ def test_what_a_block_raises_arrives_and_the_others_are_kept(tmp_path: Path, who
     path = tmp_path / "runs.partial"
     with pytest.raises(ArithmeticError, match="a block that fails"):
         run_blocks.compute_job(functools.partial(sines, 605, wrong=40), path, workers=2)
-    kept = journal.start(path, sines(605).layout, resume=True)
+    kept = journal.open_store(path, sines(605).layout, resume=True)
     kept.close()
     assert 0 < kept.runs_done < 605
     run_blocks.compute_job(functools.partial(sines, 605), path, resume=True, workers=2).close()

@@ -134,3 +134,17 @@ def test_poles_that_cannot_be_placed() -> None:
         pole_placement_gain(
             np.diag(np.arange(1.0, 13.0)), np.ones((12, 1)), -np.arange(1.0, 13.0), "p"
         )
+
+
+def test_fast_poles_are_placed_as_accurately_as_slow_ones() -> None:
+    K = pole_placement_gain(
+        np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([-1e5, -2e5]), "K"
+    )
+    np.testing.assert_allclose(K, [[2e10, 3e5]], rtol=1e-12)
+
+
+def test_a_gain_of_which_some_entries_are_not_finite_is_refused() -> None:
+    """The square of the last entry of A overflows, which spoils one entry of K."""
+    A, B = np.array([[0.0, 1.0], [1.0, 1e200]]), np.array([[0.0], [1.0]])
+    with np.errstate(all="ignore"), pytest.raises(StructureError, match="too far apart"):
+        pole_placement_gain(A, B, np.array([-1.0, -2.0], complex), "controller.poles")

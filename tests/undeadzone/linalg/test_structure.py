@@ -9,10 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scenes import linear, random_plant
+from scenes import PAPER_PLANT, linear, random_plant
 from undeadzone.errors import StructureError
 from undeadzone.linalg.matrices import Matrices
-from undeadzone.linalg.structure import require_structure, uncontrollable_modes, unobservable_modes
+from undeadzone.linalg.structure import (
+    output_chains,
+    require_structure,
+    uncontrollable_modes,
+    unobservable_modes,
+)
 from undeadzone.plants.build import linear_matrices
 from undeadzone.plants.options import Plant
 
@@ -80,3 +85,22 @@ def test_slow_and_fast_plants_are_judged_alike(form: dict[str, Any], rate: float
 def test_the_mode_at_fault_is_named(A: Any, B: Any, C: Any, words: str) -> None:
     with pytest.raises(StructureError, match=words):
         require_structure(linear(A, B, C).linear, "plant")
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-3, 1e3, 1e9])
+def test_a_slow_plant_is_as_observable_as_a_fast_one(unit: float) -> None:
+    A, B, C = PAPER_PLANT.linear
+    assert unobservable_modes(unit * A, C) == []
+    assert uncontrollable_modes(unit * A, B) == []
+    hidden = unobservable_modes(unit * np.diag([-1.0, -2.0]), np.array([[1.0, 0.0]]))
+    assert np.allclose(hidden, [-2.0 * unit])
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_an_output_that_is_the_derivative_of_another_one_is_not_counted_twice(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, first = rng.normal(size=(4, 4)), rng.normal(size=4)
+    chains = output_chains(A, np.stack([first, first @ A]))
+    rows = chains.O / np.linalg.norm(chains.O, axis=1, keepdims=True)
+    assert rows.shape == (4, 4)
+    assert np.linalg.cond(rows) < 1e8

@@ -127,7 +127,7 @@ def test_dialects(lines: list[str]) -> None:
     dialect = dialect_of(lines)
     assert dialect.titles is not None
     assert [title.name[0] for title in dialect.titles] == ["t", "y", "u"]
-    assert [dialect.number(cell) for cell in dialect.cells(lines[-1])] == [0.0, 1.5, 2.0]
+    assert [dialect.parse_number(cell) for cell in dialect.cells(lines[-1])] == [0.0, 1.5, 2.0]
 
 
 TEXT = "# a remark\r\nt [ms];y [N];u [V]\r\n0;1,5;2\r\n10;;3\r\n20;nan;3\r\nbad\r\n30;-1,5;4\r\n"

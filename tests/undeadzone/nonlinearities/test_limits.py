@@ -486,8 +486,12 @@ def test_readings_that_stick_on_their_way_show_a_range(
     ok = np.isfinite(y)
     ends = range_ends(y, ok, quantum)
     assert (ends.low, ends.high) == limits
-    assert ends.has_ends == bool(ends.at(y, ok).any())
-    assert ends.number == ends.at(y, ok).sum() == ((y == ends.low) | (y == ends.high)).sum()
+    assert ends.has_ends == bool(ends.find_readings_at_ends(y, ok).any())
+    assert (
+        ends.number
+        == ends.find_readings_at_ends(y, ok).sum()
+        == ((y == ends.low) | (y == ends.high)).sum()
+    )
     draw = np.random.default_rng(1)
     running = RunningEnds()  # as a log that is watched comes in
     for block in np.split(np.arange(y.size), np.sort(draw.integers(0, y.size, 300))):

@@ -208,3 +208,11 @@ def test_an_excursion_within_a_step_is_seen() -> None:
 def test_what_has_no_series_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         simulate(scene(**changes))
+
+
+@pytest.mark.parametrize(("edge", "after"), [(0.0, -1.0), (0.1, 0.0)])
+def test_a_zone_of_no_width_is_crossed_at_once(edge: float, after: float) -> None:
+    levels = Levels((ca.SX(edge),), (ca.SX(-edge),))
+    crossing = _find_crossing(ca.SX(-1.0), levels, ca.SX(1.0))
+    assert float(crossing[1]) == after
+    assert bool(ca.DM(crossing[0]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,9 @@ from undeadzone.numerics.optimise import (
     _cost_range,
     _nearest_weights,
     _weight_grid,
+    find_pareto_front,
     is_undominated,
+    minimise_by_cmaes,
     scalar_costs,
 )
 
@@ -63,3 +67,26 @@ def test_children_stay_in_the_box() -> None:
     children = np.concatenate([_breed_children(rng, points, near, low, high) for _ in range(50)])
     assert ((children >= low) & (children <= high)).all()
     assert np.ptp(children, axis=0) == pytest.approx(high - low, rel=0.2)
+
+
+def test_an_evolution_begins_at_its_start() -> None:
+    low, high, start = np.array([-10.0, 100.0]), np.array([30.0, 108.0]), np.array([20.0, 101.0])
+    tried: list[Any] = []
+
+    def cost(points: Any) -> Any:
+        tried.append(points)
+        return np.zeros(len(points))
+
+    minimise_by_cmaes(cost, low, high, seed=3, size=40, rounds=1, start=start, spread=0.01)
+    np.testing.assert_allclose(tried[0].mean(axis=0), start, atol=0.01 * 40)
+
+
+def test_an_evolution_takes_no_point_that_is_not_finite() -> None:
+    def costs(points: Any) -> Any:
+        both = np.stack([1 - points[:, 0], points[:, 0]], axis=1)
+        both[points[:, 0] > 0.5, 1] = np.inf
+        return both
+
+    _, values = find_pareto_front(costs, np.zeros(1), np.ones(1), 1, np.array([[0.2]]), rounds=5)
+    assert np.isfinite(values).all()
+    assert len(values) > 1

@@ -6,8 +6,10 @@ Convergence on the paper's example, and the price of a leak.
 from __future__ import annotations
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,7 +29,11 @@ from undeadzone.observers.adaptive.adaptation_laws import (
     LeastSquares,
     Normalised,
     Sigma,
+    e_modification_move,
+    read_initial_widths,
 )
+from undeadzone.observers.adaptive.branch_observer import correct_jump
+from undeadzone.observers.adaptive.output_error import read_adapted_widths
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
@@ -370,3 +376,38 @@ def test_a_leak_by_the_error_leaves_the_truth_alone_and_sigma_does_not() -> None
 def test_wrong_options_are_named(adaptation: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         run(adaptation)
+
+
+def test_a_bound_of_widths_must_be_positive_for_each_output() -> None:
+    with pytest.raises(InputError, match="must be positive, found -1"):
+        read_initial_widths(0.0, [3.0, -1.0], 2)
+
+
+@pytest.mark.parametrize(
+    ("y", "side", "right", "left"), [(0.8, 1, -0.2, 0), (-0.3, -1, 0, -0.2), (1.4, 1, 0, 0)]
+)
+def test_a_jump_sensor_moves_the_edge_that_its_reading_contradicts(
+    y: float, side: int, right: float, left: float
+) -> None:
+    edges: Any = SimpleNamespace(right=1.0, left=0.5)
+    found = correct_jump(edges, 0.1, y, side, ca.SX(0.0), ca.SX(0.0))
+    moved = [found.e, found.right.drive, found.left.drive]
+    assert [float(one) for one in moved] == pytest.approx([y - 0.1, right, left])
+    adapted = [found.right.adapted, found.left.adapted]
+    assert [bool(ca.DM(one)) for one in adapted] == [right != 0, left != 0]
+
+
+def test_a_leak_grows_with_the_way_from_the_first_width() -> None:
+    edge: Any = SimpleNamespace(drive=2.0, width=3.0, width0=1.0, gamma=4.0)
+    assert float(e_modification_move(0.25, edge)[0]) == 4 * (2 - 0.25 * 2 * (3 - 1))
+
+
+def test_a_jump_sensor_adapts_no_width_of_any_output() -> None:
+    model: Any = SimpleNamespace(p=2)
+    sensor: Any = SimpleNamespace(kind="jump")
+    with pytest.raises(InputError, match="Leave gamma out"):
+        read_adapted_widths([1.0, 0.0], 0.0, None, model, sensor)
+
+
+def test_least_squares_are_never_set_back_unless_asked() -> None:
+    assert LeastSquares().reset == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -12,6 +13,7 @@ import pytest
 from benchmarks import coverage, glitches, honest_problems
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 from test_recovery import AT, PLANT, SENSOR, TS, drive
 
 import undeadzone as uz
@@ -20,6 +22,9 @@ from undeadzone.interfaces import Estimate, PythonObserver, Reading
 from undeadzone.linalg.hold import zoh
 from undeadzone.nonlinearities.sensor import resolve
 from undeadzone.numerics.gaussian import Bound, Gaussian, truncate_at_bounds, update_with_outliers
+from undeadzone.observers.filtering.consistency import LOST, innovation_log_density, widen_intervals
+from undeadzone.observers.filtering.gaussian_filter import FAR, clip_to_ranges, width_excess_square
+from undeadzone.observers.filtering.innovation_tests import start_scores
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import arrival_time, sample_plant
@@ -360,3 +365,92 @@ def test_a_problem_is_the_same_in_every_unit_of_time(poles: str) -> None:
     assert (rates <= honest_problems.RATES[1] * (1 + 1e-9)).all()
     assert ((posed.ranges[:, :, 0] <= posed.d) & (posed.d <= posed.ranges[:, :, 1])).all()
     assert np.isfinite(posed.y).all()
+
+
+@pytest.mark.parametrize(("excess", "refuted"), [(0.9, False), (1.1, True), (0.5, False)])
+def test_a_width_beyond_its_range_refutes_the_claims_and_gains_variance(
+    excess: float, refuted: bool
+) -> None:
+    q: Any = SimpleNamespace(ranges=np.array([[0.0, 3.0]]))
+    belief = Gaussian(ca.SX([0.0, 3.0 + excess]), ca.SX(np.diag([1.0, 1 / FAR**2])))
+    shown, consistent = clip_to_ranges(1, q, belief, doubts=True)
+    variance = 1 / FAR**2 + (excess**2 if refuted else 0.0)
+    np.testing.assert_allclose(ca.DM(shown.mean).full().ravel(), [0.0, 3.0])
+    np.testing.assert_allclose(np.diag(ca.DM(shown.cov).full()), [1.0, variance])
+    assert bool(ca.DM(consistent)) is not refuted
+
+
+def test_the_likelihood_of_innovations_is_the_normal_density() -> None:
+    e, std = np.array([0.3, -1.2, 0.0]), np.array([0.5, 3.0, 1.0])
+    expected = norm.logpdf(e[:2], scale=std[:2]).sum() + np.log(2 * np.pi)
+    assert float(innovation_log_density(ca.DM(e), ca.DM(std))) == pytest.approx(expected)
+
+
+def test_a_filter_that_is_lost_knows_no_more_than_the_prior() -> None:
+    """About what is shown: prior edges at 1 and 2 with deviations 0.3 and 0.4, shown at 1.4, 1.7.
+
+    The two are independent. A state of deviation 2 about 0 is shown at 1.5.
+    """
+    doubt = SimpleNamespace(std=np.array([2.0, 2.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.array([0.0, 0.0, 1.0, 2.0]))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=one,
+        offset=0 * one,
+        share=one * (LOST + 0.1),
+        constant=none,
+        opened=none,
+        scores=start_scores(1),
+    )
+    blind = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        x=ca.SX([1.5, 0.0]), right=ca.SX(1.4), left=ca.SX(1.7), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, blind)  # type: ignore[arg-type]
+    values = [float(std) for std in (found.right_std, found.left_std, found.width_std)]
+    assert values == pytest.approx([0.5, 0.5, np.sqrt(0.5)], rel=1e-12)
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([2.5, 2.0])
+
+
+def test_a_filter_whose_claims_are_refuted_gains_the_offset() -> None:
+    """The state that is known worst gains all of it, another one as much as it is unknown."""
+    doubt = SimpleNamespace(std=np.array([2.0, 1.0, 0.3, 0.4]), most=10.0, limit=10.0, keep=0.5)
+    q: Any = SimpleNamespace(doubt=doubt, mean=np.zeros(4))
+    one, none = ca.SX(1.0), ca.SX(0, 1)
+    record: Any = SimpleNamespace(
+        ratio=16.0 * one,
+        offset=0.3 * one,
+        share=0 * one,
+        constant=none,
+        opened=none,
+        scores=start_scores(1),
+    )
+    shown = Estimate(*[ca.SX(0.0)] * len(Estimate._fields))._replace(
+        x=ca.SX([0.0, 0.0]), right_std=ca.SX(0.1), x_std=ca.SX([0.0, 0.0])
+    )
+    found = widen_intervals(SimpleNamespace(n=2, p=1), q, record, shown)  # type: ignore[arg-type]
+    assert ca.DM(found.x_std).full()[:, 0] == pytest.approx([0.3, 0.15])
+    assert float(found.right_std) == pytest.approx(0.5)  # root of (4 * 0.1)^2 + 0.3^2
+
+
+def test_what_readings_alone_say_is_the_belief_without_its_prior() -> None:
+    """A uniform prior's variance on [0, 2], readings that say 5 +- .1: 3 beyond the range."""
+    low, high, told, noise = 0.0, 2.0, 5.0, 0.01
+    prior = (high - low) ** 2 / 12
+    variance = 1 / (1 / prior + 1 / noise)
+    mean = variance * (1.0 / prior + told / noise)
+    q: Any = SimpleNamespace(ranges=np.array([[low, high]]))
+    belief = Gaussian(ca.SX([0.0, mean]), ca.diag(ca.SX([1.0, variance])))
+    assert float(width_excess_square(1, q, belief)) == pytest.approx((told - high) ** 2)
+
+
+@pytest.mark.parametrize(("times", "gained"), [(0.9, False), (1.1, True)])
+@pytest.mark.parametrize("std", [0.1, 10.0])
+def test_a_width_far_beyond_its_range_refutes_its_claim(
+    times: float, gained: bool, std: float
+) -> None:
+    q: Any = SimpleNamespace(ranges=np.array([[0.0, 2.0]]))
+    excess = times * FAR * std
+    belief = Gaussian(ca.SX([0.0, 2.0 + excess]), ca.diag(ca.SX([1.0, std**2])))
+    after, _ = clip_to_ranges(1, q, belief, doubts=True)
+    assert float(after.mean[1]) == 2.0
+    assert float(after.cov[1, 1]) == pytest.approx(std**2 + gained * excess**2)

@@ -22,9 +22,11 @@ from undeadzone.interfaces import (
     list_rejected_assumptions,
 )
 from undeadzone.observers.filtering.innovation_tests import (
+    FORETOLD,
     Scores,
     assumption_fields,
     assumption_ratios,
+    score_squares,
     start_scores,
     update_scores,
 )
@@ -252,3 +254,33 @@ def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
     }
     own.add(Estimate(*[np.zeros((4, 0))] * len(Estimate._fields))._replace(**parts))
     assert own.claims == [list(ASSUMPTION_CHECKS)[1]]
+
+
+def of_scores(y: float, last: float, slope: float) -> Any:
+    """Scores of one output after a reading that is not what was foretold."""
+    doubt = SimpleNamespace(
+        keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0, run=9
+    )
+    q = SimpleNamespace(doubt=doubt, slope=slope)
+    before = start_scores(1)._replace(last=np.array([last]))
+    zero = ca.SX(1, 1)
+    nu = ca.SX(FORETOLD + 1)
+    return update_scores(q, before, nu, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
+
+
+def test_where_readings_stay_is_told_in_units_of_z() -> None:
+    """A sensor of slope 4 that is stuck at 8 rests at z = 2."""
+    assert float(of_scores(8.0, 8.0, 4.0).rest) == pytest.approx(0.5 * 2.0)
+
+
+@pytest.mark.parametrize(("y", "held"), [(8.0, 0.5), (0.0, 0.0)])
+def test_a_silent_sensor_is_not_held_for_a_stuck_one(y: float, held: float) -> None:
+    assert float(of_scores(y, y, 1.0).held) == held
+
+
+def test_scores_of_small_inputs_are_normal_numbers_too() -> None:
+    many = start_scores(1)._replace(count=np.array([1e6]), lift=np.ones(1), rise=np.ones(1))
+    few = many._replace(lift_square=np.full(1, 0.25), rise_square=np.full(1, 4.0))
+    found = score_squares(few)
+    assert float(found["slope"]) == pytest.approx(4.0)
+    assert float(found["dynamics"]) == pytest.approx(0.25)

@@ -21,6 +21,7 @@ from scipy.stats import norm, truncnorm
 
 from scenes import EXACT_SENSOR, PAPER_PLANT, OnNumbers, random_plant, scene
 from undeadzone.errors import InputError, ShapeError
+from undeadzone.interfaces import Reading
 from undeadzone.nonlinearities import sensor
 from undeadzone.nonlinearities.sensor import Sensor, Zone, resolve
 from undeadzone.numerics import gaussian
@@ -29,6 +30,7 @@ from undeadzone.observers import Kalman
 from undeadzone.observers.filtering import measured_kalman as filtering
 from undeadzone.observers.filtering.gaussian_filter import Params, truncate_to_ranges
 from undeadzone.observers.filtering.measured_kalman import State
+from undeadzone.observers.filtering.measurement_update import reject_impossible
 from undeadzone.observers.filtering.prior import Assumptions, build_prior, read_width_ranges
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
@@ -570,3 +572,18 @@ def test_a_prior_is_uniform_over_its_ranges() -> None:
 
 def test_the_left_widths_have_the_ranges_of_the_right_ones_by_default() -> None:
     assert read_width_ranges([0.5, 2.0], None, 2).tolist() == [[0.5, 2.0]] * 4
+
+
+def test_a_reading_beyond_all_numbers_is_trusted_in_nothing() -> None:
+    trusted = reject_impossible(
+        ca.SX([0.7, 0.7]), Reading(ca.SX([0.9e300, 1.1e300]), ca.SX([1.0, 1.0]))
+    )
+    assert ca.DM(trusted).full()[:, 0].tolist() == [0.7, 0.0]
+
+
+ZONE = resolve(Sensor(right=1.0, left=1.0), 1, 0.01)
+
+
+def test_no_edge_lies_below_0() -> None:
+    with pytest.raises(InputError, match=r"observer\.right: a range \[lo, hi\] must have 0 <= lo"):
+        Kalman(right=[-1.0, 2.0], left=[0.0, 2.0]).build(sample_plant(PAPER_PLANT, 0.01), ZONE)

@@ -398,3 +398,10 @@ def test_estimates_do_not_depend_on_the_input_of_the_moment() -> None:
             step(state, 1.0, 0.5, 1.0)[1], step(state, -7.0, 0.5, 1.0)[1], strict=True
         ):
             assert one.tolist() == other.tolist()
+
+
+def test_an_observer_that_adapts_one_of_two_outputs_adapts() -> None:
+    model = linear([[-1.0, 0.5], [-0.5, -2.0]], np.eye(2), np.eye(2))
+    sensor = resolve(Sensor(right=np.array([0.5, 0.4]), left=0.3), 2, 1e-2)
+    for gamma, adapts in (([5.0, 0.0], True), ([0.0, 0.0], False)):
+        assert Certified(gamma=gamma).build(model, sensor).traits.adapts is adapts

@@ -18,12 +18,15 @@ from scipy.signal import lfilter
 import once
 import undeadzone as uz
 from commands import undeadzone
-from scenes import scene
+from scenes import PAPER_PLANT, linear, scene
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli import common
 from undeadzone.errors import EarlierMeaning, InputError, ShapeError
 from undeadzone.nonlinearities.sensor import Sensor, resolve
-from undeadzone.observers.filtering.prior import Assumptions, build_prior
+from undeadzone.observers.filtering.augmented_state import white_disturbance_rms
+from undeadzone.observers.filtering.prior import Assumptions, _read_branch_ranges, build_prior
+from undeadzone.observers.filtering.prior import _read_noise as claimed_noise
+from undeadzone.observers.filtering.unknown_inputs import read_time_span
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import sample_plant
@@ -312,3 +315,41 @@ def test_a_design_of_an_old_file_has_its_deviations_halved(tmp_path: Path) -> No
 
 def test_files_and_json_count_their_schemas_alike() -> None:
     assert SCHEMA == common.SCHEMA == 3
+
+
+def test_the_least_noise_is_a_share_of_the_wider_range() -> None:
+    model = sample_plant(PAPER_PLANT, 0.01)
+    sensor = resolve(Sensor(right=0.5, left=0.5), 1, 0.01)
+    for right, left in (([0.0, 1.0], [0.0, 3.0]), ([0.0, 3.0], [0.0, 1.0])):
+        claimed = build_prior(
+            Assumptions(right=right, left=left), model, sensor, floor=0.1, wear=0.0
+        )
+        np.testing.assert_allclose(claimed.R, 0.3**2)
+
+
+def test_one_output_without_noise_is_no_claim() -> None:
+    assert claimed_noise([0.1, 0.2], 2).tolist() == [0.1, 0.2]
+    with pytest.raises(InputError, match="must be positive, found 0"):
+        claimed_noise([0.1, 0.0], 2)
+
+
+def test_a_time_is_resolved_from_a_tenth_of_a_sample_on() -> None:
+    for time in (0.101, 0.99e6):
+        assert read_time_span("washout", time * 0.02, 0.02) == time * 0.02
+    for time in (0.099, 1.01e6):
+        with pytest.raises(InputError, match=r"between 0\.1 and 1e6 sample times"):
+            read_time_span("washout", time * 0.02, 0.02)
+
+
+def test_the_default_disturbance_is_that_of_the_output_that_it_moves_most() -> None:
+    both = []
+    for C in ([[1.0, 0.0], [0.0, 0.1]], [[2.0, 0.0], [0.0, 0.1]], [[1.0, 0.0], [0.0, 0.05]]):
+        plant = linear([[-1.0, 0.0], [0.0, -1.0]], [[1.0], [1.0]], C)
+        both.append(float(white_disturbance_rms(sample_plant(plant, 0.01), 1.0)[0]))
+    assert both[1] == pytest.approx(both[0] / 2)
+    assert both[2] == pytest.approx(both[0])
+
+
+def test_a_range_below_0_of_one_output_is_refused() -> None:
+    with pytest.raises(InputError, match="0 <= lo < hi"):
+        _read_branch_ranges("observer.right", [[-0.5, 1.0], [0.0, 1.0]], 2)

@@ -161,7 +161,7 @@ def test_parameters_change_the_plant_by_name_and_the_model_its_own() -> None:
         ),
         (
             InputError,
-            "plant.arm.stops: they stand where",
+            "plant.arm.stops: they stand at",
             {"arm": {"kind": "two_link", "stops": [100.0, 1.0]}},
         ),
         (ShapeError, "plant.x0: expected 4 numbers", {"x0": [0.0, 1.0]}),
@@ -503,7 +503,7 @@ def test_a_gif_is_written_and_other_names_are_refused(
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FileError, match="ffmpeg is not installed"):
         animation.write_movie(both[0], None, tmp_path / "arm.mp4")
-    with pytest.raises(InputError, match="this plant is no arm"):
+    with pytest.raises(InputError, match="this plant is not an arm"):
         animation.write_movie(
             dataclasses.replace(both[0], poses=None), None, tmp_path / "other.gif"
         )
@@ -531,7 +531,7 @@ def test_a_comparison_is_told_in_json(scenario: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "animation", "words"),
     [
-        ("paper_5sin", "a.gif", "this plant is no arm"),
+        ("paper_5sin", "a.gif", "this plant is not an arm"),
         ("two_link", "a.txt", "must end in .gif or .mp4"),
     ],
 )

@@ -135,12 +135,32 @@ def test_interop_round_trips_and_refusals() -> None:
         from_control([[0, 1], [-1, -2]])
     with pytest.raises(InputError, match="no state space"):
         from_control(control.tf([1.0, 0.0, 0.0], [1.0, 1.0]))
-    with pytest.raises(InputError, match=r"found sample time 0\.1"):
-        from_control(control.ss(theirs).sample(0.1))
+    with pytest.raises(InputError, match=r"no sample time \(dt = True\)"):
+        from_control(control.ss(control.tf([0.1], [1.0, -0.9], True)))
+    with pytest.raises(InputError, match=r"sampled pole lies at -0\.5"):
+        from_control(control.tf([0.1], [1.0, 0.5], 0.1))
+    with pytest.raises(InputError, match="lies at 0, a delay"):
+        from_control(control.tf([0.1], [1.0, 0.0], 0.1))
     with pytest.raises(InputError, match="D must be 0"):
         from_scipy(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]]))
     with pytest.raises(InputError, match="nonlinear"):
         to_control(Plant(**PENDULUM))
+
+
+@given(st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 2))
+def test_a_discrete_system_is_the_hold_of_the_plant(seed: int, n: int, m: int) -> None:
+    """Sampling with a step below the Nyquist bound of every pole, and back, changes nothing."""
+    import control
+
+    plant = random_plant(np.random.default_rng(seed), n, m)
+    A, B, C = plant.linear
+    step = 1.0 / np.abs(np.linalg.eigvals(A)).max()
+    sampled = control.ss(A, B, C, np.zeros((len(C), m))).sample(step)
+    found = linear_matrices(from_control(sampled))
+    for ours, expected in zip(found, (A, B, C), strict=True):
+        assert ours == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
+    again = zoh(found, step)
+    assert pytest.approx(np.asarray(sampled.A), abs=1e-9) == again.A
 
 
 def test_formulas_equal_matrices_in_the_loop() -> None:

@@ -37,8 +37,8 @@ def drawn(body: Arm, seed: int) -> tuple[np.random.Generator, Floats, Floats, Fl
     return (
         rng,
         rng.uniform(0.1, 2.0, len(body.names)),
-        rng.uniform(-np.pi, np.pi, body.size),
-        rng.normal(size=body.size) * 5,
+        rng.uniform(-np.pi, np.pi, body.joint_count),
+        rng.normal(size=body.joint_count) * 5,
     )
 
 
@@ -60,7 +60,7 @@ def energy(body: Arm, numbers: Floats, q: Floats, v: Floats) -> float:
     From the paths of their centres of mass in the complex plane.
     """
     p = dict(zip(body.names, numbers, strict=True))
-    tags = [""] if body.size == 1 else ["1", "2"]
+    tags = [""] if body.joint_count == 1 else ["1", "2"]
     links = [{name: p[name + tag] for name in "mlcI"} for tag in tags]
     joint, speed, total = 0j, 0j, 0.0
     for link, angle, rate in zip(links, np.cumsum(q), np.cumsum(v), strict=True):
@@ -206,7 +206,7 @@ def test_two_links_stand_where_mujoco_says() -> None:
 def test_inverse_dynamics_inverts_forward_dynamics(kind: str, seed: int) -> None:
     body = ARMS[kind]
     rng, numbers, q, v = drawn(body, seed)
-    u = rng.normal(size=body.size) * 20
+    u = rng.normal(size=body.joint_count) * 20
     assert column(
         inverse_dynamics(body, numbers, q, v, forward_dynamics(body, numbers, q, v, u))
     ) == pytest.approx(u, rel=1e-8, abs=1e-8)
@@ -236,7 +236,7 @@ def test_bias_is_lagranges(kind: str, seed: int) -> None:
     """
     body = ARMS[kind]
     _, numbers, q, v = drawn(body, seed)
-    x, w = ca.SX.sym("q", body.size), ca.SX.sym("v", body.size)
+    x, w = ca.SX.sym("q", body.joint_count), ca.SX.sym("v", body.joint_count)
     M = body.mass(numbers, x)
     change = ca.reshape(ca.jtimes(ca.vec(M), x, w), M.shape)
     at = ca.Function("at", [x, w], [change, change @ w - ca.gradient(0.5 * ca.dot(w, M @ w), x)])
@@ -245,7 +245,7 @@ def test_bias_is_lagranges(kind: str, seed: int) -> None:
     swing = column(body.bias(numbers, q, v)) - gravity
     assert swing == pytest.approx(coriolis.ravel(), rel=1e-9, abs=1e-9)
     assert 0.5 * v @ Mdot @ v == pytest.approx(v @ swing, rel=1e-8, abs=1e-8)
-    step = 1e-5 * np.eye(body.size)
+    step = 1e-5 * np.eye(body.joint_count)
     slope = [
         (energy(body, numbers, q + h, 0 * v) - energy(body, numbers, q - h, 0 * v)) / 2e-5
         for h in step
@@ -256,7 +256,7 @@ def test_bias_is_lagranges(kind: str, seed: int) -> None:
 @kinds
 def test_energy_stays_without_friction_and_torque(kind: str) -> None:
     body = ARMS[kind]
-    N, numbers = body.size, params(body, payload=0.4)
+    N, numbers = body.joint_count, params(body, payload=0.4)
     x = ca.SX.sym("x", 2 * N)
     path = moved(
         ca.Function(

@@ -58,7 +58,7 @@ def written(folder: Path, text: str) -> Path:
 
 def forward(body: Arm) -> ca.Function:
     """q, v, torque -> acceleration, with the arm's own parameters."""
-    q, v, u = (ca.SX.sym(name, body.size) for name in "qvu")
+    q, v, u = (ca.SX.sym(name, body.joint_count) for name in "qvu")
     return ca.Function("forward", [q, v, u], [forward_dynamics(body, body.values, q, v, u)])
 
 
@@ -147,7 +147,7 @@ def same_dynamics(pin: Pinocchio, body: Arm, params: Floats, model: Any, tip: st
         pin.framesForwardKinematics(model, data, q)
         return data.oMf[frame]
 
-    cases = states(body.size, 50, 1)
+    cases = states(body.joint_count, 50, 1)
     assert worst(lambda q: np.triu(np.asarray(body.mass(params, q))), upper, cases[:, :1]) < 1e-12
     assert (
         worst(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import re
 import warnings
 from html.parser import HTMLParser
@@ -38,7 +39,7 @@ from undeadzone.report.html import (
     encode_picture,
     format_html,
 )
-from undeadzone.report.plot import KINDS, plot
+from undeadzone.report.plot import DRAWN, KINDS, plot
 from undeadzone.report.proof_figures import plot_positive_realness, recheck_design
 from undeadzone.report.run_figures import (
     constant_offset,
@@ -494,3 +495,14 @@ def test_titles_hold_no_raw_formulas(title: str, raw: bool) -> None:
     assert bool(raw_formulas(figure, image)) == raw
     assert b"<!--" not in image
     assert f"<title>{title}</title>" in image.decode()
+
+
+def test_every_kind_of_result_names_drawing_functions_that_exist() -> None:
+    """`uz.plot` finds them by name, which no type checker follows."""
+    from undeadzone_arena.contest.contest import Contest
+    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
+
+    contest = Contest.drawn.fget(None)  # type: ignore[attr-defined]
+    for module, *names in [*DRAWN.values(), Identified.drawn, IdentifiedOutputs.drawn, contest]:
+        found = importlib.import_module(module, "undeadzone.report")
+        assert [name for name in names if not callable(getattr(found, name, None))] == []

@@ -109,7 +109,7 @@ def test_signals_refuse_what_is_missing_and_what_is_strange() -> None:
     given = signals(LOG)
     with pytest.raises(TypeError, match="z_hat is missing"):
         Signals(LOG, {name: value for name, value in given.items() if name != "z_hat"})
-    with pytest.raises(TypeError, match="tip is no signal"):
+    with pytest.raises(TypeError, match="tip is not a signal"):
         Signals(LOG, given | {"tip": given["t"]})
     assert set(SIGNALS) == {*RUN.names, *LOG.names}
 

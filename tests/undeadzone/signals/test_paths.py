@@ -457,14 +457,14 @@ def test_ur5_follows_without_turning() -> None:
 def driven(given: Arm, limit: Floats) -> System:
     """An arm as a plant whose motors have so much torque."""
     linear = Matrices(
-        np.zeros((2 * given.size,) * 2),
-        np.zeros((2 * given.size, given.size)),
-        np.eye(given.size, 2 * given.size),
+        np.zeros((2 * given.joint_count,) * 2),
+        np.zeros((2 * given.joint_count, given.joint_count)),
+        np.eye(given.joint_count, 2 * given.joint_count),
     )
     return System(
         given.values,
         lambda p, x, u: x,
-        lambda p, x: x[: given.size],
+        lambda p, x: x[: given.joint_count],
         linear,
         nonlinear=True,
         arm=given,
@@ -509,7 +509,7 @@ def test_unreachable_points_are_said_with_their_distance(
 
 def test_singular_configurations() -> None:
     with pytest.raises(
-        TrackingError, match=r"singular where the path starts from, q = 0.3, 0: .*plant.x0"
+        TrackingError, match=r"singular at the start of the path, q = 0.3, 0: .*plant.x0"
     ):
         joints(TWO_LINK, tip_path(CIRCLE), [0.3, 0.0])
     touch = Quintic(points=[[0.3, 0.0], [0.7, 0.0], [0.3, 0.2]], times=[0.0, 2.0, 4.0])

@@ -42,7 +42,7 @@ def test_a_time_that_is_no_number_is_refused(option: str, lever: Path) -> None:
     """Of nan seconds a heartbeat said 83,000 lines a second."""
     done = watch(lever, option, "nan", stdin=b"")
     assert (done.returncode, done.stdout) == (2, b"")
-    assert b"nan is no time" in done.stderr
+    assert b"nan is not a time" in done.stderr
 
 
 # --- What a line is
@@ -56,7 +56,9 @@ def placed(times: list[float], size: int = 10**6) -> tuple[Clock, list[tuple[boo
         t = np.array(times[start : start + size])
         lines = np.arange(start + 1, start + 1 + t.size)
         last = start >= len(times)
-        for begins, part in clock.place(Samples(t, t[:, None], t[:, None], lines), [], True, last):
+        for begins, part in clock.place_samples(
+            Samples(t, t[:, None], t[:, None], lines), [], True, last
+        ):
             pieces.append((begins, part.t.round(9).tolist()))
     return clock, pieces
 
@@ -101,7 +103,9 @@ def test_only_a_line_behind_a_gap_waits() -> None:
     for k, t in enumerate([0.0, 0.01, 0.02, 0.05, 0.06, 0.07]):
         at = np.array([t])
         rows = Samples(at, at[:, None], at[:, None], np.array([k]))
-        answered.append(sum(len(piece.samples.t) for piece in clock.place(rows, [], True, False)))
+        answered.append(
+            sum(len(piece.samples.t) for piece in clock.place_samples(rows, [], True, False))
+        )
     assert answered == [0, 2, 1, 0, 4, 1]
 
 

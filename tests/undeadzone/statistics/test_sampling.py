@@ -168,7 +168,7 @@ def test_without_entries_there_is_nothing_to_draw() -> None:
             "sobol",
             2,
             2**40,
-            "asks for 1099511627776, Sobol points are 2\\^31. Use random",
+            "needs 1099511627776, Sobol points are 2\\^31. Use random",
         ),
         ("saltelli", 11_000, 11_002, "at most 21201 dimensions, found 22000"),
     ],

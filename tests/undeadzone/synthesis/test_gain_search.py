@@ -381,8 +381,8 @@ def test_a_design_is_kept_exactly(knee: Design, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
-        ({"margin": 0.9}, ProofError, "margin: the file says 0.9, its gains have 0.01"),
-        ({"margin": float("nan")}, ProofError, "margin: the file says nan"),
+        ({"margin": 0.9}, ProofError, "margin: 0.9 in the file, its gains have 0.01"),
+        ({"margin": float("nan")}, ProofError, "margin: nan in the file"),
         ({"Ts": -0.001}, InputError, "Ts: expected a sample time above 0 s, found -0.001"),
         ({"Ts": 0.0}, InputError, "Ts: expected a sample time"),
         ({"states": [True]}, ShapeError, "states: expected 2 entries, found 1"),

@@ -144,7 +144,11 @@ def test_what_cannot_be_tuned(bounds: dict[str, tuple[float, float]], message: s
             {},
             "a logarithmic scale needs positive bounds",
         ),
-        (Tune(entries=GAMMA, metric="rms"), {}, "tune.metric: 'rms' is none of rms_tracking"),
+        (
+            Tune(entries=GAMMA, metric="rms"),
+            {},
+            "tune.metric: expected one of rms_tracking.*, found 'rms'",
+        ),
         (Tune(entries=GAMMA, budget=1), {}, "tune.budget: expected 4 or more, found 1"),
         (
             Tune(entries={"observer.epsilon": Range(between=(0.1, 1.0))}, certified=True),

@@ -1,6 +1,6 @@
 """Designs as values: gains, proof and scores, stored in TOML and proved again on load.
 
-It is also said in words.
+The proof is also described in words.
 """
 
 from __future__ import annotations
@@ -70,20 +70,20 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         title: of the scenario.
         chosen: how the gains were chosen: rate, knee, or the weights.
         seed: of the search.
-        Ts: sample time [s]; A and B are then of one step. None: continuous time.
+        Ts: sample time [s] (A and B are then of one step). None: continuous time.
         A, B, C: the model (n x n, n x m, p x n).
         K: the state feedback that the gains were planned with (m x n).
         P, W: of the proof: weight of the state errors (n x n), weights of the outputs (p).
         margin: of the proof.
-        frequency: where that margin is attained [rad/s]; None where there is no single one.
+        frequency: frequency of that margin [rad/s] (None if there is no single one).
         never: errors that no gains can remove.
         states: which states the readings determine (n).
-        remarks: what could not be had; `load` adds what it could not recompute.
-        best: the chosen gains and what they are worth.
+        remarks: results that are missing (`load` adds those that it could not recompute).
+        best: the chosen gains and their scores.
         present: the scenario's own gains, if they are certified.
-        identifiable: what the readings tell, per output.
+        identifiable: results of the readings, per output.
         front: the trade between rate and errors, by falling rate.
-        schema: number of the meanings that the names in it have (docs/json.md); None: at most 2.
+        schema: number of the meanings that the names in it have (docs/json.md), None: at most 2.
     """
 
     title: str
@@ -131,9 +131,9 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """Prove the gains again for a model from P and W, by eigenvalues alone.
 
         Args:
-            model: A, B, C that the gains are to be used with; of one step if sampled.
-            Ts: its sample time [s]; None in continuous time.
-            what: what asks for the proof, named first in the error's message.
+            model: A, B, C that the gains are to be used with (of one step if sampled).
+            Ts: its sample time [s] (None in continuous time).
+            what: name of the caller that needs the proof, first in the error's message.
 
         Raises:
             ProofError: if the proof does not hold, or the model has another size.
@@ -193,7 +193,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             The design, its proof checked for its own model.
 
         Raises:
-            FileError: if it cannot be read or is no design.
+            FileError: if it cannot be read or is not a design.
             ShapeError: if a matrix has the wrong shape.
             ProofError: if the proof does not hold for its own model.
         """
@@ -218,11 +218,11 @@ def _of_today(design: Design, path: str) -> Design:
 
 
 def _recompute_design(design: Design, path: str) -> Design:
-    """Return a design with all results that its file allows to recompute; remarks name the
+    """Return a design with all results that its file allows to recompute. Remarks name the
     rest.
 
     Raises:
-        InputError: for a sample time that is none.
+        InputError: for an invalid sample time.
         ProofError: if its proof, its margin or the certificate of `present` does not hold.
     """
     if design.Ts is not None and not 0 < design.Ts < np.inf:
@@ -233,7 +233,7 @@ def _recompute_design(design: Design, path: str) -> Design:
     margin, frequency = margin_of_dynamics(errors, require_vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):
         raise ProofError(
-            f"{path}: margin: the file says {design.margin:.6g}, its gains have {margin:.6g}. "
+            f"{path}: margin: {design.margin:.6g} in the file, its gains have {margin:.6g}. "
             "The file was changed, design again"
         )
     _require_sizes(design, n, p)
@@ -275,7 +275,8 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         reasons: why not, for each 'no'.
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].
-        second: another truth with the same readings; None: none far from it, or not looked for.
+        second: another truth with the same readings (None: none far from it, or not looked for).
+        crossings: strikes at the ends of a gap of gears that show (None: there are no gears).
     """
 
     right: bool
@@ -286,6 +287,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     cures: list[str]
     std: dict[str, float]
     second: dict[str, Any] | None = None
+    crossings: int | None = None
 
 
 def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
@@ -312,7 +314,7 @@ def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def describe_margin(margin: float, frequency: float | None) -> str:
-    """Describe the margin of a proof and the frequency where it is attained [rad/s]."""
+    """Describe the margin of a proof and the frequency of that margin [rad/s]."""
     where = "for large frequencies"
     if frequency is not None and math.isfinite(frequency):
         where = f"at {frequency:.4g} rad/s"

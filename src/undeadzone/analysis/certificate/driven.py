@@ -1,7 +1,7 @@
 """Error dynamics with outside signals: their inequality, and the search for its proof.
 
-The ultimate bound says where the errors end under disturbance, noise and leakage. Proofs are in
-docs/certificate.md.
+The ultimate bound is the size that the errors approach under disturbance, noise and leakage. Proofs
+are in docs/certificate.md.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ class _Search(NamedTuple):
     Attributes:
         family: q -> the inequality, affine in q.
         cost: weights of the multipliers.
-        confine: P, q -> what must be positive semidefinite besides.
+        confine: P, q -> a further matrix that must be positive semidefinite.
     """
 
     family: Family
@@ -157,7 +157,7 @@ class _Search(NamedTuple):
     def move_inside(self, best: Solution, excess: float) -> Solution | None:
         """Return P, q that pass the check and cost little more than the best, or None.
 
-        excess: what the deepest point may cost more, relatively.
+        excess: relative extra cost that the deepest point may have.
         """
         unit = np.clip(best.q, LOWEST, HIGHEST)
         limit = (1 + excess) * float(self.cost @ unit)
@@ -180,7 +180,7 @@ class _Search(NamedTuple):
     def reduce_cost(self, best: Solution, solution: Solution, low: float, high: float) -> Solution:
         """Return a solution that passes the check at nearly the least cost, by bisection.
 
-        Where the inequality is hardly feasible the solver's least cost lies below the true one.
+        If the inequality is hardly feasible, the solver's least cost lies below the true one.
 
         Args:
             best: as of `inside`.
@@ -206,10 +206,10 @@ def prove_inequality(
     Args:
         family: q -> the inequality, affine in q.
         cost: weights of the multipliers.
-        confine: P, q -> what must be positive semidefinite besides.
+        confine: P, q -> a further matrix that must be positive semidefinite.
 
     Returns:
-        The solution, checked; None if there is none.
+        The solution, checked, or None if there is none.
     """
     search, unit = _Search(family, cost, confine), np.ones(cost.size)
     for _ in range(ROUNDS):
@@ -234,7 +234,7 @@ def prove_inequality(
 
 
 class Ultimate(NamedTuple):
-    """Ultimate bound: |z| <= bound as t -> inf; inf if nothing is proved.
+    """Ultimate bound: |z| <= bound as t -> inf, or inf if nothing is proved.
 
     Attributes:
         bound: of |z|.
@@ -262,13 +262,13 @@ def ultimate_bound(
     """Return the bound that |z|, z = output x~, approaches for |w| <= 1, |v| <= 1.
 
     Args:
-        errors: the error dynamics; Gamma diagonal if there is leakage.
+        errors: the error dynamics (Gamma diagonal if there is leakage).
         widths: what |d - d^| cannot exceed (2p, [right, left] of each output, or one number), by
             projection onto [0, d_M]. With leakage what |d - d0| cannot exceed.
         E: x~' = ... + E w (n x q), with the size of the disturbance.
         noise: sizes of the noise: the reading of active output i is off by noise_i v_i (p).
         sigma: leakage d^' = ... - sigma Gamma (d^ - d0), so that its rate is sigma gamma.
-        output: rows of z (rows x n); C by default.
+        output: rows of z (rows x n) (C by default).
 
     Raises:
         InputError: for leakage with Gamma that is not diagonal or too fast for Ts.
@@ -299,13 +299,13 @@ def ultimate_bound(
     if sigma > 0:
         fastest = min(fastest, scaling.time * sigma * float(np.diag(gamma).min()) / 2)
 
-    def at(rate: float) -> _Level:
+    def level_at_rate(rate: float) -> _Level:
         """Return the least level of V at a rate."""
         of_widths = fed / (2 * rate) if sigma > 0 else held
         return _least_level(scaled, signals, z, of_widths, rate)
 
-    rate = _best_rate(lambda rate: at(rate).bound, fastest)
-    best = at(rate)
+    rate = _best_rate(lambda rate: level_at_rate(rate).bound, fastest)
+    best = level_at_rate(rate)
     if best.solution is None:
         return nothing
     V = original_storage(errors, scaling, best.solution)._replace(gamma=gamma)
@@ -317,7 +317,7 @@ class _Level(NamedTuple):
     """Least level of V at a given rate and the resulting bound on |z|, in scaled quantities.
 
     Attributes:
-        solution: P, q = [weight per group, multiplier per channel]; None if there is none.
+        solution: P, q = [weight per group, multiplier per channel] (None if there is none).
         family: q -> the inequality.
         level: of V.
         bound: of |z|.
@@ -334,7 +334,7 @@ def _least_level(
 ) -> _Level:
     """Return the least level of V that is approached at this rate.
 
-    of_widths: what the widths add to the level, per unit weight of each group.
+    of_widths: the amount that the widths add to the level, per unit weight of each group.
     """
     groups = scaled.groups.shape[1]
     nothing = np.zeros((0, z.shape[1]))

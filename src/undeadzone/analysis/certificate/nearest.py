@@ -42,11 +42,11 @@ class NearestGains(NamedTuple):
 def nearest_certified_gains(
     linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None, least: float = 0.01
 ) -> NearestGains:
-    """Return the gains nearest to L with margin `least` or more; L itself if its margin
+    """Return the gains nearest to L with margin `least` or more, L itself if its margin
     suffices.
 
     With the weights W that suit L best, the admissible gains are an intersection of half-spaces,
-    one per frequency and direction, so that the nearest is unique; it is found by adding the exact
+    one per frequency and direction, so that the nearest is unique. It is found by adding the exact
     worst frequency again and again. If it cannot be proved in floating point it is drawn towards
     L = 0. Sampled, Gamma is first scaled down so that no Ts gamma exceeds 1.
 
@@ -54,7 +54,7 @@ def nearest_certified_gains(
         linear: the model's A, B, C, of one step if sampled.
         L: observer gains (n x p) [1/s].
         gamma: adaptation gains, see `error_dynamics.adaptation` [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         least: margin that the gains must have.
 
     Raises:
@@ -93,11 +93,11 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
 
     Args:
         linear: the model's A, B, C, of one step if sampled.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
         tolerance: of the rate, relative.
 
     Returns:
-        The rate; inf where there is no limit.
+        The rate, or inf if there is no limit.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     errors = build_error_dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
@@ -246,7 +246,7 @@ def _has_decay_proof(errors: Dynamics, rate: float) -> bool:
 def _decay_inequalities(
     errors: Dynamics, rate: float, P: Floats, Y: Floats, W: Floats
 ) -> tuple[Floats, Floats]:
-    """Return (M of the certificate, N of the active decay) of `decay_limit`; both must be <=
+    """Return (M of the certificate, N of the active decay) of `decay_limit`. Both must be <=
     0.
     """
     (A,), C, _, _, Ts = errors

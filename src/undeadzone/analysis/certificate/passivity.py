@@ -1,11 +1,10 @@
 """Certificate that replaces Theorem 4.1: a common quadratic V for every switching sequence.
 
 Proofs are in docs/certificate.md. V = x~'P x~ + d~'R d~ with R = W Gamma^-1 (W once per edge).
-Continuous: [[A'P + PA, C'W - PL], [., -2W]] < 0.
-Sampled, in delta form with A = (Ad - I)/Ts and L, Gamma per second:
-[[A'P + PA, C'W - PL, sqrt(Ts) A'P], [., Ts W S Gamma S' - 2W, -sqrt(Ts) L'P], [., ., -P]] < 0.
-For one output P exists iff the margin below is positive. Models that are not stable have none; why
-not is said in words.
+Continuous: [[A'P + PA, C'W - PL], [., -2W]] < 0. Sampled, in delta form with A = (Ad - I)/Ts and L,
+Gamma per second: [[A'P + PA, C'W - PL, sqrt(Ts) A'P], [., Ts W S Gamma S' - 2W, -sqrt(Ts) L'P], [.,
+., -P]] < 0. For one output P exists iff the margin below is positive. Models that are not stable
+have none. The reason is given in words.
 """
 
 from __future__ import annotations
@@ -41,12 +40,12 @@ class Certificate(NamedTuple):
 
     Attributes:
         certified: whether it is proved.
-        reason: why not, in words; empty if it is.
+        reason: why not, in words (empty if it is).
         margin: the largest m with Herm W (1 + G - Ts S Gamma S'/2) >= m W on the whole frequency
-            axis, G = C (s - A)^-1 L, under the best W; for one output it is
+            axis, G = C (s - A)^-1 L, under the best W. For one output it is
             min Re (1 + G) - Ts gamma / 2.
-        frequency: where it is attained [rad/s]; None: several vertices, or none stable.
-        V: the storage; where not certified the best that the solver found.
+        frequency: frequency of that margin [rad/s] (None: several vertices, or none stable).
+        V: the storage (if not certified, the best that the solver found).
         dynamics: the error dynamics that it is for.
         check: the inequality's eigenvalues.
     """
@@ -82,10 +81,10 @@ def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None)
         L: observer gains (n x p) [1/s].
         gamma: adaptation gains [1/s]: one number, one per output (p), one per edge (p x 2), or
             the full matrix (2p x 2p).
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Returns:
-        The certificate; an impossible one is a value with its reason.
+        The certificate. An impossible one is a value with its reason.
 
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
@@ -121,7 +120,7 @@ def certify_dynamics(errors: Dynamics, W: Floats | None = None) -> Certificate:
 
 
 def recheck_proof(errors: Dynamics, P: Floats, W: Floats) -> DefinitenessCheck:
-    """Check by eigenvalues alone that P and W prove the dynamics; for proofs found elsewhere.
+    """Check by eigenvalues alone that P and W prove the dynamics, for proofs found elsewhere.
 
     Args:
         errors: the error dynamics.
@@ -157,7 +156,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
 
     Args:
         linear: the model's A, B, C, of one step if sampled.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Raises:
         StructureError: if the model is not stable.
@@ -194,7 +193,7 @@ def _reason_without_proof(errors: Dynamics, least: float, w: float | None) -> st
 
 
 def instability_reason(errors: Dynamics) -> str:
-    """Describe why no V can exist whatever the gains, or return an empty string."""
+    """Describe why no V can exist with any gains, or return an empty string."""
     fastest, k = max((largest_growth_rate(A, errors.Ts), k) for k, A in enumerate(errors.A))
     seen = Matrices(errors.A[k], errors.L, errors.C)
     A = change_state_units(
@@ -228,8 +227,8 @@ def is_defective(A: Floats, Ts: float | None) -> bool:
     """Return whether an eigenvalue on the stability boundary has too few eigenvectors.
 
     Args:
-        A: the matrix (n x n; delta form if sampled) [1/s].
-        Ts: sample time [s]; None in continuous time.
+        A: the matrix (n x n, delta form if sampled) [1/s].
+        Ts: sample time [s] (None in continuous time).
     """
     poles, size = np.linalg.eigvals(A), max(float(np.linalg.norm(A, 2)), 1e-300)
     decay = np.abs(poles.real) if Ts is None else np.abs(np.abs(1 + Ts * poles) - 1) / Ts

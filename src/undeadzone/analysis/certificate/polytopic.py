@@ -53,8 +53,9 @@ def certify_on(
         parts: of the box that are looked at before the proof is given up.
 
     Returns:
-        A certificate whose dynamics hold the vertices, and whose margin is that at them. A 'no'
-        names the point of the box where there is no V, or says that the proof was given up.
+        A certificate whose dynamics hold the vertices, and whose margin is that at them. If the
+        result is 'no', the reason names a point of the box at which no V exists, or states that the
+        proof was given up.
 
     Raises:
         InputError: for a model that is not smooth on the box.
@@ -76,7 +77,7 @@ def design_on(model: System, gamma: Floats, box: Box) -> Certificate:
 
     Raises:
         InputError: for a sampled model.
-        StructureError: where no V exists.
+        StructureError: if no V exists.
     """
     if model.Ts is not None:
         raise InputError(
@@ -210,7 +211,7 @@ class InequalityForm(NamedTuple):
     rounding: tuple[float, Floats]
 
     def certificate_depth(self, c: Floats) -> Floats:
-        """Return the least eigenvalue of -M minus rounding for every c (rows); -inf if
+        """Return the least eigenvalue of -M minus rounding for every c (rows), or -inf if
         unbounded.
         """
         return self.depth_within(c, np.zeros_like(c), np.zeros((len(c), 0, self.mean.size)))
@@ -288,7 +289,7 @@ def _entry_bounds(
     By the bounds at their centres and on the derivatives.
 
     Returns:
-        c at the centres and half width of the bounds there (parts x K); c changes by +-turns
+        c at the centres and half width of the bounds there (parts x K). c changes by +-turns
         towards each side, and half width of the bounds on turns (parts x (n + m) x K).
     """
     reach = np.nextafter(np.maximum(high - centre, centre - low), np.inf)[:, :, None]
@@ -309,7 +310,7 @@ def find_missed_points(
         parts: of the box that are looked at, at most.
 
     Returns:
-        Points (K x (n + m)); none if V is proved on the box, NaN if that is open.
+        Points (K x (n + m)) (none if V is proved on the box, NaN if that is open).
     """
     bounds, bends = slopes.bounds()
     if not slopes.entries[0].size:
@@ -342,7 +343,7 @@ def halve_boxes(
 ) -> tuple[Floats, Floats]:
     """Return (low, high) of both halves of each part, cut across the side of most effect on M.
 
-    Where an effect has no bound, the side that is longest against the box is cut.
+    If an effect has no bound, the side that is longest relative to the box is cut.
     """
     bounded = np.isfinite(effect).all(axis=1, keepdims=True)
     share = np.where(bounded, effect, (high - low) / (box.high - box.low))
@@ -353,7 +354,7 @@ def halve_boxes(
 
 
 def _middle_and_half_width(bound: Interval) -> tuple[Floats, Floats]:
-    """Return (middle, half width) of bounds; not finite if unbounded."""
+    """Return (middle, half width) of bounds, not finite if unbounded."""
     with np.errstate(invalid="ignore"):
         middle = (bound.low + bound.high) / 2
         return middle, np.nextafter(np.maximum(bound.high - middle, middle - bound.low), np.inf)
@@ -383,7 +384,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         box: of [x, u] (n + m).
 
     Raises:
-        InputError: where the output bends; from the bounds, where the model is not smooth.
+        InputError: if the output bends (the bounds raise it if the model is not smooth).
     """
     n = model.n
     p, params = tree.create_symbols(model.params, "p")
@@ -403,7 +404,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
 
     everything = function(moved, A)
 
-    def at(points: Floats) -> Floats:
+    def jacobian_at_points(points: Floats) -> Floats:
         """Return the Jacobian at points [x, u] (N x n x n)."""
         repeated = np.broadcast_to(numbers, (numbers.size, len(points)))
         side_by_side = everything(repeated, points.T)[1].full()
@@ -425,7 +426,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None
 
-    return ModelJacobian(at, (rows, columns), bounds)
+    return ModelJacobian(jacobian_at_points, (rows, columns), bounds)
 
 
 def _bounds_over_boxes(function: ca.Function, numbers: Floats) -> Bounds:

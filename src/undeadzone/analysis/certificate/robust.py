@@ -36,8 +36,8 @@ class Gain(NamedTuple):
     """Bound int |z|^2 <= V(0) + disturbance^2 int |w|^2 + noise^2 int |v|^2 on any branches.
 
     Attributes:
-        disturbance: gain from w to z; inf where nothing is proved.
-        noise: gain from v to z; inf where nothing is proved.
+        disturbance: gain from w to z (inf if nothing is proved).
+        noise: gain from v to z (inf if nothing is proved).
         V: the storage.
         check: of its own inequality.
     """
@@ -63,7 +63,7 @@ def l2_gain(
         errors: the error dynamics.
         E: x~' = ... + E w (n x q).
         noise: the reading of an active output i is off by noise_i v_i (p).
-        output: rows of z = output x~ (rows x n); C by default.
+        output: rows of z = output x~ (rows x n) (C by default).
     """
     if max(error_dynamics.largest_growth_rate(A, errors.Ts) for A in errors.A) >= 0:
         return Gain(np.inf, np.inf, error_dynamics.identity_storage(errors), NO_PROOF)
@@ -107,10 +107,10 @@ def certified_radius(errors: error_dynamics.Dynamics, E: Floats, F: Floats) -> f
     Args:
         errors: the error dynamics.
         E: how the uncertainty enters x~' (n x q).
-        F: what it acts on (r x n).
+        F: map to its input (r x n).
 
     Returns:
-        The radius; 0 if not certified.
+        The radius, or 0 if not certified.
     """
     gain = l2_gain(errors, E, output=F)
     return 1 / gain.disturbance if gain.disturbance > 0 else np.inf
@@ -128,9 +128,9 @@ def closed_loop(
     plant.
 
     x~ is x - x^ of the model. `passivity.certify_dynamics` of it proves convergence for every plant
-    between the vertices, also a varying one, when x_ref = 0; a reference drives both errors by
-    (A_k - A) x_ref + (B_k - B) u_ff, a disturbance for `l2_gain` and `ultimate_bound`. Sampled,
-    model and plants are sampled ones: what lies between sampled vertices is covered.
+    between the vertices, also a varying one, when x_ref = 0. A reference drives both errors by (A_k
+    - A) x_ref + (B_k - B) u_ff, a disturbance for `l2_gain` and `ultimate_bound`. Sampled, model
+    and plants are sampled ones: all between sampled vertices are covered.
 
     Args:
         model: A, B, C of the observer.
@@ -138,7 +138,7 @@ def closed_loop(
         L: observer gains (n x p) [1/s].
         K: state feedback (m x n).
         gamma: adaptation gains, see `error_dynamics.adaptation` [1/s].
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
 
     Raises:
         InputError, ShapeError: for gains of the wrong kind.

@@ -24,7 +24,7 @@ TOLERANCE = 1e-11  # of the response's size: how far the least value may lie bel
 
 
 class OutputWeights(NamedTuple):
-    """Weights W (p), their margin and the frequency where it is attained [rad/s]."""
+    """Weights W (p), their margin and its frequency [rad/s]."""
 
     W: Floats
     margin: float
@@ -47,7 +47,7 @@ class _Cuts(NamedTuple):
 
 
 def margin_of_weights(errors: Dynamics, W: Floats) -> tuple[float, float]:
-    """Return (margin for W, frequency [rad/s] where it is attained), exact, without a solver.
+    """Return (margin for W, its frequency [rad/s]), exact, without a solver.
 
     Args:
         errors: error dynamics with one stable A.
@@ -95,7 +95,7 @@ def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]
 
 
 def _next_weights(cuts: _Cuts, best: float) -> Floats | None:
-    """Return the group weights that the cuts bound least; None if `best` is as good."""
+    """Return the group weights that the cuts bound least, or None if `best` is as good."""
     groups, found, level = cuts.over.shape[1], None, best + ENOUGH * max(1.0, abs(best))
     for _ in range(SEARCHES):
         q = _maximise_least_cut(cuts, level, groups)
@@ -169,7 +169,7 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
 
 
 def _reachable_margin(errors: Dynamics, P: Floats, W: Floats) -> float:
-    """Return the largest m with M + 2m diag(0, W) <= 0 for every M at P; -inf if none exists."""
+    """Return the largest m with M + 2m diag(0, W) <= 0 for every M at P, or -inf if none exists."""
     n, p = errors.L.shape
     least = np.inf
     for M in errors.inequality(W).lmi_matrices(P):
@@ -188,7 +188,7 @@ class Response(NamedTuple):
 
     Attributes:
         A, C, L, D: its matrices (n x n, p x n, n x p, p x p).
-        Ts: sample time [s] that it was mapped from by Tustin's rule; None in continuous time.
+        Ts: sample time [s] that it was mapped from by Tustin's rule (None in continuous time).
     """
 
     A: Floats
@@ -201,7 +201,7 @@ class Response(NamedTuple):
         """Return (G + G*)/2 (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
-            w: frequencies [rad/s]; inf is allowed.
+            w: frequencies [rad/s] (inf is allowed).
         """
         G = self.response_values(w)
         return np.asarray(G + G.conj().transpose(0, 2, 1)) / 2
@@ -210,7 +210,7 @@ class Response(NamedTuple):
         """Return G (len(w) x p x p, complex) at frequencies w of the mapped axis.
 
         Args:
-            w: frequencies [rad/s]; inf is allowed.
+            w: frequencies [rad/s] (inf is allowed).
         """
         finite = np.isfinite(w)
         G = np.zeros((w.size, *self.D.shape), complex)
@@ -225,7 +225,7 @@ class Response(NamedTuple):
 
 
 class LeastEigenvalue(NamedTuple):
-    """Least eigenvalue and the frequency where it occurs.
+    """Least eigenvalue and its frequency.
 
     Attributes:
         value: the eigenvalue.
@@ -245,7 +245,7 @@ def frequency_response(A: Floats, C: Floats, L: Floats, D: Floats, Ts: float | N
 
     Args:
         A, C, L, D: its matrices (n x n, p x n, n x p, p x p).
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     if Ts is None:
         return Response(A, C, L, D)
@@ -257,9 +257,10 @@ def least_eigenvalue_over_frequencies(G: Response) -> LeastEigenvalue:
     """Return the minimum over w in [0, inf] of the least eigenvalue of Herm G(jw), for a
     stable A.
 
-    At a level m every frequency where an eigenvalue of Herm G crosses m is the imaginary part of an
-    eigenvalue of the pencil below; the least value at those and halfway between (both means) is the
-    next level, until it falls no further (Boyd and Balakrishnan 1990, Bruinsma and Steinbuch 1990).
+    At a level m every frequency at which an eigenvalue of Herm G crosses m is the imaginary part of
+    an eigenvalue of the pencil below. The least value at those and halfway between (both means) is
+    the next level, until it falls no further (Boyd and Balakrishnan 1990, Bruinsma and Steinbuch
+    1990).
     """
     A, C, L, D, _ = G
     n, p = A.shape[0], D.shape[0]

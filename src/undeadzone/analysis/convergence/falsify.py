@@ -53,7 +53,7 @@ class Attack(NamedTuple):
     Attributes:
         broken: whether V rose beyond rounding.
         rise: by how much of itself V rose at most in one switch.
-        start: the errors [x~; d~] from which `mode` raises V by `rise`.
+        start: the errors `[x~; d~]` from which `mode` raises V by `rise`.
         mode: the worst one.
         growth: the largest V(end)/V(0) of a trajectory.
         trajectories: how many there were.
@@ -71,7 +71,7 @@ class Cycle(NamedTuple):
     """Periodic branch sequence along which the error grows.
 
     Attributes:
-        factor: by which it grows in a period; above 1 it is a proof of divergence.
+        factor: by which it grows in a period (above 1 it is a proof of divergence).
         seconds: the period [s].
         modes: of the period, one after another.
     """
@@ -99,7 +99,7 @@ def falsify(
 
     Args:
         errors: the error dynamics.
-        V: the storage that is said to fall.
+        V: the storage that is supposed to fall.
         trajectories: how many, at least.
         switches: of each trajectory.
         seed: of all that is random.
@@ -136,9 +136,7 @@ def falsify(
 
 
 def _start_errors(rng: np.random.Generator, maps: Floats, size: int) -> Floats:
-    """Return errors of length 1 (groups x size x N); a map raises the first of each group
-    most.
-    """
+    """Return errors of length 1 (groups x size x N). A map raises the first of each group most."""
     shape = (GROUPS, size, maps.shape[-1])
     states = rng.normal(size=shape) * 10 ** rng.uniform(-1, 1, shape)
     states[:, 0] = np.linalg.svd(maps)[2][rng.integers(len(maps), size=GROUPS), 0]
@@ -168,7 +166,7 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
     """Search at random for the periodic branch sequence of fastest growth.
 
     Its times are refined in continuous time. The factor is the largest modulus of the period's
-    eigenvalues on [x~; d~]; a width that is not read counts 1.
+    eigenvalues on `[x~; d~]`. A width that is not read counts 1.
 
     Args:
         errors: the error dynamics.
@@ -216,7 +214,7 @@ def _cycle_rate(maps: Floats, times: Floats) -> float:
 
 
 def error_generator(errors: Dynamics, mode: SwitchMode) -> Floats:
-    """Return F of [x~; d~]' = F [x~; d~] in a mode (delta form if sampled) [1/s]."""
+    """Return F of `[x~; d~]' = F [x~; d~]` in a mode (delta form if sampled) [1/s]."""
     A = np.tensordot(mode.vertices, np.stack(errors.A), 1)
     innovation = mode.theta[:, None] * np.hstack([errors.C, -mode.S])
     innovation[~mode.S.any(axis=1)] = 0.0
@@ -229,7 +227,7 @@ def error_generator(errors: Dynamics, mode: SwitchMode) -> Floats:
 def mode_transitions(
     errors: Dynamics, modes: list[SwitchMode], moved: Callable[[Floats], Floats] = np.asarray
 ) -> Floats:
-    """Return the exact maps of [x~; d~] over the modes' times (K x N x N).
+    """Return the exact maps of `[x~; d~]` over the modes' times (K x N x N).
 
     Sampled, times are whole samples.
 

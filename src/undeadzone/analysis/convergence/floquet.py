@@ -31,9 +31,9 @@ class Rates(NamedTuple):
 
     Attributes:
         rate: -ln rho / T [1/s], rho the largest multiplier once those that unidentifiable
-            directions keep on the unit circle are set apart; -inf: the error grows beyond all
-            numbers.
-        time_constant: 1 / rate [s], inf where the error does not die.
+            directions keep on the unit circle are set apart (-inf: the error grows beyond all
+            numbers).
+        time_constant: 1 / rate [s], inf if the error does not decay.
         logs: logarithms of the multipliers, by falling real part.
         slow: what dies last, in (x~, [d~_r, d~_l] per output), largest entry 1 (n + 2p, m).
         never: the unidentifiable states and widths, whose errors stay.
@@ -116,11 +116,11 @@ def _multipliers_and_modes(
     """Return the multipliers of the monodromy matrix M e^size, eigenvectors, unidentifiable
     names.
 
-    hidden: what no reading shows; part: which unknowns M is of.
+    hidden: changes that no reading shows. part: the unknowns that M maps.
 
     Returns:
-        Logarithms of the multipliers but for those that unidentifiable directions keep on the
-        circle, complex; their eigenvectors, as columns; what is kept, in words.
+        Logarithms of the multipliers, complex, but for those that unidentifiable directions keep on
+        the circle. Then their eigenvectors as columns, and descriptions of the directions kept.
     """
     count = hidden.basis.shape[1]
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [count], axis=1)
@@ -147,7 +147,7 @@ def error_matrices(
     silent ones.
 
     Args:
-        A: the plant's matrix (n x n); delta form if sampled, and then so are F and G [1/s].
+        A: the plant's matrix (n x n) (delta form if sampled, and then so are F and G [1/s]).
         C: its outputs (p x n).
         L: observer gains (..., n, p) [1/s].
         gamma: Gamma (..., 2p, 2p) [1/s].
@@ -176,7 +176,7 @@ def span_transitions(F: Floats, schedule: Schedule) -> Floats:
 
 
 def matrix_product(factors: Floats) -> tuple[Floats, Floats]:
-    """Return (M, s): the product ... F_2 F_1 F_0 of the factors is M e^s; no underflow.
+    """Return (M, s): the product ... F_2 F_1 F_0 of the factors is M e^s. No underflow.
 
     Args:
         factors: F_0, F_1, ... (..., K, N, N).
@@ -246,7 +246,7 @@ def integrate_spans(
         F: the dynamics in each span (..., K, N, N) [1/s].
         weights: S weights of x (..., N, N each).
         schedule: of the sides.
-        twice: the sum of sums is asked of so many of them.
+        twice: number of leading weights for which the sum of sums is computed.
     """
     H = np.stack([np.broadcast_to(weight, F.shape) for weight in weights])
     if schedule.Ts is not None:

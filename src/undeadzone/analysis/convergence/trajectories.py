@@ -128,10 +128,10 @@ def trajectory_along_modes(
     """Return V from an error along modes.
 
     Args:
-        kind: what the trajectory is called.
+        kind: name of the trajectory.
         errors: the error dynamics.
         V: the storage.
-        start: the error [x~; d~] (n + 2p).
+        start: the error `[x~; d~]` (n + 2p).
         modes: one after another.
         step: V is seen every so many seconds or so, and at every switch [s].
     """
@@ -146,7 +146,7 @@ def trajectory_along_modes(
 
 
 def most_growing_error(errors: Dynamics, cycle: Cycle) -> Floats:
-    """Return the error [x~; d~] that a cycle multiplies most: an eigenvector of its period."""
+    """Return the error `[x~; d~]` that a cycle multiplies most: an eigenvector of its period."""
     identity = np.eye(errors.L.shape[0] + errors.gamma.shape[0])
     period = np.linalg.multi_dot([identity, *mode_transitions(errors, [*cycle.modes])[::-1]])
     values, vectors = np.linalg.eig(period)
@@ -168,8 +168,8 @@ def worst_settling_time(
         share: of sqrt(V) at the start.
 
     Returns:
-        The time in whole passes of the schedule [s]; None where some errors stay, or fall for more
-        than 2^20 passes.
+        The time in whole passes of the schedule [s], or None if some errors stay, or need more than
+        2^20 passes.
     """
     seen, M = V.visible_errors
     F, _ = error_matrices(
@@ -231,7 +231,7 @@ def _random_unit_error(V: Storage, rng: np.random.Generator) -> Floats:
 
 
 def _value(V: Storage, errors: Floats) -> Floats:
-    """Return V (N) of errors [x~; d~] (N rows)."""
+    """Return V (N) of errors `[x~; d~]` (N rows)."""
     return V.evaluate_storage(*np.split(errors, [len(V.P)], axis=1))
 
 

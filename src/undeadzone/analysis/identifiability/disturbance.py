@@ -74,7 +74,7 @@ def tone_inputs(B: Floats, amplitude: Floats, frequency: float) -> InputModel:
 
 
 def join_inputs(colours: Sequence[InputModel]) -> InputModel | None:
-    """Return unknown inputs side by side; None if the sequence is empty."""
+    """Return unknown inputs side by side, or None if the sequence is empty."""
     from scipy.linalg import block_diag
 
     if not colours:
@@ -91,12 +91,12 @@ def unknown_bias(
     The signal itself is judged, not its kind: what does not swing within the run is a constant.
 
     Args:
-        disturbance: any; a random one leaves no bias.
+        disturbance: any (a random one leaves no bias).
         B: inputs (n x m).
         duration: of the run [s].
 
     Returns:
-        The columns (n x b); None if there is none.
+        The columns (n x b), or None if there is none.
     """
     biased = _has_constant(disturbance, B.shape[1], duration)
     return B[:, biased] if biased.any() else None
@@ -114,7 +114,7 @@ def unknown_constants(
         duration: of the run [s].
 
     Returns:
-        The inputs that one acts on (m x b), and its rms, infinite where it may be of any size (b).
+        The inputs that one acts on (m x b), and its rms, infinite if it may be of any size (b).
     """
     constant = _has_constant(disturbance, m, duration)
     rms = np.sqrt((_varying_part(disturbance, constant, duration) ** 2).mean(axis=0))

@@ -1,7 +1,8 @@
 """Indistinguishable parameters: an example of widths that give the same readings.
 
-Of all changes of the unknowns that the readings cannot tell, or not better than noise and prior
-allow, it is the likeliest one that moves a width, or d_r - d_l, to the end of its 95 % interval.
+Among all changes of the unknowns that the readings do not determine, or not better than noise and
+prior allow, it is the likeliest one that moves a width, or d_r - d_l, to the end of its 95 %
+interval.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ def least_known_change(hidden: Unobservable, covariance: Floats, i: int, widths:
     (N).
 
     Args:
-        hidden: what no reading shows.
-        covariance: of the unknowns as far as readings tell them (N x N).
+        hidden: changes that no reading shows.
+        covariance: of the unknowns as far as readings determine them (N x N).
         i: the output.
-        widths: d_r, d_l (2) [z]; they stay at 0 or above.
+        widths: d_r, d_l (2) [z], 0 or above after the change.
     """
     first = hidden.n + 2 * i
     pair = slice(first, first + 2)
@@ -93,7 +94,7 @@ def describe_indistinguishable(truths: Sequence[Mapping[str, Any] | None]) -> li
 
 
 def _format_values(values: Sequence[float]) -> str:
-    """Format a number, or several in brackets; numbers near 0 beside the largest become 0."""
+    """Format a number, or several in brackets. Numbers near 0 beside the largest become 0."""
     given = np.array(values)
     given[np.abs(given) < NEAR * np.abs(given).max()] = 0.0
     texts = [f"{value:.3g}" for value in given]

@@ -1,6 +1,7 @@
 """Information of noisy readings on x(0), d and a bias along a schedule, backward in time.
 
-docs/identifiability.md derives it. The unknowns are [x(0); d; beta], d = [right, left] per output.
+docs/identifiability.md derives it. The unknowns are `[x(0); d; beta]`, d = [right, left] per
+output.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ class Stretch(NamedTuple):
 
 
 class Deviations(NamedTuple):
-    """Standard deviations that an optimal estimator reaches; inf if not identifiable.
+    """Standard deviations that an optimal estimator reaches, or inf if not identifiable.
 
     Attributes:
         widths: of `right`, `left`, `width`, `centre` of each output [unit of z].
         states: of x(0) (n).
-        covariance: of [x(0); d; beta], its unidentifiable part left out (n + 2p + b square).
-        hidden: what no reading shows of them.
+        covariance: of `[x(0); d; beta]`, its unidentifiable part left out (n + 2p + b square).
+        hidden: changes of the unknowns that no reading shows.
     """
 
     widths: list[dict[str, float]]
@@ -59,14 +60,14 @@ class ReadingConditions(NamedTuple):
         noise: rms of the noise of z (p).
         step: time between two readings [s].
         duration: for how long there are readings [s].
-        arrive: share of each output's readings that arrive (p); None: all of them.
-        bias: directions (n x b) of unknown constant inputs; None: there is none.
-        colour: a random input with its own states, which come after x and start at its own rms;
-            None: there is none.
-        told: what is known beforehand of [x(0); d] (k x n + 2p, `beforehand`); None: nothing.
+        arrive: share of each output's readings that arrive (p) (None: all of them).
+        bias: directions (n x b) of unknown constant inputs (None: there is none).
+        colour: a random input with its own states, which come after x and start at its own rms
+            (None: there is none).
+        told: prior information on `[x(0); d]` (k x n + 2p, `beforehand`) (None: nothing).
         gaps_known: whether the gaps of a play ahead of the zone are.
         process: covariance (n x n) of white process noise, per second, or per step if the schedule
-            is sampled; None: there is none.
+            is sampled (None: there is none).
     """
 
     noise: Floats
@@ -90,7 +91,7 @@ def optimal_deviations(
     Args:
         linear: A, B, C of the plant, of one step if sampled.
         schedule: of the sides.
-        readings: what tells.
+        readings: the readings.
     """
     states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
     visited = schedule.branch_visits(states_of_plant)
@@ -122,7 +123,7 @@ def optimal_deviations(
 def _augment_disturbance(
     linear: Matrices, Ts: float | None, colour: InputModel, readings: ReadingConditions
 ) -> tuple[Matrices, ReadingConditions]:
-    """Return the model of [x; w] and its readings, with process noise and bias."""
+    """Return the model of `[x; w]` and its readings, with process noise and bias."""
     n, b = colour.B.shape
     own, white = colour.A, colour.Q
     if Ts is not None:
@@ -144,7 +145,7 @@ def pad_states(B: Floats, more: int) -> Floats:
 
 
 def information_matrix(linear: Matrices, schedule: Schedule, readings: ReadingConditions) -> Floats:
-    """Return the information matrix (n + 2p + b square) of [x(0); d; beta].
+    """Return the information matrix (n + 2p + b square) of `[x(0); d; beta]`.
 
     Without process noise it is exact: the observability Gramian of the switched system divided by
     the noise. Arguments as of `deviations`.
@@ -178,7 +179,7 @@ def information_matrix(linear: Matrices, schedule: Schedule, readings: ReadingCo
 
 
 def edge_scale(levels: Floats) -> Floats:
-    """Return the larger edge of each output (p) [z]; 1 if an output has no width."""
+    """Return the larger edge of each output (p) [z], or 1 if an output has no width."""
     level = levels.max(axis=1)
     return np.where(level > NO_WIDTH, level, 1.0)
 
@@ -214,7 +215,7 @@ def _continuous_stretch(F: Floats, Q: Floats, H: Floats, span: float, step: floa
     """Return the stretch of x' = F x + w for `span` [s]: short parts, then doubling.
 
     Within a part readings come before process noise: with Q, a part holds one reading (every `step`
-    [s]) at most. Q: covariance of w; H: information of readings per second.
+    [s]) at most. Q: covariance of w. H: information of readings per second.
     """
     readings = span / step if Q.any() else 1.0
     parts = max(1.0, float(np.linalg.norm(F, 1)) * span, readings)

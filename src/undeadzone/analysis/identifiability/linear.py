@@ -1,6 +1,6 @@
 """Identifiability of x, d_r, d_l along a schedule of branches, and remedies.
 
-Proofs are in docs/identifiability.md. The unknowns are [x(0); d; beta], d = [right, left] per
+Proofs are in docs/identifiability.md. The unknowns are `[x(0); d; beta]`, d = [right, left] per
 output, beta a constant input bias. What stays unknown is a subspace, kept as an orthonormal basis.
 
 Edges of the dead zone that a schedule does not reach: why not, and what would reach them.
@@ -28,9 +28,9 @@ class Remedy(NamedTuple):
 
     Attributes:
         output: which output.
-        factor: by which its deviation from its mean grows; None if that is not the cure.
-        shift: what is added to it; None if that is not the cure.
-        text: the cure in words; alone where no reference helps.
+        factor: by which its deviation from its mean grows (None if that is not the cure).
+        shift: offset that is added to it (None if that is not the cure).
+        text: the cure in words (alone if no reference helps).
     """
 
     output: int
@@ -40,7 +40,7 @@ class Remedy(NamedTuple):
 
 
 def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) -> list[str]:
-    """Describe why edges of output i are not visited; empty if all are.
+    """Describe why edges of output i are not visited, empty if all are.
 
     Args:
         schedule: of the sides.
@@ -94,7 +94,7 @@ def largest_deviations(
 
     Args:
         right, left: widths of the output [z].
-        swing: of the output, which counts where the widths are 0 [z].
+        swing: of the output, used if the widths are 0 [z].
         least: deviation of a width that always counts as known [z].
     """
     both = right + left
@@ -161,7 +161,7 @@ class Unobservable(NamedTuple):
     """Changes of the unknowns that do not change any reading.
 
     Attributes:
-        basis: orthonormal columns (n + 2p + b, k); the changes are these times `scale` by rows.
+        basis: orthonormal columns (n + 2p + b, k), the changes are these times `scale` by rows.
         scale: units of the unknowns (n + 2p + b).
         n: how many states come first.
         present: least component of a unit vector that counts.
@@ -201,8 +201,7 @@ class Unobservable(NamedTuple):
         return not bool((np.abs(change) > self.present).any())
 
     def std_of_widths(self, i: int, covariance: Floats) -> dict[str, float]:
-        """Return the deviations of right, left, width, centre of output i; inf if
-        undetermined.
+        """Return the deviations of right, left, width, centre of output i, or inf if undetermined.
 
         Args:
             i: the output.
@@ -220,8 +219,8 @@ class Unobservable(NamedTuple):
         return self._replace(basis=self.basis @ null_space_basis(self.basis[~part], self.present))
 
     def exclude_known(self, rows: Floats) -> Unobservable:
-        """Return the changes that remain once rows on [x(0); d] are known beforehand (k x
-        n + 2p).
+        """Return the changes that remain once rows on `[x(0); d]` are known beforehand (k x n +
+        2p).
         """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
@@ -253,6 +252,7 @@ class WidthIdentifiability(NamedTuple):
             into account.
         second: another truth with these readings (`second_truth`); None: none far from it, or not
             looked for.
+        crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
     """
 
     right: bool
@@ -262,6 +262,7 @@ class WidthIdentifiability(NamedTuple):
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
+    crossings: int | None = None
 
     def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
         """Return the result with more reasons and with changed fields."""
@@ -277,18 +278,19 @@ def unobservable_changes(
     jump: bool = False,
     drives: Sequence[Floats] | None = None,
 ) -> Unobservable:
-    """Return the changes of [x(0); d; beta] that do not change any reading.
+    """Return the changes of `[x(0); d; beta]` that do not change any reading.
 
-    They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, where U is
-    the subspace that the visited outputs do not observe: when and for how long a side is visited
-    makes no difference.
+    They solve A x + B_b beta in U, C_i x = d_ri and C_i x = -d_li on the visited sides, with U the
+    subspace that the visited outputs do not observe: time and duration of a visit make no
+    difference.
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
         visited: whether each [right, left] side is visited (p x 2, bool).
-        Ts: sample time [s]; None in continuous time.
-        bias: B_b (n x b), like B the directions of unknown constant inputs; of one step if sampled.
-        jump: whether the sensor jumps; its readings do not hold d at all.
+        Ts: sample time [s] (None in continuous time).
+        bias: B_b (n x b), like B the directions of unknown constant inputs (of one step if
+            sampled).
+        jump: whether the sensor jumps (its readings do not contain d).
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
     """
     A, _, C = delta_form(linear, Ts)
@@ -328,7 +330,7 @@ def width_identifiability(
         schedule: of the sides.
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
-        told: what is known beforehand (`beforehand`).
+        told: prior information (`beforehand`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
     if jump:
@@ -399,16 +401,16 @@ def _confounding_reasons(
     visited = schedule.branch_visits(linear.A.shape[0])
     edges = [name for name, seen in zip(("right", "left"), visited[i], strict=True) if seen]
 
-    def known(bias: Floats | None) -> bool:
+    def are_edges_known(bias: Floats | None) -> bool:
         """Return whether the visited edges are known, given the directions of bias."""
         hidden = unobservable_changes(linear, visited, schedule.Ts, bias)
         return all(hidden.is_width_known(i, name) for name in edges)
 
-    if known(bias):
+    if are_edges_known(bias):
         return {}
     start = "the centre is not identifiable: "
     what = "centre" if len(edges) == 2 else f"{edges[0]} edge"
-    if known(None):
+    if are_edges_known(None):
         reason = f"{start}constant input bias, {what} and bias cannot be told apart"
         return {reason: "calibrate the input"}
     rest = f"the {what} cannot be told from a shift of the state"
@@ -422,7 +424,7 @@ def null_space_basis(M: Floats, tolerance: float) -> Floats:
     """Return an orthonormal basis (n x k) of the kernel of a matrix with entries of order 1.
 
     Args:
-        M: the matrix (rows x n); all is kernel if it is empty.
+        M: the matrix (rows x n). All is kernel if it is empty.
         tolerance: singular values up to this count as 0.
     """
     if not M.size:

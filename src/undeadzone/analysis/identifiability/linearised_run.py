@@ -1,4 +1,4 @@
-"""Linearisation of a plant along a run: transitions and outputs of [x; beta; theta] at its
+"""Linearisation of a plant along a run: transitions and outputs of `[x; beta; theta]` at its
 samples.
 
 beta is a constant input bias, theta uncertain parameters.
@@ -22,11 +22,11 @@ WORK = 5e7  # products and sums spent on exact derivatives; more, and samples ar
 
 
 class LinearisedRun(NamedTuple):
-    """Run linearised at K of its samples; s = n + b + t.
+    """Run linearised at K of its samples, s = n + b + t.
 
     Attributes:
         steps: transition from each kept sample to the next (K x s x s).
-        outputs: of [x; beta; theta] (K x p x s).
+        outputs: of `[x; beta; theta]` (K x p x s).
         kept: the samples (K).
         tolerance: share of a direction's information, all else known, that the steps' errors may
             feign.
@@ -45,7 +45,7 @@ def linearise_run(
 
     A sampled plant's is exact at every sample, unless that costs too much. In continuous time, and
     for large sampled plants, steps span 2 samples, or as many as the work allows, by a fourth-order
-    Magnus expansion (Iserles, Norsett 1999); over a step of a sampled plant with the mean of its
+    Magnus expansion (Iserles, Norsett 1999). Over such a step, a sampled plant gets the mean of its
     inputs.
 
     Args:
@@ -92,9 +92,9 @@ def _magnus_exponent(A0: Floats, A1: Floats, A2: Floats, h: Floats) -> Floats:
 def _build_derivatives(
     model: System, move: Any, bias: Floats, uncertain: Sequence[str]
 ) -> ca.Function:
-    """Build the derivatives of move and output by [x; beta; theta] as a function.
+    """Build the derivatives of move and output by `[x; beta; theta]` as a function.
 
-    Its arguments are [x; u] and theta.
+    Its arguments are `[x; u]` and theta.
 
     They are a step without a state.
     """
@@ -129,7 +129,7 @@ def _derivatives_along(
 def _assemble_run(
     steps: Floats, outputs: Floats, kept: Integers, tolerance: float
 ) -> LinearisedRun:
-    """Return the run up to the first derivative that is not finite; the constants stay
+    """Return the run up to the first derivative that is not finite. The constants stay
     constant.
     """
     good = np.isfinite(steps).all(axis=(1, 2)) & np.isfinite(outputs).all(axis=(1, 2))

@@ -1,11 +1,11 @@
 """Identifiability for nonlinear plants: widths that readings along a run determine, with reasons.
 
 The plant is linearised along the run. The information that the readings hold of the unknowns
-[x(0); d; beta; theta] is kept as a square root: no product of readings is formed. d = [right, left]
-per output, beta a constant input bias, theta uncertain parameters. docs/identifiability.md says how
-and why.
+`[x(0); d; beta; theta]` is kept as a square root: no product of readings is formed. d = [right,
+left] per output, beta a constant input bias, theta uncertain parameters. docs/identifiability.md
+derives it.
 
-What is known of x(0) and of centres before the first reading, as rows of information.
+Prior information on x(0) and on centres, as rows.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from undeadzone.util.arrays import Floats, Integers
 def prior_rows(
     n: int, p: int, start_std: Floats | None, centre_std: Floats | None, least: float
 ) -> Floats:
-    """Return rows (k x n + 2p) on [x(0); d] whose squares are the prior information.
+    """Return rows (k x n + 2p) on `[x(0); d]` whose squares are the prior information.
 
     Args:
         n: number of states.
         p: number of outputs.
-        start_std: standard deviations of x(0), infinite where it is not known (n); None: unknown.
-        centre_std: those of each (d_r - d_l)/2 (p), infinite where it is not known; None: unknown.
+        start_std: standard deviations of x(0), infinite if unknown (n) (None: all unknown).
+        centre_std: those of each (d_r - d_l)/2 (p), infinite if unknown (None: all unknown).
         least: deviation of a d_r - d_l that is known exactly [z].
     """
     rows, eye = [], np.eye(n + 2 * p)
@@ -89,8 +89,8 @@ def width_identifiability_along(
 ) -> list[linear.WidthIdentifiability]:
     """Return the identifiability of each output's widths from readings along a run.
 
-    A width is not known either where the expected deviation exceeds it. Only the part of a run
-    before it diverges counts.
+    A width is also unknown if the expected deviation exceeds it. Only the part of a run before it
+    diverges counts.
 
     Args:
         model: the plant (n states, m inputs, p outputs).
@@ -100,11 +100,10 @@ def width_identifiability_along(
         sensor: the dead zone.
         step: time between two rows [s].
         bias: directions (m x b) of unknown constant inputs.
-        bias_std: their standard deviations, infinite where nothing is known (b, the default).
+        bias_std: their standard deviations, infinite if unknown (b, the default).
         uncertain: names of parameters that are unknown.
-        prior: standard deviation of x(0) as far as it is known beforehand, infinite where it is
-            not (n).
-        arrived: whether each reading did (N x p); all of them if not given.
+        prior: standard deviation of x(0) (n), infinite if unknown.
+        arrived: whether each reading did (N x p) (all of them if not given).
         centre: standard deviations of (d_r - d_l)/2 as far as it is known beforehand (p), likewise.
     """
     arrived = np.ones(z.shape, dtype=bool) if arrived is None else arrived
@@ -153,7 +152,7 @@ def width_identifiability_along(
 
 
 def reading_variance(sensor: Zone) -> Floats:
-    """Return the variance of a reading's noise (p) as noise of z; never 0."""
+    """Return the variance of a reading's noise (p) as noise of z, never 0."""
     return np.maximum(sensor.rms, EXACT * edge_scale(reading_levels(sensor))) ** 2
 
 
@@ -202,7 +201,7 @@ def _describe_state_shift(
 ) -> str:
     """Describe the shift of the state that hides an edge (`lost`) of output i.
 
-    what: what is lost; rest: what can be known nevertheless.
+    what: name of the lost quantity. rest: quantities that are identifiable nevertheless.
     """
     hidden = known.hidden
     own = hidden.restrict_to_part(np.arange(hidden.scale.size) // 2 == i)
@@ -240,10 +239,10 @@ def _state_names(model: System) -> list[str]:
 
 
 class Observability(NamedTuple):
-    """Information of a run on the constants c = [d; beta; theta] (2p + b + t), x(0) unknown.
+    """Information of a run on the constants c = `[d; beta; theta]` (2p + b + t), x(0) unknown.
 
     Attributes:
-        root: root' root is the information matrix of [x(0); c] (N x N).
+        root: root' root is the information matrix of `[x(0); c]` (N x N).
         hidden: the changes of c that no reading shows, if x(0) changes by `follow` times that of c.
         follow: (n x c).
         singular: shares of the information that c would have with x(0) known, direction by
@@ -272,7 +271,7 @@ class Observability(NamedTuple):
         return none, float(self.singular[~null].min(initial=np.inf))
 
     def output_deviations(self, i: int) -> dict[str, float]:
-        """Return the deviations of right, left, width, centre of output i; inf if not
+        """Return the deviations of right, left, width, centre of output i, or inf if not
         identifiable.
         """
         return self.hidden.std_of_widths(i, self.covariance)
@@ -301,8 +300,8 @@ def observability_along(
         variance: of the noise of z (p).
         bias: directions (m x b) of unknown constant inputs.
         uncertain: names of unknown parameters.
-        told: what is known of [x(0); d; beta] beforehand (`beforehand`), perhaps of the first
-            ones alone.
+        told: prior information on `[x(0); d; beta]` (`beforehand`), perhaps on the first ones
+            alone.
     """
     n, p = model.n, model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
@@ -342,11 +341,11 @@ def _column_units(R: Floats, n: int, p: int) -> Floats:
 
 
 def information_root(run: LinearisedRun, side: Floats, variance: Floats, n: int) -> Floats:
-    """Return R (N x N), with R'R the information on [x(0); d; beta; theta], backward by
-    blocks.
+    """Return R (N x N), with R'R the information on `[x(0); d; beta; theta]`, backward by blocks.
 
-    Where the plant's growth tells a direction CAP times better than all readings do within their
-    blocks, it is left at that, which hides nothing and changes what the others tell by 1 / CAP^2.
+    If the plant's growth determines a direction CAP times better than all readings within their
+    blocks, its information is capped there. This hides nothing and changes the information on other
+    directions by 1 / CAP^2.
 
     Args:
         run: the plant, linearised along the run (K kept samples).
@@ -421,7 +420,7 @@ def _block_rows(run: LinearisedRun, n: int, length: int) -> tuple[Floats, Floats
 
 
 def _moving_indices(n: int, p: int, s: int) -> Integers:
-    """Return the indices of [x; beta; theta] (s) among the unknowns: all but the widths."""
+    """Return the indices of `[x; beta; theta]` (s) among the unknowns: all but the widths."""
     return np.r_[:n, n + 2 * p : s + 2 * p]
 
 

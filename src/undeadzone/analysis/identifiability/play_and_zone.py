@@ -33,7 +33,7 @@ class WidthInformation(NamedTuple):
     Attributes:
         zone: of its dead zone.
         gap: of its play: right and left gap, their sum and their difference.
-        both: whether the sum of both centres, (c_r - c_l + d_r - d_l)/2, is told.
+        both: whether the sum of both centres, (c_r - c_l + d_r - d_l)/2, is identifiable.
         gap_std: deviation of c_r + c_l that an optimal estimator reaches [z].
     """
 
@@ -49,7 +49,7 @@ def add_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
@@ -78,15 +78,14 @@ def separate_contacts(schedule: Schedule) -> Schedule:
 
 
 def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) -> Floats:
-    """Return the prior information on [x(0); c; d] of `add_gap_states`, d once for each
-    contact.
+    """Return the prior information on `[x(0); c; d]` of `add_gap_states`, d once for each contact.
 
-    Both contacts have the same d; gaps that are known have no error.
+    Both contacts have the same d. Gaps that are known have no error.
 
     Args:
         linear: of the plant.
-        readings: what tells.
-        least: deviation of what is known exactly [z].
+        readings: the readings.
+        least: deviation of exactly known values [z].
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     unit, first = np.eye(n + 6 * p), n + 2 * p
@@ -126,7 +125,7 @@ def gap_and_width_information(
     Args:
         linear: A, B, C of the plant, of one step if sampled.
         schedule: of the sides and contacts.
-        readings: what tells.
+        readings: the readings.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
     whole, twice = add_gap_states(linear, schedule.Ts), separate_contacts(schedule)
@@ -180,7 +179,7 @@ def state_identifiability(
 def _gap_and_width_direction(
     n: int, p: int, i: int, gap: tuple[float, ...], zone: tuple[float, ...] = (0.0, 0.0)
 ) -> Floats:
-    """Return a combination of gaps and widths of output i among [x; c; d]."""
+    """Return a combination of gaps and widths of output i among `[x; c; d]`."""
     direction = np.zeros(n + 6 * p)
     direction[n + 2 * i : n + 2 * i + 2] = gap
     direction[n + 2 * p + 4 * i : n + 2 * p + 4 * i + 2] = zone
@@ -211,7 +210,7 @@ def _single_contact_reason(schedule: Schedule, visited: np.ndarray, i: int) -> l
 def _describe_asymmetries(
     zone: dict[str, bool], gap: dict[str, bool], both: bool, gaps_known: bool
 ) -> list[str]:
-    """Describe which asymmetries are identifiable; empty if every width is."""
+    """Describe which asymmetries are identifiable, empty if every width is."""
     if (zone["right"] and zone["left"]) or gaps_known:
         return []
     if not (zone["width"] and gap["width"]):

@@ -1,8 +1,8 @@
 """Identifiability of dead zones of both sensor and actuator.
 
-With b = [b_r; b_l] of every input among the unknowns, a change (v, c, b) stays invisible where
-A v - B chi_j b lies in U for each mode j that the actuator visits, chi = (m_r, 0) on the right,
-(0, -m_l) on the left, 0 where it is silent (docs/actuator.md has the proof).
+With b = `[b_r; b_l]` of every input among the unknowns, a change (v, c, b) stays invisible if A v -
+B chi_j b lies in U for each mode j that the actuator visits, chi = (m_r, 0) on the right, (0, -m_l)
+on the left, 0 if it is silent (docs/actuator.md has the proof).
 """
 
 from __future__ import annotations

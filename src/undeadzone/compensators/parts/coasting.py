@@ -1,7 +1,7 @@
 """Coasting: brief intervals of u = 0 that separate the actuator's widths from the sensor's.
 
 A perfect inverse never lets the actuator fall silent, and then one combination of the four widths
-cannot be seen (docs/actuator.md). So coast where the output is well visible and the widths are not
+cannot be seen (docs/actuator.md). So coast when the output is well visible and the widths are not
 yet known. The inverse, and which widths it uses, stands here too.
 """
 
@@ -24,13 +24,13 @@ FORGET = 0.2  # share of the largest reading that is forgotten from one coast to
 
 
 class Coasts(Options, frozen=True, kw_only=True):
-    """Options of coasting; sampled time only.
+    """Options of coasting, sampled time only.
 
     Attributes:
-        coast: length of a coast [s]; 0: it never coasts.
+        coast: length of a coast [s] (0: it never coasts).
         every: least time from one coast to the next [s].
-        until: time after which it coasts no more [s]; default: none.
-        tolerance: no coast where the deviations of both widths are below this share of the largest
+        until: time after which it coasts no more [s] (default: none).
+        tolerance: no coast if the deviations of both widths are below this share of the largest
             width.
     """
 
@@ -41,12 +41,12 @@ class Coasts(Options, frozen=True, kw_only=True):
 
 
 class Numbers(NamedTuple):
-    """Parameters of coasting; times in steps.
+    """Parameters of coasting, times in steps.
 
     Attributes:
         coast, every, until: as in `Coasts` (1).
         tolerance: of the deviations of the widths, as a share of the widths (1).
-        forget: what is left of the largest reading after a step (1).
+        forget: factor of the largest reading per step (1).
     """
 
     coast: Any
@@ -104,9 +104,9 @@ def apply_coasting(
     """Return (the next state, the input: u, or 0 during a coast).
 
     Args:
-        q: the numbers; None: it never coasts.
+        q: the numbers (None: it never coasts).
         s: the state.
-        u: what the compensator asks for (m).
+        u: input that the compensator computes (m).
         estimate: of the observer, with the widths and their deviations.
         reading: of the sensor.
     """
@@ -134,6 +134,11 @@ def require_drive(belief: Belief | None) -> Drive:
         raise InputError(
             "compensator: there is no actuator to compensate. Add [actuator] or [model.actuator]"
         )
+    if belief.drive.is_play:
+        raise InputError(
+            "compensator.method: this inverse is of a dead zone, and the actuator has play. Use "
+            "'play_inverse' or 'none'"
+        )
     return belief.drive
 
 
@@ -152,7 +157,7 @@ class ZoneInverseNumbers(NamedTuple):
 
     Attributes:
         drive: the believed actuator.
-        soft: |v| over which its step is spread (m) [u]; None: it jumps.
+        soft: |v| over which its step is spread (m) [u] (None: it jumps).
         coasts: numbers of coasting.
     """
 
@@ -170,7 +175,7 @@ def build_zone_inverse(
         options: of coasting.
         model: the model.
         drive: the believed actuator.
-        soft: |v| from which the whole width is added (m) [u]; None: 0.
+        soft: |v| from which the whole width is added (m) [u] (None: 0).
     """
     numbers, first = start_coasting(options, model)
 

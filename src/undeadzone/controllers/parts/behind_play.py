@@ -58,9 +58,9 @@ def lead_across_gap(
         rate: w, of the critically damped filter [1/s].
 
     Raises:
-        InputError: for a rate that is none, a sensor without play, several inputs, a plant that is
-            not linear.
-        StructureError: where no input holds z at another place.
+        InputError: for an invalid rate, a sensor without play, several inputs, a plant that is not
+            linear.
+        StructureError: if no input holds z at another place.
     """
     if rate is None:
         return controller

@@ -1,8 +1,8 @@
 """Controllers with the observer's estimates of an arm's gears in place of the model's parameters.
 
-Gaps, friction and payload stand among the parameters of the model; what the observer estimates of
-them takes the place of the model's, sample by sample (certainty equivalence): the gaps are its
-widths, right = half + centre and left = half - centre, the others its theta.
+Gaps, friction and payload stand among the parameters of the model. The observer's estimates of them
+take the place of the model's, sample by sample (certainty equivalence): the gaps are its widths,
+right = half + centre and left = half - centre, the others its theta.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def use_gear_estimates(
     gears = model.gears
     if gears is None:
         return controller
-    N = gears.size
+    N = gears.joint_count
     places = [model.names.index(name) for name in uncertain]
     halves, centres = ([f"{name}{i + 1}" for i in range(N)] for name in ("half", "centre"))
     gaps = [model.names.index(name) for name in (*halves, *centres)]

@@ -1,14 +1,14 @@
 """State prediction over an input delay: the controller acts on the state at the end of the delay.
 
-What is commanded at sample k acts at k + N. Until then the commands that are under way act, which
-are known, so the model is moved on along them from what the observer knows at k (finite spectrum
-assignment: Manitius and Olbrot 1979; of outputs Smith 1957):
+An input that is commanded at sample k acts at k + N. Until then the commands that are under way
+act, which are known, so the model is moved on along them from the observer's estimate at k (finite
+spectrum assignment: Manitius and Olbrot 1979, for outputs Smith 1957):
 
     x^(k + N | k) = A^N x^_k + A^(N - 1) B u_(k - N) + ... + B u_(k - 1)
 
-and w^, where the observer has it, goes on. The controller gets this state in the place of x^. With
-a model that is right the loop is the one without a delay, N samples later: so z follows r as r was
-N samples ago.
+and w^, if the observer estimates it, goes on. The controller gets this state in the place of x^.
+With a model that is right the loop is the one without a delay, N samples later: so z follows r as r
+was N samples ago.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.nonlinearities.actuator import Belief, through_line, through_zone
+from undeadzone.nonlinearities.actuator import Belief, input_range, through_line
 from undeadzone.plants.system import System, hold_integral
 from undeadzone.util import tree
 from undeadzone.util.arrays import LARGEST, Floats
@@ -33,7 +33,7 @@ class DelayPrediction(NamedTuple):
 
     Attributes:
         model: of the sampled model.
-        held: what a sample adds to x per w^ (n x n) [s].
+        held: change of x in a sample per w^ (n x n) [s].
         low, high: of what acts on the plant (m) [u].
     """
 
@@ -58,7 +58,7 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
     Args:
         controller: for the model whose input acts at once.
         model: the sampled model.
-        belief: what is known of the actuator, whose limits count; None: there is none.
+        belief: state of knowledge about the actuator, whose limits count (None: there is none).
 
     Raises:
         InputError: the model has gears: the gaps that it would be moved on with are not known.
@@ -73,9 +73,8 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
     low, high = -most, most
     if belief is not None:
-        drive = belief.drive
-        low = np.maximum(low, through_zone(np, drive.low, drive))
-        high = np.minimum(high, through_zone(np, drive.high, drive))
+        least, largest = input_range(belief.drive)
+        low, high = np.maximum(low, least), np.minimum(high, largest)
     kind = type(controller.params)
 
     def init(q: Any) -> State:

@@ -20,7 +20,7 @@ def require_square(method: str, model: System) -> None:
 
 
 def select_tracked_output(method: str, estimate: Estimate, target: Target) -> Any:
-    """Return z^ of the tracked outputs (p): all outputs in order. Raises InputError.
+    """Return z^ of the tracked outputs (p): all outputs in order.
 
     Raises InputError.
     """

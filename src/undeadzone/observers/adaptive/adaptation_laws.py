@@ -1,7 +1,7 @@
 """Adaptation laws of the widths: their rate as a function of the drive (docs/adaptation.md).
 
-The drive is -e on the right and +e on the left. Each law says what becomes of the certificate:
-V = x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md). Initial widths and their
+The drive is -e on the right and +e on the left. Each law states its effect on the certificate: V =
+x~'P x~ + |d~|^2 / gamma never rises while M < 0 (docs/certificate.md). Initial widths and their
 bound are as every adaptive observer takes them.
 """
 
@@ -29,8 +29,6 @@ from undeadzone.util.arrays import (
 def to_width_pairs(key: str, value: Array, p: int) -> Floats:
     """Return [right, left] per output (p x 2) from a number, a pair, or a pair per output.
 
-    Raises ShapeError with the key's name.
-
     Raises ShapeError that names the key.
     """
     numbers = require_array(key, value)
@@ -44,11 +42,11 @@ def read_initial_widths(widths0: Array, width_max: Array | None, p: int) -> tupl
 
     Args:
         widths0: d^(0), one number, [right, left], or one such pair per output [z].
-        width_max: d_M, one or one per output [z]; None: there is none.
+        width_max: d_M, one or one per output [z] (None: there is none).
         p: number of outputs.
 
     Returns:
-        (d^(0) (p x 2), d_M (p), inf where there is none).
+        (d^(0) (p x 2), d_M (p), inf if there is none).
 
     Raises:
         InputError, ShapeError: unless 0 <= d^(0) <= d_M and d_M > 0.
@@ -73,10 +71,10 @@ class BranchWidths(NamedTuple):
 
     Attributes:
         drive: what its width is driven by (p).
-        adapted: 1 where the width is adapted (p).
+        adapted: 1 if the width is adapted (p).
         width: d^ (p).
         width0: d^(0) (p).
-        gain: its gain where the law moves it (`Law.gains`).
+        gain: its gain if the law moves it (`Law.gains`).
         gamma: adaptation gain (p).
     """
 
@@ -94,15 +92,15 @@ def gradient_move(numbers: Any, edge: BranchWidths) -> tuple[Any, Any]:
 
 
 class AdaptationLaw(NamedTuple):
-    """Adaptation law as pure functions; gains and rates are per step in sampled time.
+    """Adaptation law as pure functions. Gains and rates are per step in sampled time.
 
     Attributes:
-        numbers: run-time numbers; None for the one law whose gains are constant.
-        soften: soften(numbers, y) is the factor in (0, 1] on the innovation; default 1.
+        numbers: run-time numbers (None for the one law whose gains are constant).
+        soften: soften(numbers, y) is the factor in (0, 1] on the innovation (default 1).
         gains: whether each edge has a gain that moves, from gamma on.
-        move: move(numbers, edge) is (what is added to d^, the gain's derivative or next value).
-        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small;
-            default: it stays.
+        move: move(numbers, edge) is (the increment of d^, the gain's derivative or next value).
+        reset: reset(numbers, gain, gamma) is the gain in place of one that has become too small
+            (default: the gain stays).
     """
 
     numbers: Any = None
@@ -122,7 +120,7 @@ class Gradient(Options, frozen=True, kw_only=True, tag="gradient"):
         """Return the adaptation law.
 
         Args:
-            Ts: sample time [s]; None in continuous time.
+            Ts: sample time [s] (None in continuous time).
         """
         return GRADIENT
 
@@ -132,8 +130,8 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
 
     Large signals count less.
 
-    Certified where the gradient law is, by the same V: a factor in (0, 1] on e is a sector that
-    M < 0 covers.
+    Certified if the gradient law is, by the same V: a factor in (0, 1] on e is a sector that M < 0
+    covers.
 
     Attributes:
         weight: weight of y^2, y in units of z [1/z^2].
@@ -145,7 +143,7 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
         """Return the adaptation law.
 
         Args:
-            Ts: sample time [s]; None in continuous time.
+            Ts: sample time [s] (None in continuous time).
 
         Raises:
             InputError: for a weight below 0.
@@ -157,13 +155,13 @@ class Normalised(Options, frozen=True, kw_only=True, tag="normalised"):
 class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
     """Recursive least squares: d^' = g drive, g(0) = gamma, g <= gamma.
 
-    g' = forgetting g - g^2 where the edge is active. Loses the certificate for constant gains, but
-    V = x~'P x~ + sum d~^2 / g never rises, whatever is forgotten or reset, if |G(jw)| < 1,
-    G = C (sI - A)^-1 L; sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
+    g' = forgetting g - g^2 while the edge is active. Loses the certificate for constant gains, but
+    V = x~'P x~ + sum d~^2 / g never rises, with any forgetting or reset, if |G(jw)| < 1, G = C (sI
+    - A)^-1 L, sampled, if |C (zI - Ad)^-1 Ld|^2 < 1 - gamma Ts. Not checked here.
 
     Attributes:
-        forgetting: rate at which old readings fade [1/s]; default 0, they do not.
-        reset: share of gamma below which g is set back to gamma, below 1; default 0, never.
+        forgetting: rate at which old readings fade [1/s] (default 0: they do not fade).
+        reset: share of gamma below which g is set back to gamma, below 1 (default 0: never).
     """
 
     forgetting: float = 0.0
@@ -173,7 +171,7 @@ class LeastSquares(Options, frozen=True, kw_only=True, tag="least_squares"):
         """Return the adaptation law.
 
         Args:
-            Ts: sample time [s]; None in continuous time.
+            Ts: sample time [s] (None in continuous time).
 
         Raises:
             InputError: for a rate below 0, or a share outside [0, 1).
@@ -233,7 +231,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
         """Return the adaptation law.
 
         Args:
-            Ts: sample time [s]; None in continuous time.
+            Ts: sample time [s] (None in continuous time).
 
         Raises:
             InputError: for a leak below 0.
@@ -252,8 +250,8 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
 
     Narendra and Annaswamy (1987).
 
-    There is no leak where there is no error. With |d - d^(0)| <= D it keeps V where
-    M + leak D diag(C'C, 3 I) < 0: then d^ is exact in the end. Not checked here.
+    Without an error there is no leak. With |d - d^(0)| <= D it keeps V if M + leak D diag(C'C, 3 I)
+    < 0: then d^ is exact in the end. Not checked here.
 
     References:
         K. S. Narendra, A. M. Annaswamy (1987), doi:10.1109/TAC.1987.1104543
@@ -268,7 +266,7 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
         """Return the adaptation law.
 
         Args:
-            Ts: sample time [s]; None in continuous time.
+            Ts: sample time [s] (None in continuous time).
 
         Raises:
             InputError: for a leak below 0.

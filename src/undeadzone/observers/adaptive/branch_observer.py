@@ -1,6 +1,6 @@
 """Observer with the innovation formed on the measured branch.
 
-`certified` adapts the widths; with gamma = 0 and the true widths it is `oracle`.
+`certified` adapts the widths. With gamma = 0 and the true widths it is `oracle`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from undeadzone.util.arrays import Floats
 
 
 class Params(NamedTuple):
-    """Parameters of the observer; L and gamma are per step if the model is sampled.
+    """Parameters of the observer. L and gamma are per step if the model is sampled.
 
     Attributes:
         model: numbers of the model.
@@ -31,7 +31,7 @@ class Params(NamedTuple):
         right0, left0: widths at first (p) [z].
         limit: upper bound d_M of the widths (p) [z].
         slope: slope m of the sensor (p).
-        threshold: |y| that counts as silent (p) [y]; of a play, how far a held reading may be off.
+        threshold: |y| that counts as silent (p) [y] (of a play, how far a held reading may be off).
         law: numbers of the adaptation law.
     """
 
@@ -177,14 +177,14 @@ def step_branch_observer(
         correction = drop_limit_corrections(correction, reading.side, setup.kind == "jump")
     soft = law.soften(p.law, ca.if_else(active, y, 0.0))
 
-    def moved(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+    def width_change(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
         """Return the change of a branch's widths, and of their gain (p each)."""
         edge = BranchWidths(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
         change, gain = law.move(p.law, edge)
         return model.keep * width + change, gain
 
-    right, right_gain = moved(correction.right, s.right, p.right0, s.right_gain)
-    left, left_gain = moved(correction.left, s.left, p.left0, s.left_gain)
+    right, right_gain = width_change(correction.right, s.right, p.right0, s.right_gain)
+    left, left_gain = width_change(correction.left, s.left, p.left0, s.left_gain)
     x = model.move_with_correction(p.model, s.x, u, p.L @ (soft * correction.e))
     after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:
@@ -199,8 +199,8 @@ def zone_violation(setup: Setup, p: Params, s: State, z: Any, reading: Reading) 
 
     The first is >= 0, the second <= 0.
 
-    A silent sensor says -d_l <= z <= d_r (wider by the threshold), a play that holds says it of
-    z - y / m; beyond an edge, that edge or z^ is wrong.
+    A censored sample implies -d_l <= z <= d_r (wider by the threshold), a play that holds implies
+    it for z - y / m. If z^ is beyond an edge, that edge or z^ is wrong.
     """
     z = z - reading.level / p.slope
     slack = p.threshold / p.slope
@@ -231,8 +231,8 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
 def drop_limit_corrections(correction: Correction, side: Any, jump: bool) -> Correction:
     """Return the correction without readings at a limit that bound z only.
 
-    At the upper limit z is at least what the reading says, so that an innovation below 0 says
-    nothing; at the lower limit it is the other way round. There a jump sensor does not show that z
+    At the upper limit the reading is a lower bound of z, so that an innovation below 0 contains no
+    information. At the lower limit the signs are reversed. There a jump sensor does not show that z
     is beyond any edge but 0.
     """
     above = ca.logic_and(side > 1, correction.e < 0)

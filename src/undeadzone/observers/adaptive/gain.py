@@ -1,7 +1,7 @@
 """Observer gain L: given, or the default gains.
 
-Those are certified for every stable model, and loud enough to be heard; docs/observer.md says where
-the two numbers come from.
+The default gains are certified for every stable model, and large enough for readings to matter.
+Page docs/observer.md derives the two numbers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def innovation_gain(L: Array | None, model: System, key: str = "observer.L") -> 
     """Return the gain L of the innovation (n x p) [1/s], given or the default.
 
     Args:
-        L: gains, a plain list for one output; None: `default_gain` of the model.
+        L: gains, a plain list for one output (None: `default_gain` of the model).
         model: the model, for its shape.
         key: what an error calls L.
 
@@ -53,7 +53,7 @@ def default_gain(model: System) -> Floats:
 
     A lasting error moves z^ by `STRENGTH` times itself.
 
-    In continuous time every multiple is certified; sampled, the gain is weakened until it is.
+    In continuous time every multiple is certified. Sampled, the gain is weakened until it is.
 
     Args:
         model: a stable model, continuous or sampled.

@@ -1,7 +1,7 @@
-"""Observers that correct by the output error y / m - Dz(C x^; d^).
+"""Observers that correct by the output error y / m - Dz(C x^, d^).
 
-The reading is held against the dead zone of the estimate itself. Sliding-mode, super-twisting and
-high-gain observers differ only in what they make of that error.
+The reading is compared with the dead zone of the estimate itself. Sliding-mode, super-twisting and
+high-gain observers differ only in their use of that error.
 """
 
 from __future__ import annotations
@@ -110,8 +110,8 @@ def build_output_error_observer(
 
     The widths obey d_r^' = -gamma e on the right and d_l^' = gamma e on the left.
 
-    The widths stay within [0, d_M]. e = y / m - Dz(C x^; d^) (p), 0 where the reading is missing;
-    with d^ = 0 it is y / m - C x^.
+    The widths stay within [0, d_M]. e = y / m - Dz(C x^, d^) (p), 0 if the reading is missing. With
+    d^ = 0 it is y / m - C x^.
 
     Args:
         model: the model, continuous or sampled.
@@ -157,7 +157,7 @@ def build_output_error_observer(
 
 
 def zone_output_error(sensor: Zone, p: Params, s: State, z: Any, reading: Reading) -> Any:
-    """Return the output error e = y / m - Dz(z; d^) (p) [z].
+    """Return the output error e = y / m - Dz(z, d^) (p) [z].
 
     The value is 0 for a missing reading, or for a limit that Dz exceeds.
     """

@@ -1,4 +1,4 @@
-"""State [x; d_r; d_l] of filters: its default disturbance, and the units of its numbers.
+"""State `[x; d_r; d_l]` of filters: its default disturbance, and the units of its numbers.
 
 Filters count the states in units that make them alike, and show them in the plant's: in those of
 time, states and their variances may be too far apart for numbers of single precision. The units are
@@ -26,7 +26,7 @@ def white_disturbance_rms(model: System, rms: float, span: float | None = None) 
     Args:
         model: the sampled model.
         rms: that of z in the end [z].
-        span: time that it has [s]; default a quarter period of the plant.
+        span: time that it has [s] (default a quarter period of the plant).
     """
     A, B, C = model.continuous
     reached = []
@@ -45,7 +45,7 @@ def default_disturbance_rms(model: System, largest: float, correlation: float) -
 
     Args:
         model: the sampled model.
-        largest: largest claimed width [z].
+        largest: largest assumed width [z].
         correlation: correlation time of the disturbance [s].
     """
     white = white_disturbance_rms(model, SWING * largest, arrival_time(model.continuous, model.Ts))

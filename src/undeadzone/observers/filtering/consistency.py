@@ -1,8 +1,8 @@
 """Filter with consistency tests: wider intervals if the innovations contradict the assumptions.
 
-Sums of normalised innovations are too large where something lasts that nobody claimed. Beside its
-estimate such a filter says how well it foretold, as banks and watches take it. The mathematics is
-in docs/filters.md.
+Sums of normalised innovations are too large if an effect lasts that is not among the assumptions.
+Beside its estimate such a filter returns its predictive density, for multiple-model filters and
+watches. The mathematics is in docs/innovation_tests.md.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Sums(NamedTuple):
 
     Attributes:
         total: fading sum of the normalised innovations.
-        count: what its variance is if the claims are true.
-        ratio: slow mean of total^2 / count, 1 if the claims are true.
+        count: its variance if the assumptions are true.
+        ratio: slow mean of total^2 / count, 1 if the assumptions are true.
     """
 
     total: Any
@@ -63,10 +63,10 @@ class Step(NamedTuple):
 
     Attributes:
         state: its state at the next sample.
-        estimate: what it shows.
+        estimate: the displayed estimate.
         log: log of the density with which it foretold the reading, up to a constant (1).
         trust: probability that the reading was not wrong (p).
-        fits: 1 where the widths lie in their claimed ranges, or may do so, else 0 (1).
+        fits: 1 if the widths lie in their assumed ranges, or may do so, else 0 (1).
         restarted: whether it lost its state and begins anew (1).
         opened: whether it opened its belief, for most readings were refused (1).
     """
@@ -87,7 +87,8 @@ class Member(NamedTuple):
         params: its numbers, `Params`.
         init: init(params) is the state at t = 0.
         step: step(params, state, u, reading) is a `Step`.
-        smoothing: what a smoother of a whole log asks, `Smoothing`; None: nothing smooths it.
+        smoothing: data for smoothing of a whole log, of type `Smoothing` (None: it has no
+            smoother).
     """
 
     params: Any
@@ -100,7 +101,7 @@ def innovation_log_density(e: Any, std: Any) -> Any:
     """Return the log density of the used readings, up to a constant (1).
 
     Args:
-        e: innovations (p); one of 0 was not used.
+        e: innovations (p) (0 if not used).
         std: their standard deviations (p).
     """
     return ca.sum1(ca.if_else(e != 0, -((e / std) ** 2) / 2 - ca.log(std), 0.0))
@@ -111,17 +112,17 @@ class Record(NamedTuple):
 
     Attributes:
         total: fading sum of the normalised innovations (p).
-        count: what its variance is if the claims are true (p).
-        ratio: slow mean of total^2 / count, 1 if the claims are true (p).
+        count: its variance if the assumptions are true (p).
+        ratio: slow mean of total^2 / count, 1 if the assumptions are true (p).
         offset: fading mean of the innovations, of refused readings too (p) [z].
         share: fading share of refused readings among those that were used (p).
         refused: number of refused readings (p).
         restarts: how often the filter lost its state (1).
-        constant: largest |offset| since the claims were refuted, 0 before (p) [z]; empty for a
-            filter that knows of constants, and so recovers.
-        opened: 1 once the belief was opened (1); empty as `constant` is.
-        scores: of what innovations depend on; () for a filter that knows of no constants, in whose
-            innovations they stand.
+        constant: largest |offset| since the assumptions were rejected, 0 before (p) [z] (empty for
+            a filter that knows of constants, and so recovers).
+        opened: 1 once the covariance was inflated (1) (empty as `constant` is).
+        scores: those of the variables on which innovations depend, () for a filter without
+            constants, whose innovations contain them.
     """
 
     total: Any
@@ -149,7 +150,7 @@ class Setup(NamedTuple):
     Attributes:
         member: the filter.
         model: the sampled model.
-        widens: whether it shows wider intervals where the readings do not fit.
+        widens: whether it shows wider intervals if the readings do not fit.
     """
 
     member: Member
@@ -165,9 +166,10 @@ def add_consistency_tests(
     Args:
         member: the filter.
         model: the sampled model.
-        widens: whether it shows wider intervals where the readings do not fit its claims.
+        widens: whether it shows wider intervals if the readings do not fit its assumptions.
         traits: of the observer.
-        recovers: whether its state holds what a lasting misfit may be, so that it can end.
+        recovers: whether its state contains the causes of a lasting misfit, so that the misfit can
+            end.
     """
     setup, p = Setup(member, model, widens), model.p
 
@@ -287,11 +289,11 @@ def is_consistent(q: Params, record: Record) -> Any:
 def widen_intervals(model: System, q: Params, record: Record, estimated: Estimate) -> Estimate:
     """Return the estimate with standard deviations that the innovations support.
 
-    Where they do not fit, deviations are multiplied by the root of the largest mean square of sums,
-    and gain the mean innovation, for a filter that doubts nothing has none to multiply. Where most
-    readings were refused, or some in a row again and again, they are those of the prior at least,
-    about what is shown. A filter that knows of no constants takes one for a centre: once its claims
-    are refuted, both last.
+    If they do not fit, deviations are multiplied by the root of the largest mean square of sums,
+    and gain the mean innovation, as a filter without model errors has no deviations to multiply. If
+    most readings were rejected, or some in a row again and again, they are at least those of the
+    prior about the displayed values. A filter without constant states takes a constant for an
+    asymmetry: once its assumptions are rejected, both last.
     """
     worst = ca.mmax(record.ratio)
     worst = ca.if_else(worst > DOUBTFUL * q.doubt.most, worst, 1.0)

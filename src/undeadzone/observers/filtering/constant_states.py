@@ -12,8 +12,8 @@ Gaussian belief about the width b of the side of u, a = |u|, s its deviation, al
 
     E w = (a - b^) Phi(al) + s phi(al),   dE w / db^ = -Phi(al)   (Stein),
 
-and what is left, E w^2 - (E w)^2 - Phi(al)^2 s^2, is noise at the input. Where the side is sure
-this is the exact Kalman filter.
+and the rest, E w^2 - (E w)^2 - Phi(al)^2 s^2, is noise at the input. If the side is certain, this
+is the exact Kalman filter.
 
 Coulomb friction behind a play as an unknown of a filter: x' = A x + B (u - f s) (docs/play.md).
 
@@ -51,7 +51,7 @@ def add_constants(
     Args:
         inner: the motion without them.
         variance: of each of them at first.
-        wear: wear(numbers of the filter) is the covariance that a step adds; None: none.
+        wear: wear(numbers of the filter) is the covariance that a step adds (None: none).
     """
     from scipy.linalg import block_diag
 
@@ -79,9 +79,9 @@ class Gaps(NamedTuple):
 
     Attributes:
         middle: the gaps, or the middles of their ranges: all c_r, then all c_l (2p) [z].
-        ranges: these (2p x 2) [z]; empty where the gaps are known.
-        std: standard deviations of the gaps at first (2p) [z]; empty where they are known.
-        drift: variance that they gain each step, as the widths do (2p) [z^2]; empty likewise.
+        ranges: these (2p x 2) [z] (empty if the gaps are known).
+        std: standard deviations of the gaps at first (2p) [z] (empty if they are known).
+        drift: variance that they gain each step, as the widths do (2p) [z^2] (empty likewise).
     """
 
     middle: Floats
@@ -127,7 +127,7 @@ def gap_slice(q: Any, size: int) -> slice:
 
 
 def gap_values(q: Any, X: Any) -> Any:
-    """Return the gaps, all c_r, then all c_l (2p) [z], at [x; d; extra]."""
+    """Return the gaps, all c_r, then all c_l (2p) [z], at `[x; d; extra]`."""
     if not q.gaps.std.shape[0]:
         return q.gaps.middle
     return q.gaps.middle + X[gap_slice(q, X.shape[0])]
@@ -136,12 +136,12 @@ def gap_values(q: Any, X: Any) -> Any:
 def information_shares(q: Any, model: System, cov: Any) -> Any:
     """Return the correlation of each width with the information from its readings (N) [1].
 
-    The root of the share that they took from its prior variance; 1 for all that is not a width.
+    The root of the share that they took from its prior variance (1 for all other variables).
 
     Args:
         q: the filter's numbers.
         model: the model.
-        cov: covariance of [x; d; extra] (N x N).
+        cov: covariance of `[x; d; extra]` (N x N).
     """
     n, known = model.n, model.n + 2 * model.p
     first = q.doubt.std[n:known] ** 2
@@ -183,7 +183,7 @@ class Zones(NamedTuple):
     """Parameters of a filter for the dead zones of the actuators.
 
     Attributes:
-        middle: of the claimed ranges of b_r, then of b_l (2m) [u].
+        middle: of the assumed ranges of b_r, then of b_l (2m) [u].
         ranges: these (2m x 2) [u].
         slope_right, slope_left: m_r, m_l (m).
     """
@@ -207,7 +207,7 @@ def add_actuator_states(inner: Augmentation, zones: Zones | None) -> Augmentatio
 
     Right errors precede left errors.
 
-    Its u is what enters the plant; `entering` gives it.
+    Its u is the plant's input. `predict_plant_input` returns it.
     """
     if zones is None:
         return inner
@@ -221,7 +221,7 @@ def predict_plant_input(
     """Return the input of the plant under a command u (m), as mean and variance.
 
     Returns:
-        (a function of [x; d; extra], linear in the widths' errors; the variance that it leaves
+        (a function of `[x; d; extra]`, linear in the widths' errors, the variance that it leaves
         (m)).
     """
     if zones is None:
@@ -243,7 +243,7 @@ def predict_plant_input(
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)
 
     def drive(X: Any) -> Any:
-        """Return the mean input of the plant at [x; d; extra] (m) [u]."""
+        """Return the mean input of the plant at `[x; d; extra]` (m) [u]."""
         moved = X[first:] - errors
         own = ca.if_else(right, moved[:m], moved[m:])
         return sign * slope * (mean - share * own)
@@ -280,7 +280,7 @@ def subtract_friction(
 ) -> Callable[[Any], Any]:
     """Return the input of the plant less the unknown friction.
 
-    The input is a function of [x; d; extra].
+    The input is a function of `[x; d; extra]`.
 
     Args:
         sensor: the play.

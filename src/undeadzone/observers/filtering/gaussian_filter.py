@@ -1,4 +1,4 @@
-"""Gaussian filters of [x; d_r; d_l; extra]: shared parameters, motion and estimate."""
+"""Gaussian filters of `[x; d_r; d_l; extra]`: shared parameters, motion and estimate."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ from undeadzone.util.arrays import Floats
 
 
 class Augmentation(NamedTuple):
-    """Motion of the model with E further unknowns beside [x; d].
+    """Motion of the model with E further unknowns beside `[x; d]`.
 
     The first argument q of every function is the filter's `Params`.
 
     Attributes:
         params: numbers of its own, `Params.augmentation`.
-        cov: covariance of the unknowns at first (E x E); their mean is 0.
+        cov: covariance of the unknowns at first (E x E), with mean 0.
         change: change(q, x, extra, u) is (x+ - x, extra+ - extra).
         noise: noise(q, x, u) is the covariances (n x n, E x E) that a step adds to x and extra.
-        alternative: alternative(q, belief) is (the belief if some claim is stronger than the filter
-            takes it, its odds); None: no claim is.
-        bilinear: bilinear(q, x, extra, u) is what bends x+, as `predict` takes it; None: x+ itself.
-        slope: slope(q) is the Jacobian of the change of [x; d; extra] that a prediction to first
-            order takes; None: the exact one.
-        disturbance: disturbance(q, extra) is what it adds to x' (n) [1/s]; None: that of the change
-            of x+.
-        entries: entries of the upper triangle of the covariance of [x; d; extra] that are not 0
-            throughout; None: all.
+        alternative: alternative(q, belief) is (the estimate if some assumption is stronger than the
+            filter takes it, its odds) (None: no assumption is).
+        bilinear: bilinear(q, x, extra, u) is the nonlinear part of x+, as `predict` takes it (None:
+            x+ itself).
+        slope: slope(q) is the Jacobian of the change of `[x; d; extra]` that a prediction to first
+            order takes (None: the exact one).
+        disturbance: disturbance(q, extra) is its contribution to x' (n) [1/s] (None: that of the
+            change of x+).
+        entries: entries of the upper triangle of the covariance of `[x; d; extra]` that are not 0
+            throughout (None: all).
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
         constants: how many of the last unknowns are errors of the model, which never change.
@@ -66,7 +67,7 @@ class ShapeLayout(NamedTuple):
     """Places of the doubts about the sensor's shape in a filter (`sensor_shape`).
 
     Attributes:
-        first: place of the first of its unknowns in [x; d; extra].
+        first: place of the first of its unknowns in `[x; d; extra]`.
         learned: names of the doubts that are unknowns, p of each.
         fixed: names of those that have a column, p of each.
     """
@@ -85,19 +86,19 @@ class Params(NamedTuple):
         gate: |y| that is surely not silent (p) [y].
         slope: slope m of the sensor (p).
         drift: variance that the widths gain each step (2p) [z^2].
-        mean: mean of [x; d; extra] at first.
-        cov: covariance of [x; d; extra] at first, its `triangle`.
-        ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
+        mean: mean of `[x; d; extra]` at first.
+        cov: covariance of `[x; d; extra]` at first, its `triangle`.
+        ranges: assumed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
         lasting: steps for which a linearisation error keeps its sign, and for which a limit is not
-            heard again.
-        doubt: of readings and claims, as `Doubt`; None: the filter knows no doubt.
-        ends: of the range of the readings, as `Ends`; None: they have none.
-        zones: of the actuators' dead zones, as `Zones`; None: none is estimated.
-        rest: steps for which a silent edge is not heard again.
-        gaps: of a play ahead of the dead zone, as `Gaps`; None: there is none.
-        shape: of the sensor, as `ShapeNumbers`; None: it is exact.
+            used again.
+        doubt: of readings and assumptions, as `Doubt` (None: the filter knows no doubt).
+        ends: of the range of the readings, as `Ends` (None: they have none).
+        zones: of the actuators' dead zones, as `Zones` (None: none is estimated).
+        rest: steps for which an edge with censored samples is not used again.
+        gaps: of a play ahead of the dead zone, as `Gaps` (None: there is none).
+        shape: of the sensor, as `ShapeNumbers` (None: it is exact).
     """
 
     model: Any
@@ -159,15 +160,15 @@ def build_motion(
     drive: Callable[[Any], Any],
     doubt: Any = None,
 ) -> tuple[Callable[[Any], Any], Any]:
-    """Return the change of [x; d; extra] over a step as a function, and the added covariance.
+    """Return the change of `[x; d; extra]` over a step as a function, and the added covariance.
 
     Args:
         model: the model.
         q: the filter's numbers.
         augmentation: the further unknowns.
-        belief: mean and covariance of [x; d; extra].
-        drive: what enters the plant (m), as a function of [x; d; extra].
-        doubt: variance of what enters (m); None: it is known.
+        belief: mean and covariance of `[x; d; extra]`.
+        drive: the plant's input (m), as a function of `[x; d; extra]`.
+        doubt: variance of the plant's input (m) (None: it is known).
     """
     n = model.n
     known = n + 2 * model.p
@@ -179,7 +180,7 @@ def build_motion(
         noise_x += B @ ca.diag(doubt) @ B.T
 
     def change(X: Any) -> Any:
-        """Return the change of [x; d; extra] over a step (N)."""
+        """Return the change of `[x; d; extra]` over a step (N)."""
         x, extra = augmentation.change(q, X[:n], X[known:], drive(X))
         return ca.vertcat(x, ca.SX(known - n, 1), extra)
 
@@ -194,14 +195,14 @@ def _state_change(augmentation: Augmentation, q: Params, x: Any, extra: Any, u: 
 def to_estimate(
     model: System, sensor: Zone, q: Params, belief: Gaussian, reading: Reading, e: Any, e_std: Any
 ) -> Estimate:
-    """Return the mean and covariance of [x; d; extra] as an `Estimate`.
+    """Return the mean and covariance of `[x; d; extra]` as an `Estimate`.
 
     Args:
         model: the model.
         sensor: the dead zone, for its kind.
         q: the filter's numbers.
-        belief: mean and covariance of [x; d; extra].
-        reading: what was read.
+        belief: mean and covariance of `[x; d; extra]`.
+        reading: the reading.
         e: innovations (p).
         e_std: standard deviations of the innovations (p).
     """
@@ -273,15 +274,16 @@ class Setup(NamedTuple):
     Attributes:
         model: the sampled model.
         sensor: the dead zone.
-        augmentation: the unknowns beside [x; d].
+        augmentation: the unknowns beside `[x; d]`.
         entries: entries of the covariance's upper triangle that are kept.
-        bounds: whether it uses what bounds: a silent sensor, and the claimed ranges.
+        bounds: whether it uses bounds: censored samples, and the assumed ranges.
         order: order of the prediction.
         blind: whether it takes every reading for z itself.
         doubts: whether a reading may be wrong.
-        careful: whether silence moves widths only as far as readings have told of them.
-        centred: whether a centre is claimed, which binds the edges together.
-        shape: where it keeps what it doubts of the sensor's shape.
+        careful: whether censored samples move widths only as far as readings contained information
+            on them.
+        centred: whether an asymmetry is assumed, which couples the edges.
+        shape: places of its unknowns of the sensor's shape.
     """
 
     model: System
@@ -348,7 +350,7 @@ class Setup(NamedTuple):
 def clip_belief(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
     """Return the Gaussian that an estimate shows, and 1 if its widths may lie in their ranges.
 
-    Its widths lie in their claimed ranges, and it is the mixture of both if some claim may be
+    Its widths lie in their assumed ranges, and it is the mixture of both if some assumption may be
     stronger.
     """
     limited, chance = limit_widths(setup, q, belief)
@@ -368,11 +370,11 @@ def mix_two_gaussians(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gauss
 
     A mixture of a narrow and a wide belief has more in its tails than a Gaussian of its variance.
     If the wide one, of chance b, is much wider, 95 % of the mixture lie within 1.96 deviations of
-    variance h^2 of the wide one's, Phi(1.96 h) = 1 - 0.025 / b. h^2 is at most b (2 - b), which is
-    taken; a Gaussian would have b.
+    variance h^2 of the wide one's, Phi(1.96 h) = 1 - 0.025 / b. h^2 is at most b (2 - b). This
+    bound is used. A Gaussian would have b.
 
     Args:
-        stronger: the belief if the stronger claim is true.
+        stronger: the estimate if the stronger assumption is true.
         weaker: the belief if it is not.
         share: chance of the stronger one.
     """
@@ -387,7 +389,7 @@ def width_excess_square(n: int, q: Params, belief: Gaussian) -> Any:
     The value is 0 if the readings allow the ranges.
 
     A belief is the product of its prior, of the variance of a uniform distribution over the range,
-    and of what the readings say; a prior that is divided out pulls no mean into the range.
+    and of the likelihood of the readings. A prior that is divided out pulls no mean into the range.
     """
     count = q.ranges.shape[0]
     low, high = q.ranges[:, 0], q.ranges[:, 1]
@@ -403,12 +405,13 @@ def clip_to_ranges(
 ) -> tuple[Gaussian, Any]:
     """Return the Gaussian with clipped width means, and 1 if the ranges are possible.
 
-    A width `FAR` beyond its range refutes some claim: its variance gains the square of the excess.
+    A width `FAR` beyond its range contradicts some assumption: its variance gains the square of the
+    excess.
 
     Args:
         n: number of states.
         q: the filter's numbers.
-        belief: about [x; d; extra].
+        belief: about `[x; d; extra]`.
         doubts: whether the variance gains anything.
         alone: what variances of states and widths gain at least, as `excess_alone`.
     """
@@ -439,10 +442,10 @@ def limit_widths(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, A
 def truncate_to_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, Any]:
     """Return the Gaussian with the mean conditional on every width in its assumed range.
 
-    The covariance stays: that of a Gaussian cut where it was matched to a uniform distribution
-    would claim too much. But no width is less known than its range says, however long it drifted.
-    Right edges go first, and left ones do: the mean of both treats them alike. Nothing is cut where
-    every edge of a range is farther than `INSIDE` away.
+    The covariance stays: that of a Gaussian truncated after it was matched to a uniform
+    distribution would be too small. But the variance of a width never exceeds that of its range,
+    however long it drifted. Right edges go first, and left ones do: the mean of both treats them
+    alike. Nothing is truncated if every edge of a range is farther than `INSIDE` away.
 
     Returns:
         (belief, the chance that every width lies in its range, above 0).
@@ -499,7 +502,7 @@ def _limit_variances(q: Params, n: int, cov: Any) -> Any:
 def add_unknown_estimates(
     setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
 ) -> Estimate:
-    """Return the estimate with w and theta if the filter estimates them; u: the last input."""
+    """Return the estimate with w and theta if the filter estimates them (u: the last input)."""
     augmentation, model, n = setup.augmentation, setup.model, setup.model.n
     if len(augmentation.cov):
         extra = shown.mean[n + 2 * model.p :]

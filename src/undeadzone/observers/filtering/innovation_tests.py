@@ -2,9 +2,9 @@
 
 A score that is too large rejects an assumption.
 
-If all claims are true, innovations are white and depend on nothing that was known before them. The
-sum of each, times a regressor, over the root of the sum of the regressor's squares is then a normal
-number of variance 1. Sums fade. docs/filters.md has the regressors and what they find.
+If all assumptions are true, innovations are white and depend on nothing that was known before them.
+The sum of each, times a regressor, over the root of the sum of the regressor's squares is then a
+normal number of variance 1. Sums fade. docs/innovation_tests.md lists the regressors.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Scores(NamedTuple):
             variance of that.
         rise, rise_square: of nu times how that changes, likewise.
         held: share of readings that stay though they were foretold to move.
-        rest: the same times where they stay [z].
+        rest: the same times if they stay [z].
         row: how many readings in a row were refused and agreed.
         rows: how often it were `ROW`.
         last: reading before [y].
@@ -71,7 +71,7 @@ class Scores(NamedTuple):
 
 
 def start_scores(p: int) -> Scores:
-    """Return the scores before any reading; p: number of outputs."""
+    """Return the scores before any reading (p: number of outputs)."""
     return Scores(*[np.zeros(p)] * len(Scores._fields))
 
 
@@ -80,9 +80,9 @@ def update_scores(
 ) -> Scores:
     """Return the scores after a further sample.
 
-    A loop that sees more than this filter puts it into its input at once, where it foretells
-    innovations though all claims are true. So inputs count by their means over a while, in which
-    the filter saw it too.
+    A loop with more information than this filter feeds it into its input at once, which then
+    predicts innovations although all assumptions are true. So inputs count by their means over a
+    time in which the filter gets the same information.
 
     Args:
         q: the filter's numbers.
@@ -91,7 +91,7 @@ def update_scores(
         nu: the same over their deviations, 0 where none was used (p).
         counted: whether one counts (p).
         refused: whether a reading was refused (p).
-        reading: what was read.
+        reading: the reading.
         u: the input from now on (m), which no score knows before the next sample.
     """
     doubt, keep = q.doubt, q.doubt.keep
@@ -127,7 +127,7 @@ def update_scores(
 def is_repeated(doubt: Any, y: Any, last: Any) -> Any:
     """Return 1 if a reading repeats its predecessor, to the last digit, and counts as missing (p).
 
-    A run of them shows a stuck sensor; single ones come of a logger that polls too fast.
+    A run of them shows a stuck sensor. Single ones come from a logger that polls too fast.
     """
     return ca.logic_and(y == last, doubt.noisy)
 
@@ -181,7 +181,7 @@ def chance_limit(doubt: Any, name: str) -> Any:
 def excess_ratio(ratio: Any) -> Any:
     """Return the ratio if above 1, or 0 otherwise.
 
-    A value that is no number rejects the assumption, too.
+    A value that is not a number rejects the assumption, too.
     """
     return ca.if_else(ratio <= 1, 0.0, ca.if_else(ratio > 1, ratio, NOTHING_KNOWN))
 

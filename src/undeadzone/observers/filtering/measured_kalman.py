@@ -1,7 +1,7 @@
-"""Kalman filter on the measured branch for [x; d_r; d_l] and further unknowns.
+"""Kalman filter on the measured branch for `[x; d_r; d_l]` and further unknowns.
 
-What comes out of silence beyond how far z can move from one reading to the next is wrong. The
-mathematics is in docs/filters.md, of the latter in "Readings that are wrong".
+A reading after a censored sample that is farther away than z can move in the time between is wrong.
+The mathematics is in docs/filter_equations.md, "Outliers".
 """
 
 from __future__ import annotations
@@ -99,13 +99,14 @@ class State(NamedTuple):
 
     Attributes:
         mean, cov: mean and covariance (its `triangle`) before the reading.
-        last, previous: the last two readings, 0 where one was refused (p) [y].
-        wait: steps to wait until an edge is heard again, right edges, then left ones (2p); where
-            the readings have a range, then until a limit is, upper ones, then lower ones (2p).
+        last, previous: the last two readings, 0 if one was rejected (p) [y].
+        wait: steps to wait until an edge is used again, right edges, then left ones (2p). If the
+            readings have a range, then until a limit is used again, upper ones, then lower ones
+            (2p).
         u: the last input (m).
         patience: with readings that are refused.
         pace: of z.
-        columns: of the sensor's shape, one after the other; empty where there are none.
+        columns: of the sensor's shape, one after the other (empty if there are none).
     """
 
     mean: Any
@@ -146,14 +147,15 @@ def build_branch_filter(
         units: in which the filter counts states (n).
         sensor: the dead zone.
         prior: of the filter, in the plant's units.
-        augmentation: the unknowns beside [x; d], of the model in the filter's units.
-        glitches: probability that a reading is wrong; 0: none is.
+        augmentation: the unknowns beside `[x; d]`, of the model in the filter's units.
+        glitches: probability that a reading is wrong (0: none is).
         traits: of the observer.
-        claimed: whether the disturbance is claimed, and no default.
+        claimed: whether the disturbance is assumed by the user, and not a default.
         levels: how many rms of the disturbance are weighed (`levelled`).
-        recovers: whether its state holds what a lasting misfit may be, so that it can end.
-        learns_shape: whether the rounding of the edges is among its unknowns; else it only widens
-            what is shown, as errors of the slope and late readings do.
+        recovers: whether its state contains the causes of a lasting misfit, so that the misfit can
+            end.
+        learns_shape: whether the rounding of the edges is among its unknowns. Else it only widens
+            the displayed intervals, as errors of the slope and late readings do.
     """
     model = scale_states(plant, units)
     prior = scale_prior(prior, units)
@@ -375,9 +377,9 @@ def apply_bounds(
         setup: the filter.
         q: its numbers.
         s: its state.
-        heard: what is known after the readings on sure sides.
-        reading: what was read.
-        y: reading, 0 where it is missing (p) [y].
+        heard: result after the readings on certain sides.
+        reading: the reading.
+        y: reading, 0 if it is missing (p) [y].
         side: the sides that are sure (p).
     """
     silent = find_censored(setup, q, reading, y)
@@ -398,8 +400,8 @@ def apply_backlash_bounds(
 
     The backlash bounds z at all times.
 
-    Silence says -d_l - c_l <= z <= d_r + c_r; beyond an edge z lies within the gap about what is
-    held, as far as readings that are held may be off.
+    A censored sample implies -d_l - c_l <= z <= d_r + c_r. Beyond an edge z lies within the gap
+    about the held level, up to the error of held readings.
     """
     held = certain_branch(y, s.last, s.previous, q.gate)
     silent = ca.logic_and(seen, ca.fabs(y) <= q.gate)
@@ -416,8 +418,8 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
         setup: the filter.
         q: its numbers.
         s: its state.
-        reading: what was read.
-        y: reading, 0 where it is missing (p) [y].
+        reading: the reading.
+        y: reading, 0 if it is missing (p) [y].
         seen: whether it is there (p).
     """
     if setup.blind:
@@ -472,20 +474,20 @@ def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any)
 
 
 def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
-    """Return the `Products` of the augmentation at X = [x; d; extra]."""
+    """Return the `Products` of the augmentation at X = `[x; d; extra]`."""
     assert setup.augmentation.bilinear is not None
     n, p = setup.model.n, setup.model.p
     return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
 
 
 class Pace(NamedTuple):
-    """Running record of the motion of z; empty where nothing asks for it.
+    """Running record of the motion of z, empty if unused.
 
     Attributes:
         ahead: by how much z moves until the next reading (p) [z].
         variance: of that (p) [z^2].
-        since: steps since z was last inside of an edge, right edges, then left ones (2p); 0 where
-            it was beyond it at the last reading that was believed; empty without a pace test.
+        since: steps since z was last inside of an edge, right edges, then left ones (2p), 0 if it
+            was beyond it at the last reading that was used (empty without a pace test).
     """
 
     ahead: Any
@@ -502,15 +504,15 @@ def start_pace(setup: Setup) -> Pace:
 def silence_log_ratios(setup: Setup, q: Params, pace: Pace, y: Any, side: Any, R: Any) -> list[Any]:
     """Return the log density ratio of readings with and without preceding silence (p).
 
-    z was inside of the edge since[] steps ago, by a reading within the gate, and moved by so many
-    times what it moves in a step. A reading beyond that needs a motion as many deviations off; or
-    the silence was fake.
+    z was inside the edge since[] steps ago, by a reading within the gate, and moved by that many
+    times its motion in a step. A reading beyond that needs a motion of as many deviations, or the
+    censored samples were fake.
 
     Args:
         setup: the filter.
         q: its numbers.
         pace: of z.
-        y: reading, 0 where it is missing (p) [y].
+        y: reading, 0 if it is missing (p) [y].
         side: the sides that are sure (p).
         R: variances of the readings (p) [z^2].
     """
@@ -536,10 +538,10 @@ def predict_pace(
         setup: the filter.
         q: its numbers.
         pace: at this one.
-        heard: what is known after this one.
+        heard: result after this reading.
         u: the input from now on (m).
         side: the sides on which readings were used (p).
-        reading: what was read.
+        reading: the reading.
     """
     if not setup.has_pace:
         return pace

@@ -1,7 +1,7 @@
 """Measurement update for a known branch and for censored samples.
 
-A reading at a limit of its range only bounds what the sensor reads; near it, noise selects what is
-read. The mathematics is in docs/filters.md.
+A reading at a limit of its range only bounds the sensor's output. Near the limit, noise selects the
+readings. The mathematics is in docs/filter_equations.md.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Corrected(NamedTuple):
     """Result of a correction by a reading.
 
     Attributes:
-        belief: mean and covariance of [x; d; extra].
-        wait: steps to wait until an edge is heard again, right edges, then left ones (2p).
+        belief: mean and covariance of `[x; d; extra]`.
+        wait: steps to wait until an edge is used again, right edges, then left ones (2p).
         trust: probability that the reading was not wrong (p).
         likely: the density with which each output was foretold (p).
         silence: whether a silence was believed, by right edges and by left ones (2 of p).
@@ -91,16 +91,16 @@ def correct_by_readings(
         setup: the filter.
         q: its numbers.
         belief: the belief before the reading.
-        y: reading, 0 where it is missing (p) [y].
+        y: reading, 0 if it is missing (p) [y].
         side: the sides that are sure (p), 0 where none is.
         R: variances of the readings (p) [z^2].
-        surprise: log of what the silence before speaks for each reading (p).
-        contact: of a play ahead of the zone, in which y moves (p); None: there is none.
-        ahead: by how much z moves in a sample (p) [z]; asked for by late readings only.
-        columns: of the sensor's shape (N x their number); None: there are none.
+        surprise: log likelihood ratio of each reading given the censored samples before (p).
+        contact: of a play ahead of the zone, in which y moves (p) (None: there is none).
+        ahead: motion of z in a sample (p) [z] (needed for late readings only).
+        columns: of the sensor's shape (N x their number) (None: there are none).
 
     Returns:
-        (innovations, their standard deviations and trust (p each), and the sum of the logs; the
+        (innovations, their standard deviations and trust (p each), and the sum of the logs, the
         columns).
     """
     each, before = [], belief.mean
@@ -132,7 +132,7 @@ def foresee_reading(
         q: its numbers.
         i: number of the output.
         side: the branch.
-        at: mean of [x; d; extra] (N).
+        at: mean of `[x; d; extra]` (N).
         before: the same before any reading of the sample (N), for the sensor's shape.
         contact: of a play ahead of the zone.
     """
@@ -166,8 +166,8 @@ def silence_pause(model: System, sensor: Zone, lasting: float) -> float:
 def update_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) -> Any:
     """Return the share of the full update of each variable by a reading of output i (N) [1].
 
-    What silence says of z and an edge binds them, though it moved the edge by a share only. A
-    reading on the other edge, which tells of z, moves this one by no more.
+    The bound from censored samples couples z and an edge, though it moved the edge by a share only.
+    A reading on the other edge, which contains information on z, moves this one by no more.
     """
     n, p = setup.model.n, setup.model.p
     moved = ca.SX(information_shares(q, setup.model, belief.cov))
@@ -187,19 +187,19 @@ def use_bounds(
 ) -> Corrected:
     """Return the correction given that z is inside the breakpoints of a silent sensor.
 
-    The z of a jump sensor is beyond the edge that it is on, besides. Silence is heard once in a
-    while: its samples say the same of the same edge, and mean and covariance do not show that a
-    tail was cut already.
+    The z of a jump sensor is beyond the edge that it is on, besides. Censored samples are used once
+    in a while: they contain the same information on the same edge, and mean and covariance do not
+    show that a tail was cut already.
 
     Args:
         setup: the filter.
         q: its numbers.
-        known: what is known after the readings on active sides.
+        known: result after the readings on active sides.
         silent: whether each output is silent (p).
         side: the sides that are sure (p).
-        level: from which z is inside the edges (p) [y], y of a play; None: 0.
-        held: side of the zone on which a play ahead of it holds the reading (p), 0 where the zone
-            is silent; None: there is no such play.
+        level: from which z is inside the edges (p) [y], y of a play (None: 0).
+        held: side of the zone on which a play ahead of it holds the reading (p), 0 inside the zone
+            (None: there is no such play).
     """
     p = setup.model.p
     waits, believed = [None] * (2 * p), [None] * (2 * p)
@@ -236,7 +236,7 @@ def _edge_groups(setup: Setup) -> list[tuple[int, dict[int, float]]]:
 
     Each entry: the output, and the side of each breakpoint by its place.
 
-    Those of a jump sensor are heard one by one: of a z beyond one of them nothing is asked of the
+    Those of a jump sensor are applied one by one: a z beyond one of them implies nothing about the
     other.
     """
     p = setup.model.p
@@ -254,8 +254,8 @@ def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
     Args:
         setup: the filter.
         q: its numbers.
-        reading: what was read.
-        y: reading, 0 where it is missing (p) [y].
+        reading: the reading.
+        y: reading, 0 if it is missing (p) [y].
     """
     silent = present(reading.y)
     if not setup.is_backlash_sensor:
@@ -268,12 +268,12 @@ def find_censored(setup: Setup, q: Params, reading: Reading, y: Any) -> Any:
 def confirm_silences(setup: Setup, q: Params, belief: Gaussian, silent: Any) -> tuple[Any, ...]:
     """Return 1 if the Gaussian supports a silence, by right and by left breakpoints (2 of p).
 
-    Empty where nobody asks.
+    Empty if unused.
 
     Args:
         setup: the filter.
         q: its numbers.
-        belief: about [x; d; extra], which no silence moves here.
+        belief: about `[x; d; extra]`, which no censored sample moves here.
         silent: whether each output is silent (p).
     """
     if not setup.has_pace_test:
@@ -311,7 +311,7 @@ def breakpoint_bound(
         branch: side of the zone whose edge it is, that of a play ahead of it aside.
         outside: whether z is beyond the edge instead, by a jump sensor's reading.
         slack: how far z may be beyond the edge [z].
-        heard: whether the edge is heard.
+        heard: whether the edge is used.
     """
     sight = partial(branch_output, setup, q, i, branch, contact=edge)
     excess, h = linearise(sight, belief.mean)
@@ -322,7 +322,7 @@ def breakpoint_bound(
 def edge_constraint(
     setup: Setup, q: Params, belief: Gaussian, i: int, bounds: Sequence[Bound]
 ) -> TruncationUpdate:
-    """Return the Gaussian truncated at breakpoints of output i; bounds: of each breakpoint."""
+    """Return the Gaussian truncated at breakpoints of output i (bounds: of each breakpoint)."""
     if not setup.doubts:
         return truncate_at_bounds(belief, bounds, q.R[i], DOUBT)
     moved = information_shares(q, setup.model, belief.cov) if setup.careful else None
@@ -333,8 +333,8 @@ def certain_branch(y: Any, last: Any, previous: Any, gate: Any) -> Any:
     """Return the branch of readings that count as z - d_r or z + d_l with zero-mean noise (p).
 
     A reading far beyond the gate, or one that the two before it announced: both beyond the gate,
-    their straight line too, and y not across 0. To ask only whether y itself is beyond a threshold
-    would select noise of one sign.
+    their straight line too, and y not across 0. A test of y itself against a threshold would select
+    noise of one sign.
     """
     return 1.0 * _is_certainly_right(y, last, previous, gate) - 1.0 * _is_certainly_right(
         -y, -last, -previous, gate
@@ -353,7 +353,7 @@ class RangeLimits(NamedTuple):
 
     Attributes:
         low, high: limits of the readings (p) [y].
-        gate: distance from a limit at which a reading surely is no limit (p) [y].
+        gate: distance from a limit beyond which a reading surely is not at the limit (p) [y].
     """
 
     low: Floats
@@ -371,15 +371,15 @@ def range_limits(sensor: Zone, prior: Prior) -> RangeLimits | None:
 def is_surely_exact(setup: Setup, q: Params, y: Any, last: Any, previous: Any, side: Any) -> Any:
     """Return 1 if a reading is surely exact, and not moved into the range by noise (p).
 
-    It lies far from silence and from the limit of its side, or the two before it announced it: both
-    lie between silence and limit, and their straight line too. A reading at a limit announces
-    nothing, nor does a silent one: where they would go on is not known.
+    It lies far from the zone and from the limit of its side, or the two before it announced it:
+    both lie between zone and limit, and their straight line too. A reading at a limit or inside the
+    zone announces nothing, as its further course is unknown.
 
     Args:
         setup: the filter.
         q: its numbers.
         y: reading (p) [y].
-        last, previous: the two before it, 0 where one was missing or refused (p) [y].
+        last, previous: the two before it, 0 if one was missing or rejected (p) [y].
         side: measured sides (p), +2 or -2 at a limit.
     """
     gate = 0.0 if setup.is_jump_sensor else q.gate
@@ -396,7 +396,7 @@ def _is_surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, m
         last, previous: the two before it (p) [y].
         gate: that is surely not silent (p) [y].
         high: the limit (p) [y].
-        margin: from the limit, at which a reading surely is no limit (p) [y].
+        margin: distance from the limit, beyond which a reading surely is not at the limit (p) [y].
     """
 
     def between(y: Any, times: float) -> Any:
@@ -417,13 +417,13 @@ def use_limits(
     Args:
         setup: the filter.
         q: its numbers.
-        known: what is known after the other readings and silences.
-        wait: steps to wait until a limit is heard again, upper limits, then lower ones (2p).
-        y: reading, 0 where it is missing (p) [y].
+        known: result after the other readings and censored samples.
+        wait: steps to wait until a limit is used again, upper limits, then lower ones (2p).
+        y: reading, 0 if it is missing (p) [y].
         side: measured sides (p), +2 or -2 at a limit.
 
     Returns:
-        What is known, with the waits of the edges and then of the limits (4p).
+        The result, with the waits of the edges and then of the limits (4p).
     """
     p = setup.model.p
     belief, likely, trust = known.belief, ca.SX(known.likely), ca.SX(known.trust)
@@ -456,7 +456,7 @@ def limit_update(
         i: number of the output.
         end: the upper limit (right) or the lower one (left).
         y: reading [y].
-        heard: whether the limit is heard.
+        heard: whether the limit is used.
     """
     branch = 0.0 if setup.is_jump_sensor else end
     expected, h = linearise(partial(branch_output, setup, q, i, branch), belief.mean)

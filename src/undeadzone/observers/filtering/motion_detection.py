@@ -1,10 +1,10 @@
 """Detection of the branch of a backlash from the motion of its readings (docs/play.md).
 
-Three rules, by what the sensor promises:
+Three rules, by the properties of the sensor:
 
-* exact readings: the sign of their change;
-* an encoder, which has a quantum and no noise: a tick tells the side without error, and is taken
-  for where z was when it came;
+* exact readings: the sign of their change,
+* an encoder, which has a quantum and no noise: a tick shows the side without error, and is taken
+  for z at its time,
 * noisy readings: the slope of those before, by a fading line, beyond what noise makes of it, if the
   observer's own z^ moves the same way.
 """
@@ -51,7 +51,7 @@ class Motion(NamedTuple):
         threshold: change over the window that counts as motion (p) [y].
         window: number of readings that the fading line stands for (1).
         gains: of the fading line, on level and slope (2).
-        friction: of what is behind the play (p) [u]; empty where there is none.
+        friction: of the load behind the play (p) [u] (empty if absent).
     """
 
     slope: Floats
@@ -67,8 +67,8 @@ class State(NamedTuple):
 
     Attributes:
         observer: the observer's.
-        level, slope: of the fading line through the readings, and by how much it rises in a step
-            (p) [y]; of exact readings the last one, and 0.
+        level, slope: of the fading line through the readings, and its rise in a step (p) [y] (of
+            exact readings the last one, and 0).
         known: how many readings the level rests on, at most `window` (p).
         ahead: by how much z^ moves until the next reading (p) [z].
         refused: readings that the observer had refused so far (p).
@@ -217,8 +217,8 @@ def update_line(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tupl
     The line restarts if none was known.
 
     The line through the first readings is the straight one, until the fading one forgets faster. It
-    goes on where a noisy reading is missing or was refused, and rests on one less; what is missing
-    of others tells nothing of the motion after it.
+    is extrapolated if a noisy reading is missing or was rejected, and is based on one reading less.
+    Other missing readings contain no information on the motion after them.
     """
     expected = s.level + s.slope
     residual = y - expected

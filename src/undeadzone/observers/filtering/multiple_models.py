@@ -1,6 +1,6 @@
 """Multiple-model filter: mixture of the estimates of filters with different assumptions.
 
-Each counts by how well it foretold the readings (docs/filters.md).
+Each counts by how well it foretold the readings (docs/filter_equations.md).
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ def add_disturbance_levels(member: Member, levels: int, claimed: bool) -> Member
     Args:
         member: the filter.
         levels: how many are weighed (1 to 10).
-        claimed: whether the rms is claimed: then one level lies above it and one is the claim.
+        claimed: whether the rms is assumed by the user: then one level lies above it and one equals
+            it.
 
     Raises:
         InputError: for another number of levels.
@@ -84,8 +85,8 @@ def build_multiple_models(member: Member, variants: Sequence[Callable[[Any], Any
 
     Args:
         member: the filter.
-        variants: each makes the numbers of one member from those of `member`, the widest claim
-            first; all start from its state.
+        variants: each makes the numbers of one member from those of `member`, the widest assumption
+            first (all start from its state).
     """
 
     def init(q: Any) -> State:
@@ -169,8 +170,8 @@ def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]
 def mix_estimates(estimates: Sequence[Estimate], share: Any) -> Estimate:
     """Return the weighted mean of the estimates (K). Its deviations cover 95 % at +-1.96.
 
-    Those of what is estimated count each variance by `wider_of_two`; that of the innovation is the
-    mixture's own.
+    Those of the states count each variance by `wider_component_weights`. That of the innovation is
+    the mixture's own.
     """
     wide = wider_component_weights(share)
     means = [mean_of_models(share, values) for values in zip(*estimates, strict=True)]
@@ -194,8 +195,8 @@ def wider_component_weights(share: Any) -> Any:
 
     The widest component comes first.
 
-    A mixture of deviations has more in its tails than a Gaussian of its variance; these shares make
-    up for it (docs/filters.md, "What cannot be known").
+    A mixture of deviations has more in its tails than a Gaussian of its variance. These shares make
+    up for it (docs/filter_equations.md, "Bias or centre").
     """
     tails = [ca.sum1(share[k:]) ** 2 for k in range(share.shape[0])]
     return ca.vertcat(*(here - after for here, after in zip(tails, [*tails[1:], 0.0], strict=True)))

@@ -30,20 +30,20 @@ REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, u
 
 
 class Prior(NamedTuple):
-    """Mean and spread of [x; d_r; d_l] (n + 2p) before the first reading.
+    """Mean and spread of `[x; d_r; d_l]` (n + 2p) before the first reading.
 
     The sensor's noise is included.
 
     Attributes:
-        mean: mean of [x; d_r; d_l] (n + 2p).
+        mean: mean of `[x; d_r; d_l]` (n + 2p).
         std: standard deviations of them (n + 2p).
         R: variance of a reading on an active side (p) [z^2].
         gate: |y| that is surely not silent (p) [y].
         drift: variance that the widths gain each step (2p) [z^2].
-        worn: the same in squares of a range's extent; 0 where a drift is claimed.
-        ranges: claimed ranges of all d_r, then of all d_l (2p x 2) [z].
-        asymmetry: mean and standard deviation of each d_r - d_l (p x 2) [z]; None: nothing but
-            what the ranges say.
+        worn: the same in squares of a range's extent (0 if a drift is assumed).
+        ranges: assumed ranges of all d_r, then of all d_l (2p x 2) [z].
+        asymmetry: mean and standard deviation of each d_r - d_l (p x 2) [z] (None: only the
+            consequences of the ranges).
         largest: width that the ranges allow, or gap of a play ahead of the zone [z].
     """
 
@@ -58,7 +58,7 @@ class Prior(NamedTuple):
     largest: float = 0.0
 
     def width_moments(self) -> tuple[Floats, Floats]:
-        """Return mean (2p) and covariance (2p x 2p) of [d_r; d_l], asymmetry included."""
+        """Return mean (2p) and covariance (2p x 2p) of `[d_r; d_l]`, asymmetry included."""
         n = self.mean.size - len(self.ranges)
         mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
         if self.asymmetry is None:
@@ -90,22 +90,23 @@ def build_prior(
 
     Args:
         claims: options with right, left (None: those of right), noise (None: the sensor's, but at
-            least `floor`), x_std (None: what shows as `reach` times the largest width,
-            `state_units`) and drift (None: `wear` times the extent of each range in 1 / |pole|,
-            which is 2 / pi quarter periods: who claims a narrow range claims that the width stays
-            in it), as of `Assumptions`.
+            least `floor`), x_std (None: the deviation that appears as `reach` times the largest
+            width, `state_units`) and drift (None: `wear` times the extent of each range in 1 /
+            |pole|, which is 2 / pi quarter periods: a narrow range implies that the width stays in
+            it), as of `Assumptions`.
         model: the sampled model.
         sensor: the dead zone.
-        floor: least noise, as a share of the claimed range.
-        reach: standard deviation of x(0), in largest widths, where none is claimed.
-        wear: drift, in extents of the range per 1 / sqrt(|pole|), where none is claimed.
+        floor: least noise, as a share of the assumed range.
+        reach: standard deviation of x(0), in largest widths, if none is assumed.
+        wear: drift, in extents of the range per 1 / sqrt(|pole|), if none is assumed.
         start: mean of x(0), one number or one per state.
-        centre: claimed range of (d_r - d_l)/2, or its value; None: nothing is claimed.
-        silence: whether silent samples are heard. Then noise ahead of the zone, which never makes a
-            silent sensor read, is not gated: it chose the readings, but the silences too.
+        centre: assumed range of (d_r - d_l)/2, or its value (None: no assumption).
+        silence: whether censored samples are used. Then noise ahead of the zone, which never brings
+            a reading out of the zone, is not gated: it selected the readings, but the censored
+            samples too.
 
     Raises:
-        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+        InputError, ShapeError: for an impossible assumption, or a model in continuous time.
     """
     Ts = require_sample_time(model)
     p = model.p
@@ -159,7 +160,7 @@ def prior_traits(prior: Prior, x_std: Array | None) -> Traits:
 
     Args:
         prior: of the filter.
-        x_std: as claimed; None: a default, which is no claim.
+        x_std: as assumed (None: a default, which is not an assumption).
     """
     n = prior.mean.size - len(prior.ranges)
     return Traits(
@@ -172,7 +173,7 @@ def prior_traits(prior: Prior, x_std: Array | None) -> Traits:
 def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     """Return mean and standard deviation of each d_r - d_l (p x 2).
 
-    That is twice the centre, which is claimed. A range stands for the uniform distribution over it.
+    That is twice the centre, which is assumed. A range stands for the uniform distribution over it.
     Raises InputError, ShapeError.
     """
     value = require_array("observer.centre", claimed)
@@ -187,8 +188,8 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
     least, most = (ranges[:p, 0] - ranges[p:, 1]) / 2, (ranges[:p, 1] - ranges[p:, 0]) / 2
     if (low > high).any() or (high < least).any() or (low > most).any():
         raise InputError(
-            "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and meet what "
-            f"the ranges of d_r and d_l allow, {least.tolist()} to {most.tolist()}, found "
+            "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and overlap "
+            f"the range of those of d_r and d_l, {least.tolist()} to {most.tolist()}, found "
             f"{value.tolist()}"
         )
     low, high = 2 * low, 2 * high
@@ -219,7 +220,7 @@ def read_width_ranges(right: Array, left: Array | None, p: int) -> Floats:
     """Return the assumed ranges of all d_r, then of all d_l (2p x 2) [z].
 
     Args:
-        right, left: [lo, hi], or one per output (p x 2); left None: those of right.
+        right, left: [lo, hi], or one per output (p x 2) (left None: those of right).
         p: number of outputs.
 
     Raises:
@@ -272,14 +273,15 @@ class Doubt(NamedTuple):
         glitch: log of the odds that a reading on an active side is wrong.
         fake: log of the probability that a silence is fake.
         reach: range over which a wrong reading is evenly spread (p) [z].
-        noisy: 1 where a reading that repeats the one before counts as missing (p).
+        noisy: 1 if a reading that repeats the one before counts as missing (p).
         fade: share of the sum of innovations that is left after a step.
         keep: share of the mean of its squares that is left after a step.
-        std: standard deviations of [x; d_r; d_l] before the first reading (n + 2p).
+        std: standard deviations of `[x; d_r; d_l]` before the first reading (n + 2p).
         forget: share of the mean share of refused readings that is left after a reading.
         most: mean square of the sums of innovations that is taken for chance.
         limit: square of a score that is taken for chance.
-        stays: change of a reading that is none, and |y| from which it counts (p) [y]; 0: never.
+        stays: change of a reading that counts as none, and |y| from which it counts (p) [y] (0:
+            never).
         push: what an input shows in z after a quarter period (p x m).
         means: shares of means of inputs that are left after a step (3), as `MEANS`.
         run: longest row of repeats of a sensor that is not stuck.
@@ -309,9 +311,9 @@ def doubt_numbers(
     Args:
         model: the sampled model.
         sensor: the dead zone.
-        prior: what the filter assumes before the first reading.
-        glitches: probability that a reading is wrong; 0: none is.
-        claimed: whether the disturbance is claimed, and no default.
+        prior: prior of the filter before the first reading.
+        glitches: probability that a reading is wrong (0: none is).
+        claimed: whether the disturbance is assumed by the user, and not a default.
     """
     assert model.Ts is not None
     quarter = time_scale(model.continuous, model.Ts)
@@ -351,31 +353,32 @@ def outlier_probability(claimed: float) -> float:
 class Assumptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Assumptions about a plant and its sensor.
 
-    A quantity without an assumption is uncertain; the value 0 is an assumption.
+    A quantity without an assumption is uncertain. The value 0 is an assumption.
 
     Attributes:
-        right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z]; left defaults to
-            that of right.
-        centre: claimed range [lo, hi] of (d_r - d_l)/2, a number where it is known (0: a symmetric
-            zone), or one range per output [z]; default: what the ranges of d_r and d_l say.
-        noise: rms of a reading on an active side, one or one per output [z]; default the sensor's.
-        x_std: standard deviation of x(0) about 0, one or one per state; default what shows
-            in z as five times the largest width.
-        drift: random walk of the widths [z / sqrt(s)]; default a 400th of the range's extent
-            in 1 / |pole| of the plant.
-        disturbance: rms that a coloured input disturbance may have, one or one per input [u];
-            default what moves z by half of the largest width, rms, in a quarter period of the
-            plant and 1 / |pole| for each further pole.
-        correlation_time: correlation time of the disturbance, first-order noise [s]; default a 16th
-            of the plant's period, 12.5 samples if it only integrates.
-        bias: rms of an unknown constant at the input, one or one per input [u]; default a quarter
-            of the disturbance's.
+        right, left: ranges [lo, hi] of d_r and d_l, one or one per output [z] (left defaults to
+            that of right).
+        centre: assumed range [lo, hi] of (d_r - d_l)/2, a number if it is known (0: a symmetric
+            zone), or one range per output [z] (default: the range that follows from those of d_r
+            and d_l).
+        noise: rms of a reading on an active side, one or one per output [z] (default the sensor's).
+        x_std: standard deviation of x(0) about 0, one or one per state (default the deviation that
+            appears in z as five times the largest width).
+        drift: random walk of the widths [z / sqrt(s)] (default a 400th of the range's extent in 1 /
+            |pole| of the plant).
+        disturbance: rms that a coloured input disturbance may have, one or one per input [u]
+            (default the rms that moves z by half of the largest width, rms, in a quarter period of
+            the plant and 1 / |pole| for each further pole).
+        correlation_time: correlation time of the disturbance, first-order noise [s] (default a 16th
+            of the plant's period, 12.5 samples if it only integrates).
+        bias: rms of an unknown constant at the input, one or one per input [u] (default a quarter
+            of the disturbance's).
         calibrated: probability that there is no bias.
         tolerance: relative rms error of the model: of every entry of A and B but in rows that only
-            say x_i' = x_j, or of some, as { "A[1,0]" = 0.1 }; of every parameter of a nonlinear
-            plant.
-        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
-            readings for right, as textbooks do, and shows no wider intervals where they do not fit.
+            contain x_i' = x_j, or of some, as { "A[1,0]" = 0.1 } (of every parameter of a nonlinear
+            plant).
+        glitches: probability that a reading is wrong, for any sensor (0 trusts all readings, as
+            textbooks do, and shows no wider intervals if they do not fit).
     """
 
     right: Array

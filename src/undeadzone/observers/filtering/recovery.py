@@ -1,6 +1,6 @@
 """Recovery of a filter from a wrong estimate: covariance inflation and reset to the prior.
 
-The mathematics is in docs/filters.md.
+The mathematics is in docs/filter_equations.md, "Outliers".
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class RejectionRate(NamedTuple):
 
     Attributes:
         share: mean share of refused readings of late (p).
-        opened: 1 where the belief was opened just now, fading after that (1).
+        opened: 1 if the covariance was inflated just now, fading after that (1).
     """
 
     share: Any
@@ -33,7 +33,7 @@ class RejectionRate(NamedTuple):
 
 
 def start_rejection_rate(p: int) -> RejectionRate:
-    """Return the record before the first reading; p: number of outputs."""
+    """Return the record before the first reading (p: number of outputs)."""
     return RejectionRate(np.zeros(p), np.zeros(1))
 
 
@@ -51,8 +51,8 @@ def inflate_covariance(
 
     Return the covariance with the new record.
 
-    It then gains the prior's variances of state, disturbance and bias; of widths and errors of the
-    model too where it was opened not long ago.
+    It then gains the prior's variances of state, disturbance and bias, and those of widths and
+    errors of the model too if it was inflated not long ago.
 
     Args:
         q: the filter's numbers.
@@ -60,7 +60,7 @@ def inflate_covariance(
         constants: how many of the last unknowns are errors of the model.
         entries: entries of the covariance that are kept.
         cov: the covariance (its `triangle`).
-        patience: what is kept of refused readings.
+        patience: record of rejected readings.
         used: whether readings were used (p).
         trust: probability that a reading was not wrong (p).
     """
@@ -99,10 +99,10 @@ def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple
     Args:
         q: the filter's numbers.
         entries: entries of the covariance that are kept.
-        belief: about [x; d; extra].
+        belief: about `[x; d; extra]`.
 
     Returns:
-        (mean, covariance (its `triangle`), 1 where it is the prior).
+        (mean, covariance (its `triangle`), 1 if it is the prior).
     """
     cov = to_upper_entries(belief.cov, entries)
     every = ca.densify(ca.diag(belief.cov))

@@ -5,10 +5,10 @@ v in a sample, is
 
     y / m = z - s d + gamma s zeta + rho s exp(-zeta / l) - tau v + noise.
 
-rho is an unknown constant of the filter. gamma and tau are not, nor is rho of a filter that shall
-stay small: a column S = d mean / d b of each such doubt b says how far the mean would move if the
-sensor were a little other, and what is shown counts var(b) S S' besides (docs/filters.md, "The
-sensor's shape").
+rho is an unknown constant of the filter. gamma and tau are not, and rho is not in a small filter: a
+column S = d mean / d b of each such doubt b is the shift of the mean if the sensor differed a
+little, and the displayed covariance contains var(b) S S' besides
+(docs/filter_equations.md, "Sensor shape").
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ AT_EDGE = 0.8  # deviation of a reading at its edge, in `rounding`, if that is a
 
 
 class ShapeAssumptions(NamedTuple):
-    """Shape of the sensor as a filter assumes it, with defaults; 0: exact.
+    """Shape of the sensor as a filter assumes it, with defaults (0: exact).
 
     Attributes:
         rounding: how far about an edge the characteristic is round (p) [z].
@@ -98,11 +98,11 @@ def resolve_shape(
     are estimated: an error of the slope would leave next to nothing known of them.
 
     Args:
-        sensor: as the filter takes it; keys that are None have defaults.
+        sensor: as the filter takes it (keys with value None have defaults).
         prior: of the filter, for its ranges.
         model: the sampled model.
         learns: whether the rounding becomes an unknown of the filter.
-        blind: whether it takes readings for z itself, and so asks nothing of a sensor.
+        blind: whether it takes readings for z itself, and so assumes nothing about the sensor.
     """
     p, Ts = model.p, model.Ts
     assert Ts is not None
@@ -160,7 +160,7 @@ def shape_effects(
         names: of the doubts.
         i: number of the output.
         side: on which it is read.
-        beyond: what it is taken to read [z].
+        beyond: its expected value [z].
         ahead: by how much z moves in a sample [z].
     """
     every = {"slope": lambda: beyond, "lag": lambda: -ahead}
@@ -171,7 +171,7 @@ def shape_effects(
 def add_shape_terms(
     setup: Setup, q: Any, i: int, side: Any, foretold: Any, sight: tuple[Any, Any], at: Any
 ) -> tuple[Any, Any]:
-    """Return (what a reading is expected to be [z], its row (1 x N)), with the sensor's shape.
+    """Return (the expected reading [z], its row (1 x N)), with the sensor's shape.
 
     Args:
         setup: the filter.
@@ -179,8 +179,8 @@ def add_shape_terms(
         i: number of the output.
         side: on which it is read.
         foretold: reading of an exact sensor, before any reading of the sample [z].
-        sight: what the reading of an exact sensor is expected to be, and its row.
-        at: mean of [x; d; extra] (N).
+        sight: expected reading of an exact sensor, and its row.
+        at: mean of `[x; d; extra]` (N).
     """
     expected, h = sight
     layout = setup.shape

@@ -1,7 +1,7 @@
 """Interface between a filter and a smoother of a whole log: moments of each sample and display.
 
 A filter is a bank of members, one at least, whose beliefs a smoother improves one by one. The
-mathematics is in docs/filters.md, "Looking back".
+mathematics is in docs/filter_equations.md, "Smoothing".
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from undeadzone.numerics.gaussian import Gaussian
 
 
 class Moments(NamedTuple):
-    """Moments of [x; d; extra] (N) at a sample, by a member of a filter.
+    """Moments of `[x; d; extra]` (N) at a sample, by a member of a filter.
 
     Attributes:
         before: mean and covariance before the reading.
         read: after the readings on sure sides.
-        heard: after what silences and limits bound, too.
+        heard: also after the bounds of censored samples and limits.
         rows: rows of the readings, which have moved `before` to `read` along cov rows' (p x N).
         edges: rows of the edges, likewise (2p x N).
         slope: I + slope is the Jacobian of the motion to the next sample (N x N).
         log: log of the density with which the readings were foretold.
-        restarted: 1 where the belief was lost, so that the next one is the prior.
+        restarted: 1 if the estimate was lost, so that the next one is the prior.
         doubted: by how much a deviation of each doubt about the sensor's shape moves the mean
             before the reading, and after it (2 of N x their number).
     """
@@ -46,10 +46,10 @@ class Smoothing(NamedTuple):
     Attributes:
         moments: moments(q, s, u, reading) are the `Moments` of its members.
         odds: odds(s) is the log of the odds of its members before a sample (K).
-        record: record(s) is what it keeps to judge its innovations; empty of a member.
+        record: record(s) is the record for tests of its innovations (empty for a member).
         shown: shown(q, beliefs, wide, share, record) is the estimate that shows beliefs of its
-            members, as likely as `share` (K), with covariances that the sensor's shape adds to
-            each; empty: none.
+            members, as likely as `share` (K), with covariances that the sensor's shape adds to each
+            (empty: none).
     """
 
     moments: Callable[[Any, Any, Any, Reading], tuple[Moments, ...]]

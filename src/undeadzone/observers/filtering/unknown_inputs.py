@@ -1,7 +1,7 @@
 """Filter states beside the widths: disturbance, bias and errors of the model.
 
 What of a model is uncertain, an entry or a parameter, is a constant unknown. The mathematics is in
-docs/filters.md.
+docs/filter_equations.md.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Numbers(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """Options shared by the functions of `build_unknown_inputs`; extra = [bias; p; theta].
+    """Options shared by the functions of `build_unknown_inputs`, extra = `[bias; p; theta]`.
 
     Attributes:
         model: the sampled model.
@@ -76,7 +76,8 @@ class Setup(NamedTuple):
         biased: from the biases to the inputs (m x biases).
         disturbing: from p to the inputs (m x size of p).
         shaken: how many inputs have a disturbance.
-        careful: whether a small bias moves widths only as far as readings have told of them.
+        careful: whether a small bias moves widths only as far as readings contained information on
+            them.
     """
 
     model: System
@@ -95,7 +96,7 @@ def build_colour(correlation: float, washout: float | None, Ts: float) -> Colour
 
     Args:
         correlation: correlation time [s].
-        washout: time constant of the washout [s]; None: there is none.
+        washout: time constant of the washout [s] (None: there is none).
         Ts: sample time [s].
     """
     from scipy.linalg import solve_discrete_lyapunov
@@ -157,11 +158,12 @@ def build_unknown_inputs(
     Args:
         model: the sampled model.
         colour: the disturbance of unit rms.
-        rms: rms of the disturbance (m) [u]; 0: there is none.
-        bias: rms of a constant at the inputs (m) [u]; 0: there is none.
+        rms: rms of the disturbance (m) [u] (0: there is none).
+        bias: rms of a constant at the inputs (m) [u] (0: there is none).
         calibrated: probability that the biases are `SMALL`.
         tolerance: what of the model is uncertain.
-        careful: whether a small bias moves widths only as far as readings have told of them.
+        careful: whether a small bias moves widths only as far as readings contained information on
+            them.
     """
     from scipy.linalg import block_diag
 
@@ -203,8 +205,8 @@ def build_unknown_inputs(
 def bias_rest_state(model: System, biased: Floats) -> Floats:
     """Return the state at rest under each unit bias (n x biases).
 
-    The tolerance acts on x less that state: else estimates of theta would seem to tell bias from
-    centre.
+    The tolerance acts on x less that state: else estimates of theta would seem to distinguish bias
+    from centre.
     """
     A, B, _ = model.continuous
     units = state_units(model.continuous)
@@ -233,7 +235,7 @@ def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) ->
 
 
 def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> Products:
-    """Return the products theta_i a_i [x; u] in the rows of A and B, held over the step."""
+    """Return the products theta_i a_i `[x; u]` in the rows of A and B, held over the step."""
     numbers, entries = q.augmentation, setup.tolerance.entries
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
@@ -259,7 +261,7 @@ def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any
 def assume_small_bias(setup: Setup, q: Params, belief: Gaussian) -> tuple[Gaussian, Any]:
     """Return (the Gaussian under the hypothesis of a `SMALL` bias, its odds).
 
-    The hypothesis acts as a reading of the bias as 0 (docs/filters.md).
+    The hypothesis acts as a reading of the bias as 0 (docs/filter_equations.md).
 
     Returns:
         (belief, its odds).
@@ -283,8 +285,8 @@ class Tolerance(NamedTuple):
 
     Attributes:
         std: their standard deviations (K), relative ones but in `named`.
-        slopes: d[Ad, Bd] per relative change of each entry (K n x (n + m)); none of a nonlinear
-            plant.
+        slopes: d[Ad, Bd] per relative change of each entry (K n x (n + m)) (empty for a nonlinear
+            plant).
         entries: rows and columns of the entries in [A, B].
         values: the entries themselves (K).
         held: `plants.system.hold_integral` (n x n).
@@ -302,8 +304,6 @@ class Tolerance(NamedTuple):
 
 def read_named_parameters(model: System, stds: dict[str, float]) -> Tolerance:
     """Return the tolerance of named parameters of a nonlinear plant, with absolute deviations.
-
-    Raises InputError.
 
     Raises InputError.
     """
@@ -333,9 +333,9 @@ def read_tolerance(
 
     Args:
         model: the sampled model.
-        claimed: relative standard deviation of every entry, but of rows that only say
-            x_i' = x_j; or of some, as {"A[1,0]": 0.1}; or of every parameter.
-        units: in which the filter counts states (n); None: those of the model.
+        claimed: relative standard deviation of every entry, but of rows that only contain x_i' =
+            x_j, or of some, as {"A[1,0]": 0.1} (or of every parameter).
+        units: in which the filter counts states (n) (None: those of the model).
 
     Raises:
         InputError: for an entry that does not exist or is 0.

@@ -27,7 +27,7 @@ class Chain(NamedTuple):
 
     Attributes:
         joints: names of the joints (N).
-        parameters: numbers that may differ between plant and model, with their values; with
+        parameters: numbers that may differ between plant and model, with their values. With
             `payload` among them the chain carries it itself.
         mass: (numbers, q) -> M (N x N).
         bias: (numbers, q, v) -> Coriolis, centrifugal and gravity torques h (N).
@@ -35,9 +35,9 @@ class Chain(NamedTuple):
         turn: (numbers, q) -> the tip's rotation matrix (3 x 3).
         gravity: (numbers) -> acceleration of gravity (3) [m/s^2].
         plane: coordinates in which the tip moves, 0 to 2.
-        limits: positions that the joints can take (N x 2), infinite where there is no limit.
-        torque: largest torque of the joints (N) [N m or N], infinite where there is no limit.
-        speed: largest speed of the joints (N) [rad/s or m/s], infinite where there is no limit.
+        limits: positions that the joints can take (N x 2), infinite without a limit.
+        torque: largest torque of the joints (N) [N m or N], infinite without a limit.
+        speed: largest speed of the joints (N) [rad/s or m/s], infinite without a limit.
         friction: viscous [N m s/rad] and Coulomb [N m] coefficients (2 x N).
         slides: whether some joint slides, so that not all are of one unit.
     """
@@ -93,7 +93,7 @@ class Arm(NamedTuple):
     tip: ca.Function
 
     @property
-    def size(self) -> int:
+    def joint_count(self) -> int:
         """Return the number of joints."""
         return len(self.chain.joints)
 
@@ -163,7 +163,7 @@ def evaluate_rows(f: ca.Function, params: Floats, q: Floats) -> Floats:
         q: positions of the joints (N x joints).
 
     Returns:
-        N x rows of the value, or N x rows x columns where it is a matrix.
+        N x rows of the value, or N x rows x columns if it is a matrix.
     """
     columns = np.broadcast_to(params[:, None], (params.size, len(q)))
     side_by_side = np.asarray(f.map(len(q))(columns, q.T))

@@ -1,9 +1,9 @@
 """From `plant.arm` to a plant.
 
-Its states are x = [q; v], its inputs the joints' torques, its outputs their positions or
+Its states are x = `[q; v]`, its inputs the joints' torques, its outputs their positions or
 velocities. There are arms in the plane x-y with one and two links (Spong, Hutchinson, Vidyasagar:
-Robot Modeling and Control, 2006, section 7.4), elastic joints, where a motor moves a link through a
-spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
+Robot Modeling and Control, 2006, section 7.4), elastic joints, in which a motor moves a link
+through a spring (Spong 1987) and a sensor sees one of the two, and the arms of URDF files.
 
 References:
     M. W. Spong (1987), doi:10.1115/1.3143860
@@ -68,7 +68,7 @@ def _build_rigid(plant: Plant, options: Rigid, key: str) -> System:
     body = build_arm(chain, require_number(f"{key}.arm.rest", options.rest, above=0.0))
     params = change_arm_numbers(body.names, body.values, plant.parameters, key)
     _require_mass(body, params, key)
-    N = body.size
+    N = body.joint_count
     offset = require_vector(f"{key}.arm.reference", options.reference, N, "one per joint")
     hold = _build_stops(options, chain, key)
 
@@ -91,11 +91,10 @@ def _build_rigid(plant: Plant, options: Rigid, key: str) -> System:
 
 
 def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> System:
-    """Return the continuous-time plant of an arm with gears: x = [theta; q; theta'; q'], z =
-    q.
+    """Return the continuous-time plant of an arm with gears: x = `[theta; q; theta'; q']`, z = q.
 
-    With encoders at motors and links z = [q; theta]. It is linearised on the flanks that carry the
-    links, locked both ways.
+    With encoders at motors and links z = `[q; theta]`. It is linearised on the flanks that carry
+    the links, locked both ways.
     """
     assert options.gears is not None
     if options.measured == "velocity" or np.any(options.reference):
@@ -106,7 +105,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         )
     rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
     gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
-    params, N = gears.values, gears.size
+    params, N = gears.values, gears.joint_count
     _require_mass(gears.arm, gears.link_params(params), key)
     hold = _build_stops(options, chain, key)
     at, given = _linearisation_state(plant)
@@ -131,7 +130,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         """Return the positions of the links (N)."""
         return x[N : 2 * N]
 
-    def both(p: Any, x: Any) -> Any:
+    def both_sides(p: Any, x: Any) -> Any:
         """Return the positions of the links, then of the motors (2 N)."""
         return ca.vertcat(x[N : 2 * N], x[:N])
 
@@ -139,7 +138,7 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         """Return the positions of the motors (N)."""
         return x[:N]
 
-    output = both if gears.measured == "both" else links
+    output = both_sides if gears.measured == "both" else links
     return linearise_plant(key, params, locked, output, x_eq, u_eq)._replace(
         move=move,
         arm=gears.arm,
@@ -165,18 +164,18 @@ def _build_flat_links(gears: Geared) -> Flat:
 
 
 def require_geared_start(gears: Geared, x: Array | None, key: str) -> Floats:
-    """Return a state [theta; q; theta'; q'] (4 N) as given, or with links [q; q'] (2 N) on
+    """Return a state `[theta; q; theta'; q']` (4 N) as given, or with links `[q; q']` (2 N) on
     their flanks.
 
     Args:
         gears: the arm.
-        x: the state in a user's words; None: at rest at 0.
+        x: the state in a user's words (None: at rest at 0).
         key: of the state in messages.
 
     Raises:
-        InputError, ShapeError: it is none.
+        InputError, ShapeError: it is not a state of the plant.
     """
-    N = gears.size
+    N = gears.joint_count
     if x is not None and np.size(x) == 4 * N:
         return require_vector(key, x, 4 * N).copy()
     why = "the angles of the links, then their speeds; or motors and links, then their speeds"
@@ -265,7 +264,7 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
     )
     if not np.isfinite(chain.limits).any():
         raise InputError(
-            f"{key}.arm.stops: they stand where the joints' limits are, and these have none. "
+            f"{key}.arm.stops: they stand at the joints' limits, and these joints have none. "
             f"Give {key}.arm.limits"
         )
     low, high = (np.clip(side, -1e300, 1e300) for side in chain.limits.T)
@@ -280,7 +279,7 @@ def _build_stops(options: Rigid, chain: Chain, key: str) -> Callable[[Any, Any],
 
 def _require_mass(body: Arm, params: Floats, key: str) -> None:
     """Raise InputError if the mass matrix is not positive definite in some random postures."""
-    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, body.size)):
+    for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (POSTURES, body.joint_count)):
         values = np.linalg.eigvalsh(np.asarray(body.mass(params, q)))
         if not values[0] > 1e-12 * values[-1]:
             span = f"eigenvalues {values[0]:.3g} to {values[-1]:.3g}"
@@ -291,12 +290,12 @@ def _require_mass(body: Arm, params: Floats, key: str) -> None:
 
 
 def build_one_link() -> Chain:
-    """Return one link; q from the x axis, gravity along -y.
+    """Return one link, with q from the x axis, gravity along -y.
 
     Parameters: m mass [kg], l length [m], c centre of mass from the joint [m], I inertia about that
         centre
     [kg m^2], g gravity [m/s^2] (0: a horizontal table). Their values are those of a uniform rod, c
-    = l / 2 and I = m l^2 / 12; changing one of them does not change the others.
+    = l / 2 and I = m l^2 / 12. Changing one of them does not change the others.
     """
 
     def mass(p: Numbers, q: Any) -> Any:
@@ -313,11 +312,11 @@ def build_one_link() -> Chain:
 
 
 def build_two_link() -> Chain:
-    """Return two links; q1 from the x axis, q2 from the first link, gravity along -y.
+    """Return two links, with q1 from the x axis, q2 from the first link, gravity along -y.
 
     Parameters, of link i = 1, 2: mi mass [kg], li length [m], ci centre of mass from joint i [m],
-    Ii inertia about that centre [kg m^2]; g gravity [m/s^2] (0: a horizontal table, on which q1 is
-    cyclic). Their values are those of uniform rods, ci = li / 2 and Ii = mi li^2 / 12; changing one
+    Ii inertia about that centre [kg m^2], g gravity [m/s^2] (0: a horizontal table, on which q1 is
+    cyclic). Their values are those of uniform rods, ci = li / 2 and Ii = mi li^2 / 12. Changing one
     of them does not change the others.
     """
 
@@ -346,7 +345,7 @@ def build_two_link() -> Chain:
 def change_parameters(
     parameters: Mapping[str, float], changes: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the parameters of a chain with changes; changes of unknown names are ignored."""
+    """Return the parameters of a chain with changes. Changes of unknown names are ignored."""
     return {name: changes.get(name, value) for name, value in parameters.items()}
 
 
@@ -372,8 +371,8 @@ def _build_planar_chain(
     mass: Callable[[Numbers, Any], Any],
     bias: Callable[[Numbers, Any, Any], Any],
 ) -> Chain:
-    """Return a chain of links in the plane, without limits or friction; lengths: names of link
-    lengths.
+    """Return a chain of links in the plane, without limits or friction (lengths: names of link
+    lengths).
     """
     N = len(lengths)
 
@@ -413,12 +412,12 @@ def _planar_gravity(p: Numbers) -> Any:
 
 
 def build_elastic_chain() -> Chain:
-    """Return motor and link as a chain of two angles [motor; link], both from the x axis.
+    """Return motor and link as a chain of two angles `[motor; link]`, both from the x axis.
 
     The motor's inertia J, a spring of stiffness k, and `one_link`. Parameters: those of the link, J
     motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link (b2, f2)
-    comes with `arm`. Points and turn are the link's; at [motor; motor] they are those of a motor's
-    hand of the same length.
+    comes with `arm`. Points and turn are the link's. At `[motor; motor]` they are those of a
+    motor's hand of the same length.
     """
     link = build_one_link()
 
@@ -445,11 +444,11 @@ def build_elastic_chain() -> Chain:
 def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
     """Return the plant of an elastic joint.
 
-    x = [motor angle; link angle; their speeds], u = the motor's torque [N m], z = the angle of
+    x = `[motor angle; link angle; their speeds]`, u = the motor's torque [N m], z = the angle of
     `options.measured` less `reference` [rad]. Its path coordinate is the link's angle: with no
     damper beside the spring, four derivatives of it give state and torque exactly. It is linearised
-    at x_eq, by default where the motor holds the link still at its angle in x0, with u_eq that
-    holds it.
+    at x_eq, by default at the state in which the motor holds the link still at its angle in x0,
+    with u_eq that holds it.
 
     Args:
         plant: the plant in words.

@@ -3,7 +3,7 @@
 theta is a motor's angle at the joint's side of its gears, q the link's, a half of the gap:
 
     xi = theta - q + c
-    tau = K Dz(xi; a) + D (theta' - q')  where |xi| > a, else 0
+    tau = K Dz(xi, a) + D (theta' - q')  where |xi| > a, else 0
     J theta'' + b_m theta' + f_m sat(theta') = u - tau
     M(q) q'' + h(q, q') + friction = tau
 
@@ -16,7 +16,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -34,22 +34,23 @@ from undeadzone.util.arrays import (
     require_vector,
 )
 
+TINY = 1e-3  # speed at which friction is linear, over that at which it fades
+
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Gears with a gap between motors and links; each array is a number or a value per joint
-    (N).
+    """Gears with a gap between motors and links, each array a number or a value per joint (N).
 
     Attributes:
         half: half of the gap, as the link can turn to either side while the motor is held [rad].
         inertia: of the motor as felt at the joint, gear ratio squared times the rotor's [kg m^2].
-        centre: c, by which the motor's encoder reads less than the link's angle where the link
-            stands in the middle of the gap [rad].
+        centre: c, by which the motor's encoder reads less than the link's angle if the link stands
+            in the middle of the gap [rad].
         contact: natural frequency of motor against link in contact, all joints at 0, no payload
             [rad/s].
         damping: ratio of damping in contact.
         friction: Coulomb friction of the motor [N m].
         viscous: viscous friction of the motor [N m s/rad].
-        measured: where the encoder sits: at the motor, at the link, or one at both.
+        measured: place of the encoder: at the motor, at the link, or one at both.
     """
 
     half: Array
@@ -65,17 +66,17 @@ class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Geared(NamedTuple):
     """Arm with gears, as pure functions of expressions.
 
-    The state is x = [theta; q; theta'; q'] (4 N). The parameters stand in a column in the order of
-    `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
+    The state is x = `[theta; q; theta'; q']` (4 N). The parameters stand in a column in the order
+    of `names`: half gaps, centres, friction and payload may be numbers or states of a filter.
 
     Attributes:
-        arm: the links, with payload and friction; its parameters come first in the column.
+        arm: the links, with payload and friction. Its parameters come first in the column.
         names: names of the parameters: those of the arm, then half1, half2, ..., centre1, ...
         values: their values.
         stiffness: of the contacts, by their squared frequency (N) [kg m^2].
         damping: of the contacts, by their frequency (N) [kg m^2].
         rest: speed below which the motors' Coulomb friction fades [rad/s].
-        measured: where the encoders sit.
+        measured: place of the encoders.
     """
 
     arm: Arm
@@ -87,9 +88,9 @@ class Geared(NamedTuple):
     measured: Literal["motor", "link", "both"]
 
     @property
-    def size(self) -> int:
+    def joint_count(self) -> int:
         """Return the number of joints."""
-        return self.arm.size
+        return self.arm.joint_count
 
     def link_params(self, params: Any) -> Any:
         """Return the parameters of `arm` in a column of parameters."""
@@ -98,24 +99,24 @@ class Geared(NamedTuple):
     def gear_number(self, params: Any, name: str) -> Any:
         """Return a number of the gears, such as "half", in a column of parameters (N)."""
         first = self.names.index(f"{name}1")
-        return params[first : first + self.size]
+        return params[first : first + self.joint_count]
 
     def gear_angle(self, params: Any, x: Any) -> Any:
-        """Return xi, by which the motors are ahead of their links (N) [rad]; |xi| > half
-        in contact.
+        """Return xi, by which the motors are ahead of their links (N) [rad] (|xi| > half in
+        contact).
         """
-        N = self.size
+        N = self.joint_count
         return x[:N] - x[N : 2 * N] + self.gear_number(params, "centre")
 
     def gap_widths(self, params: Any) -> tuple[Any, Any]:
         """Return (right, left), the largest lead and lag of each link relative to its
         motor [rad].
 
-        right = half + centre, left = half - centre; of encoders at motors and links (2 N) those at
+        right = half + centre, left = half - centre. Of encoders at motors and links (2 N) those at
         the motors come last, with 0.
         """
         half, centre = self.gear_number(params, "half"), self.gear_number(params, "centre")
-        motors = ca.DM.zeros(self.size if self.measured == "both" else 0)
+        motors = ca.DM.zeros(self.joint_count if self.measured == "both" else 0)
         return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
 
     def motor_friction_torque(self, params: Any, turning: Any) -> Any:
@@ -124,11 +125,16 @@ class Geared(NamedTuple):
         viscous = self.gear_number(params, "viscous") * turning
         return viscous + self.gear_number(params, "friction") * sliding
 
+    def contact_stiffness(self, params: Any) -> tuple[Any, Any]:
+        """Return K [N m/rad] and D [N m s/rad] of gears in contact (N each)."""
+        frequency = self.gear_number(params, "contact")
+        return self.stiffness * frequency**2, self.damping * frequency
+
     def gear_torque(self, params: Any, x: Any, contact: Any = None) -> Any:
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
         `motion`.
         """
-        N, half, xi = self.size, self.gear_number(params, "half"), self.gear_angle(params, x)
+        N, half, xi = self.joint_count, self.gear_number(params, "half"), self.gear_angle(params, x)
         frequency = self.gear_number(params, "contact")
         if contact is None:
             closed = ca.fabs(xi) > half
@@ -153,7 +159,7 @@ class Geared(NamedTuple):
                 both ways, tau = K (xi - mode half) + D (theta' - q'), linear in x and half.
             load: further torque at the links (N).
         """
-        N = self.size
+        N = self.joint_count
         q, turning, v = x[N : 2 * N], x[2 * N : 3 * N], x[3 * N :]
         tau = self.gear_torque(params, x, contact)
         spun = (u - self.motor_friction_torque(params, turning) - tau) / self.gear_number(
@@ -166,10 +172,74 @@ class Geared(NamedTuple):
         """Return the motor angles that hold links still at q (N) [rad], on the flanks that
         carry the load.
         """
-        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.size))
+        tau = self.arm.bias(self.link_params(params), q, ca.DM.zeros(self.joint_count))
         K = self.stiffness * self.gear_number(params, "contact") ** 2
         flank = ca.sign(tau) * self.gear_number(params, "half")
         return q - self.gear_number(params, "centre") + flank + tau / K
+
+
+class Coupling(NamedTuple):
+    """How strongly a joint is coupled to joints of other groups.
+
+    Attributes:
+        ratio: how many times heavier its group's links are with the others held than free; 1: they
+            know nothing of each other.
+        partner: the joint outside of its group that it is coupled to most.
+    """
+
+    ratio: float
+    partner: int
+
+
+def largest_couplings(
+    body: Arm, links: Floats, postures: Floats, groups: Sequence[Sequence[int]]
+) -> list[Coupling]:
+    """Return the largest coupling of each joint to other groups, over postures (N).
+
+    Args:
+        body: the links.
+        links: their parameters.
+        postures: angles of the joints (K x N).
+        groups: joints that belong together.
+    """
+    masses = [np.asarray(body.mass(links, q)) for q in postures]
+    found = [Coupling(1.0, joint) for joint in range(body.joint_count)]
+    for M in masses:
+        inverse = np.linalg.inv(M)
+        shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+        for group in map(list, groups):
+            here = np.ix_(group, group)
+            ratio = float(np.abs(np.linalg.eigvals(M[here] @ inverse[here])).max())
+            others = [joint for joint in range(body.joint_count) if joint not in group]
+            for joint in group:
+                if others and ratio > found[joint].ratio:
+                    partner = others[int(np.argmax(shares[joint, others]))]
+                    found[joint] = Coupling(ratio, partner)
+    return found
+
+
+def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
+    """Return the fastest mode of an arm at rest with all its gears in contact [1/s].
+
+    Args:
+        gears: the arm.
+        params: its parameters.
+        postures: angles of the joints, of which the fastest counts (K x N).
+    """
+    N, body, links = gears.joint_count, gears.arm, gears.link_params(params)
+    inertia = np.ravel(gears.gear_number(params, "inertia"))
+    K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
+    slow, fastest = np.full(N, TINY * gears.rest), 0.0
+    rubbing = np.diag(np.ravel(np.asarray(ca.DM(body.friction(links, slow)))) / slow)
+    friction = np.ravel(np.asarray(ca.DM(gears.motor_friction_torque(params, slow)))) / slow
+    turned = np.hstack([np.zeros((2 * N, 2 * N)), np.eye(2 * N)])
+    for q in postures:
+        W = np.linalg.inv(np.asarray(body.mass(links, q)))
+        motors = np.hstack([-K, K, -D - np.diag(friction), D]) / inertia[:, None]
+        moved = W @ np.hstack([K, -K, D, -D - rubbing])
+        A = np.vstack([turned, motors, moved])
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
+    return fastest
 
 
 def build_geared_arm(
@@ -192,17 +262,17 @@ def build_geared_arm(
         InputError: or a subclass, that names the key.
     """
     body = build_arm(chain, rest)
-    table = _require_gear_numbers(gears, body.size, f"{key}.arm.gears")
+    table = _require_gear_numbers(gears, body.joint_count, f"{key}.arm.gears")
     names = body.names
     for name in table:
-        names += tuple(f"{name}{i + 1}" for i in range(body.size))
+        names += tuple(f"{name}{i + 1}" for i in range(body.joint_count))
     values = change_arm_numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
     damping = require_number(f"{key}.arm.gears.damping", gears.damping, least=0.0)
     first = names.index("inertia1")
     rotors = require_positive(
-        f"{key}.parameters.inertia", values[first : first + body.size], body.size
+        f"{key}.parameters.inertia", values[first : first + body.joint_count], body.joint_count
     )
-    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.size))))
+    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.joint_count))))
     reduced = rotors * links / (rotors + links)
     return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
 

@@ -35,7 +35,7 @@ class Survey(NamedTuple):
         place: of the tip there (3) [m].
         holding: torques that hold the arm there (N) [N m or N].
         reach: greatest distance of the tip from the first joint's place at q = 0, within the limits
-            [m]; None where a sliding joint has no limits.
+            [m] (None if a sliding joint has no limits).
     """
 
     body: Arm
@@ -63,12 +63,11 @@ def survey_urdf(
         path: the file.
         joints: names of the joints that move (N), as in `plant.arm.joints`.
         tip: the link in which the arm ends, as in `plant.arm.tip`.
-        at: the posture (N) [rad or m]; default 0, or, where that is near a limit or beyond
-            it, the middle.
+        at: the posture (N) [rad or m] (default 0, or the middle if 0 is near a limit or beyond it).
 
     Raises:
         FileError: the file, or its contents.
-        InputError: joints, tip, at; or adam-robotics is missing.
+        InputError: joints, tip, at, or adam-robotics is missing.
     """
     body = build_arm(urdf.load_urdf_chain(path, joints, tip))
     robot = read_urdf(Path(path))
@@ -77,7 +76,7 @@ def survey_urdf(
     q = (
         _default_posture(limits)
         if at is None
-        else require_vector("at", at, body.size, "one per moving joint")
+        else require_vector("at", at, body.joint_count, "one per moving joint")
     )
     _require_within_limits(moving, q)
     movable = [joint.name for joint in robot.joints if joint.kind in MOVABLE]
@@ -88,10 +87,10 @@ def survey_urdf(
         tip=tip,
         joints=moving,
         fixed=[name for name in movable if name not in body.chain.joints],
-        masses=body.values[: body.size],
+        masses=body.values[: body.joint_count],
         q=q,
         place=body.points(body.values, q).full()[-1],
-        holding=body.bias(body.values, q, np.zeros(body.size)).full().ravel(),
+        holding=body.bias(body.values, q, np.zeros(body.joint_count)).full().ravel(),
         reach=_compute_reach(body, moving),
     )
 
@@ -134,20 +133,20 @@ def _compute_reach(body: Arm, moving: list[Joint]) -> float | None:
                 low[i], high[i] = joint.limits
     if not np.isfinite([low, high]).all():
         return None
-    postures = np.random.default_rng(0).uniform(low, high, (POSTURES, body.size))
+    postures = np.random.default_rng(0).uniform(low, high, (POSTURES, body.joint_count))
     points = evaluate_rows(body.points, body.values, postures)
-    origin = body.points(body.values, np.zeros(body.size))[1, :]  # a sliding joint leaves it
+    origin = body.points(body.values, np.zeros(body.joint_count))[1, :]  # a sliding joint leaves it
     distances = np.linalg.norm(points[:, -1] - origin.full(), axis=1)
     best = postures[np.argsort(distances)[-CLIMBS:]]
-    q = ca.SX.sym("q", body.size)
+    q = ca.SX.sym("q", body.joint_count)
     squared = -ca.sumsqr(body.points(ca.SX(body.values), q)[-1, :] - origin)
     slope = ca.Function("slope", [q], [squared, ca.gradient(squared, q)])
 
-    def value(at: Floats) -> tuple[float, Floats]:
+    def negative_reach(at: Floats) -> tuple[float, Floats]:
         """Return the value and its gradient at a posture."""
         found, gradient = slope(at)
         return float(found), gradient.full().ravel()
 
     bounds = list(zip(low, high, strict=True))
-    tops = [minimize(value, start, jac=True, bounds=bounds).fun for start in best]
+    tops = [minimize(negative_reach, start, jac=True, bounds=bounds).fun for start in best]
     return float(np.sqrt(max(0.0, -min(tops))))

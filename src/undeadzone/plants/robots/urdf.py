@@ -87,9 +87,7 @@ def _pose_in_base(way: list[Joint]) -> tuple[Floats, Floats]:
 
 
 def _anchor_points(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
-    """Return the point of each axis nearest to the anchor before (N x 3); a sliding joint
-    keeps it.
-    """
+    """Return the point of each axis nearest to the previous anchor (N x 3), or that of a slider."""
     anchors, anchor = [], np.zeros(3)
     for joint, axis, origin in zip(moving, axes, origins, strict=True):
         if joint.kind != "prismatic":
@@ -237,24 +235,24 @@ def load_urdf_chain(
 ) -> Chain:
     """Return the serial arm in a URDF file, on a fixed base.
 
-    Parameters [kg]: m1, ... mN: mass of what moves with a joint up to the next, its inertia in
-    proportion; payload: a point at the tip. The dynamics are those of adam-robotics (composite
-    rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install 'undeadzone[robots]'
-    brings.
+    Parameters [kg]: m1, ... mN: mass of the links that move with a joint up to the next, its
+    inertia in proportion, payload: a point at the tip. The dynamics are those of adam-robotics
+    (composite rigid bodies, recursive Newton-Euler: Featherstone 2008), which pip install
+    'undeadzone[robots]' brings.
 
     References:
         R. Featherstone (2008), doi:10.1007/978-1-4899-7560-7
 
     Args:
         path: the file.
-        joints: names of the N joints that move, from base to tip; default: all revolute, continuous
-            and prismatic ones on the way. All others of the file are fixed at 0.
-        tip: a link; default: the one in which the chain ends.
+        joints: names of the N joints that move, from base to tip (default: all revolute, continuous
+            and prismatic ones on the way). All others of the file are fixed at 0.
+        tip: a link (default: the one in which the chain ends).
         gravity: acceleration in the base's coordinates (3) [m/s^2].
 
     Raises:
         FileError: the file, or its contents.
-        InputError: joints, tip, gravity; or adam-robotics is missing.
+        InputError: joints, tip, gravity, or adam-robotics is missing.
     """
     g = require_vector("plant.arm.gravity", gravity, 3, "x, y, z")
     robot = read_urdf(Path(path))

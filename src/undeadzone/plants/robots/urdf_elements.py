@@ -1,6 +1,6 @@
 """Elements of URDF files: joints and links of a tree, their numbers, each checked.
 
-What reads an element raises ValueError, which names it; `read` adds the key and the file.
+A reader of an element raises ValueError, which names it. `read` adds the key and the file.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class Joint(NamedTuple):
         turn: rotation matrix of the child link on the parent (3 x 3).
         axis: axis of motion, a unit vector (3).
         mimics: name of the joint that it mimics, or None.
-        limits: least and greatest position [rad or m], infinite where the file has none.
-        effort: largest torque [N m] or force [N], infinite where the file has none.
-        velocity: largest speed [rad/s or m/s], infinite where the file has none.
+        limits: least and greatest position [rad or m], infinite if the file has none.
+        effort: largest torque [N m] or force [N], infinite if the file has none.
+        velocity: largest speed [rad/s or m/s], infinite if the file has none.
         friction: viscous [N m s/rad] and Coulomb [N m] coefficients.
     """
 
@@ -138,12 +138,12 @@ def _parse_limits(
     if not lower < upper and kind != "fixed":
         raise ValueError(
             f"{where}: limit lower = {lower:g} must be less than upper = {upper:g}. "
-            "Remove both where there is no limit"
+            "Remove both if there is no limit"
         )
     if not min(effort, velocity) > 0 and kind != "fixed":
         raise ValueError(
             f"{where}: limit effort and velocity must be positive, "
-            f"found {effort:g} and {velocity:g}. Remove them where there is no limit"
+            f"found {effort:g} and {velocity:g}. Remove them if there is no limit"
         )
     return (lower, upper), effort, velocity
 
@@ -240,7 +240,7 @@ class Robot(NamedTuple):
     """Tree of joints and links.
 
     Attributes:
-        links: the bodies of the links, by name; massless without <inertial>.
+        links: the bodies of the links, by name (massless without <inertial>).
         joints: the joints, in the file's order.
     """
 

@@ -21,9 +21,9 @@ class AdaptiveLaw(NamedTuple):
     Attributes:
         numbers: run-time numbers.
         spread0: its own state at first (N p x N p, or nothing).
-        move: move(numbers, W, spread, zeta, e, used) is what is added to W and to the spread, each
-            per second, or per step when sampled; used (p): whether an output tells anything.
-        rate: what the fastest weight moves at, at most [1/s].
+        move: move(numbers, W, spread, zeta, e, used) is the increment of W and of the spread, each
+            per second, or per step when sampled (used (p): whether an output contains information).
+        rate: largest rate of the fastest weight [1/s].
     """
 
     numbers: Any

@@ -58,7 +58,7 @@ def cut_box(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[
         lo, hi: bounds of c x.
 
     Returns:
-        (midpoint, half-widths); a half-width is below 0 where nothing of the box has such c x.
+        (midpoint, half-widths). A half-width is below 0 if no point of the box has such a c x.
     """
     row = (c @ frame).T
     size, z = ca.fabs(row), c @ x

@@ -1,7 +1,6 @@
 """Interval observer as pure functions of its boxes.
 
-Each step follows what the box says of z, what z says of the widths, what they and the reading say
-of z, and what that says of the box.
+Each step bounds z by the box, the widths by z, z by the widths and the reading, and the box by z.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class IntervalParams(NamedTuple):
         L: gain (n x p), per step when the model is sampled.
         slope: slope m of the sensor (p).
         T, inverse, S, turn: of `Modes`.
-        pace: how fast bounds follow what a reading tells [1/s]; 1 when sampled.
+        pace: rate at which bounds follow a reading [1/s] (1 when sampled).
         disturbance: bound of the input disturbance (m) [u].
         noise: bound of the noise of a reading on a sure side (p) [z].
         sure: |y| above which a side is sure (p) [y].
@@ -91,11 +90,11 @@ class SureSides(NamedTuple):
     """Certain conclusions from a reading about each output (p).
 
     Attributes:
-        right, left: z is beyond that edge, by what the reading says at least.
+        right, left: z is beyond that edge, by the reading or more.
         active: either of both.
         silent: z is beyond no edge.
-        exact_right, exact_left: z is beyond the edge by what the reading says, not by more, as it
-            may be at a limit of the range.
+        exact_right, exact_left: z is beyond the edge by exactly the reading, and not by more as at
+            a limit of the range.
     """
 
     right: Any
@@ -250,7 +249,7 @@ def width_bounds(
         boxes: the bounds before.
         z: bounds of z.
         y: reading y / m (p).
-        on: what the reading surely says.
+        on: certain conclusions from the reading.
     """
     if setup.is_jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
         most_right, most_left, least_right, least_left = y, -y, FAR, FAR

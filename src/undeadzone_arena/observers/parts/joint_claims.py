@@ -1,6 +1,6 @@
 """Assumptions, defaults, readings and estimates of the joint filters of the literature.
 
-They see the dead zone as one function y / m = Dz(z; d_r, d_l) of [x; d_r; d_l].
+They see the dead zone as one function y / m = Dz(z, d_r, d_l) of `[x; d_r; d_l]`.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ class JointAssumptions(Options, frozen=True, kw_only=True):
     Missing ones follow from the method's defaults.
 
     Attributes:
-        right, left: claimed ranges [lo, hi] of d_r and d_l, one or one per output [z]; left
-            defaults to that of right.
-        noise: rms of a reading, one or one per output [z]; default the sensor's, but at least the
-            method's share of the claimed range.
-        x_std: standard deviation of x(0) about 0, one or one per state; default the method's
-            multiple of the largest width.
+        right, left: assumed ranges [lo, hi] of d_r and d_l, one or one per output [z] (left
+            defaults to that of right).
+        noise: rms of a reading, one or one per output [z] (default the sensor's, but at least the
+            method's share of the assumed range).
+        x_std: standard deviation of x(0) about 0, one or one per state (default the method's
+            multiple of the largest width).
         disturbance: rms of an input disturbance that is new at every sample, one or one per input
-            [u]; default what moves z by `swing` times the largest width, rms, in a quarter period
-            of the plant (in 50 samples of a chain of integrators).
+            [u] (default the rms that moves z by `swing` times the largest width, rms, in a quarter
+            period of the plant (in 50 samples for a chain of integrators)).
         swing: rms, in largest widths, by which the default disturbance moves z.
-        drift: random walk of the widths [z / sqrt(s)]; default the method's multiple of the extent
-            of each range.
-        glitches: probability that a reading is wrong, whatever the sensor promises; 0 takes all
-            readings for right, as published.
+        drift: random walk of the widths [z / sqrt(s)] (default the method's multiple of the extent
+            of each range).
+        glitches: probability that a reading is wrong, for any sensor (0 trusts all readings, as
+            published).
     """
 
     right: Array
@@ -64,11 +64,11 @@ class JointAssumptions(Options, frozen=True, kw_only=True):
 class JointDefaults(NamedTuple):
     """Assumptions of a method if no option is given.
 
-    Of more than `CROWD` readings in a quarter period, each has so much more noise that together
-    they say no more: what is wrong with the model does not average out.
+    If there are more than `CROWD` readings in a quarter period, the noise of each is increased so
+    that together they contain no more information: errors of the model do not average out.
 
     Attributes:
-        noise: least noise, as a share of the claimed range.
+        noise: least noise, as a share of the assumed range.
         drift: drift, in largest widths.
         x_std: standard deviation of x(0), in largest widths.
     """
@@ -82,9 +82,9 @@ class JointPrior(NamedTuple):
     """Prior of a joint filter.
 
     Attributes:
-        prior: that of [x; d_r; d_l] and of the sensor.
+        prior: that of `[x; d_r; d_l]` and of the sensor.
         variance: that of the input disturbance (m) [u^2].
-        ranges: claimed ranges of the widths (2p x 2) [z].
+        ranges: assumed ranges of the widths (2p x 2) [z].
     """
 
     prior: Prior
@@ -105,7 +105,7 @@ def build_joint_prior(
         stride: every how many samples a reading is used.
 
     Raises:
-        InputError, ShapeError: for a claim that cannot be, or a model in continuous time.
+        InputError, ShapeError: for an impossible assumption, or a model in continuous time.
     """
     Ts = require_sample_time(model)
     readings = quarter_period(model) / (stride * Ts)
@@ -150,9 +150,9 @@ def numeric_estimate(
     """Build an `Estimate` of numbers.
 
     Args:
-        X: [x; d_r; d_l] (n + 2p).
+        X: `[x; d_r; d_l]` (n + 2p).
         z: output z^ (p).
-        reading: what was read.
+        reading: the reading.
         sensor: the dead zone, for its slope and kind.
         e: innovation (p).
         std: standard deviations of X (n + 2p).

@@ -1,4 +1,4 @@
-"""Gaussian filters with the dead zone as one function of [x; d_r; d_l], reading by reading."""
+"""Gaussian filters with the dead zone as one function of `[x; d_r; d_l]`, reading by reading."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class OutputSample(NamedTuple):
 
     Attributes:
         i: the output's number.
-        sight: from the unknowns to what is read.
+        sight: from the unknowns to the reading.
         y: the reading y_i / m_i, 0 where none came.
         side: of the reading.
         seen: whether one came.
-        odds: of a glitch; None: no reading is one.
+        odds: of a glitch (None: no reading is a glitch).
     """
 
     i: int
@@ -71,7 +71,7 @@ class JointState(NamedTuple):
     """State of a joint filter between samples.
 
     Attributes:
-        mean, cov: mean and covariance (its `triangle`) of [x; d_r; d_l] before the reading.
+        mean, cov: mean and covariance (its `triangle`) of `[x; d_r; d_l]` before the reading.
         patience: with readings that are refused.
     """
 
@@ -93,13 +93,13 @@ def build_joint_filter(
     Args:
         model: the sampled model.
         sensor: the dead zone.
-        prior: what it starts from.
-        glitches: probability that a reading is wrong; 0: none is.
+        prior: prior at its start.
+        glitches: probability that a reading is wrong (0: none is).
         correct: the correction by the reading of one output after the other.
         predict: the motion to the next sample.
 
     Raises:
-        InputError: for a share of glitches that is none.
+        InputError: for an invalid share of glitches.
     """
     share = outlier_probability(glitches)
     units = power_of_two_units(model)
@@ -153,7 +153,7 @@ def build_joint_filter(
 
 
 def noise_free_reading(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
-    """Return the noise-free reading y_i / m_i of X = [x; d_r; d_l] [z]."""
+    """Return the noise-free reading y_i / m_i of X = `[x; d_r; d_l]` [z]."""
     n, p = model.n, model.p
     z = model.output(q.model, X[:n])[i]
     return zone_reading(kind, z, X[n + i], X[n + p + i])

@@ -55,7 +55,7 @@ class LearnedParams(NamedTuple):
         law: numbers of the learning law.
         scale: unit in which the functions see y / m and z (p) [z].
         W0: weights at first (N p).
-        limit: upper bound of the weights (p), which are then >= 0; None: there is none.
+        limit: upper bound of the weights (p), which are then >= 0 (None: there is none).
         rate: fastest rate of the law [1/s].
     """
 
@@ -95,7 +95,7 @@ class LearnedSetup(NamedTuple):
         law: how the weights learn.
         filtered: whether W learns by the sensitivity of e to it.
         limited: whether the weights have bounds.
-        ends: limits of the readings, which are missing there; None: there are none.
+        ends: limits of the readings, which are missing there (None: there are none).
     """
 
     model: System
@@ -119,9 +119,9 @@ def build_learning_observer(
 ) -> Observer:
     """Build the observer x^' = A x^ + B u + L e, e = z_I - C x^, z_I = y / m + W'psi.
 
-    Filtered, W learns by the sensitivity of e to it, zeta = C Phi - psi with
-    Phi' = (A - L C) Phi + L psi', and x^ moves with W by Phi W' (Zhang 2002; the swapping lemma);
-    else by zeta = -psi, as if x^ stood still.
+    Filtered, W learns by the sensitivity of e to it, zeta = C Phi - psi with Phi' = (A - L C) Phi +
+    L psi', and x^ moves with W by Phi W' (Zhang 2002, the swapping lemma). Otherwise it learns by
+    zeta = -psi, as if x^ stood still.
 
     Args:
         model: the model, continuous or sampled, linear or nonlinear.
@@ -130,8 +130,8 @@ def build_learning_observer(
         compensator: the functions psi.
         law: how W moves.
         filtered: whether W learns by the sensitivity of e to it.
-        W0: weights at first (N p); None: 0.
-        limit: upper bound of the weights (p), which needs `filtered`; None: there is none.
+        W0: weights at first (N p) (None: 0).
+        limit: upper bound of the weights (p), which needs `filtered` (None: there is none).
 
     Raises:
         InputError: for a jump sensor, which takes nothing off z.
@@ -224,13 +224,13 @@ class LearnedOptions(Options, frozen=True, kw_only=True):
     Attributes:
         L: gain (n x p) [1/s], in place of poles and speed.
         poles: poles of A - L C (n) [1/s], in place of L and speed.
-        speed: speed of A - L C [1/s], in place of L and poles; default 6 mean poles of the plant
-            (`inverse_network`: 30), fewer beyond second order.
-        gain: gain of the normalised gradient [1/s]; default 30 times the fastest pole
-            (`inverse_network`: 100 times).
-        leak: leak of the weights, e-modification; default 0, none.
-        filtered: learn by the sensitivity of the error, so that fast poles do less harm; false is
-            the law as published.
+        speed: speed of A - L C [1/s], in place of L and poles (default 6 mean poles of the plant
+            (`inverse_network`: 30), fewer beyond second order).
+        gain: gain of the normalised gradient [1/s] (default 30 times the fastest pole
+            (`inverse_network`: 100 times)).
+        leak: leak of the weights, e-modification (default 0, none).
+        filtered: learn by the sensitivity of the error, so that fast poles do less harm (false: the
+            law as published).
     """
 
     L: Array | None = None

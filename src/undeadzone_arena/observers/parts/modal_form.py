@@ -16,7 +16,7 @@ class Modes(NamedTuple):
     Attributes:
         T, inverse: the coordinates and their inverse (n x n).
         S: T^-1 F T (n x n).
-        turn: what the angle of each complex pair grows by, per second or per step.
+        turn: growth of the angle of each complex pair, per second or per step.
         pairs: the first row of each complex pair.
     """
 
@@ -30,7 +30,7 @@ class Modes(NamedTuple):
 def build_modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     """Return the modes of x' = F x, or x+ = F x when sampled.
 
-    Mazenc and Bernard (2011) turn the Jordan form; the Schur form bounds the same, and exists to
+    Mazenc and Bernard (2011) turn the Jordan form. The Schur form bounds the same, and exists to
     rounding for every F.
 
     References:
@@ -39,7 +39,7 @@ def build_modes(F: Floats, unit: Floats, Ts: float | None) -> Modes:
     Args:
         F: motion (n x n).
         unit: unit of each state (n), so that units of states do not matter.
-        Ts: sample time [s]; None in continuous time.
+        Ts: sample time [s] (None in continuous time).
     """
     from scipy.linalg import schur
 

@@ -20,7 +20,7 @@ TIGHT = {"verbose": False, "eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
 class Window(NamedTuple):
     """N + 1 nodes, oldest first, with the reading and the prior of each.
 
-    The belief of a node is about X = [x; d_r; d_l]; w has unit variance.
+    The prior of a node is about X = `[x; d_r; d_l]`. The disturbance w has unit variance.
 
     Attributes:
         y: reading y / m (p).
@@ -29,8 +29,8 @@ class Window(NamedTuple):
         mean: mean of X (n + 2p).
         cov: covariance of X (n + 2p x n + 2p).
         C, offset: z = C x + offset at the node (p x n, p).
-        F, f, G: x of the next node = F x + f + G w (n x n, n, n x m); those of the newest node are
-            not yet known, 0.
+        F, f, G: x of the next node = F x + f + G w (n x n, n, n x m) (0 for the newest node, as
+            they are not yet known).
     """
 
     y: Floats
@@ -52,7 +52,7 @@ class HorizonWeights(NamedTuple):
         noise: rms of a reading (p) [z].
         slack: rms of the violation of a bound: by a silent sensor, or at a limit (p) [z].
         gate: z beyond an edge that a silent reading leaves open (p) [z].
-        ranges: claimed ranges of the widths (2p x 2) [z].
+        ranges: assumed ranges of the widths (2p x 2) [z].
     """
 
     noise: Floats
@@ -101,7 +101,7 @@ def build_qp_solver(plugin: str, unknowns: int, rows: int) -> Solver:
 def programme_size(window: Window) -> tuple[int, int]:
     """Return the numbers of unknowns and rows of the programme.
 
-    The unknowns are X at the oldest node, disturbances and violations; the rows are two edges a
+    The unknowns are X at the oldest node, disturbances and violations. The rows are two edges a
     node, and the widths.
     """
     nodes, n, m = window.G.shape
@@ -119,13 +119,13 @@ class Affine(NamedTuple):
 def solve_horizon(window: Window, weights: HorizonWeights, solve: Solver) -> Floats | None:
     """Return X (n + 2p) at the newest node, or None if the programme was not solved.
 
-    Unknown are X = mean + root cov xi at the oldest node, the disturbances w, and how far z is
-    outside a silent sensor's zone, s slack; minimised is
-    |xi|^2 + |w|^2 + |s|^2 + sum over active nodes of (error of the reading / noise)^2.
+    The unknowns are X = mean + root cov xi at the oldest node, the disturbances w, and the
+    violation s slack of a censored sample's zone by z. The cost is |xi|^2 + |w|^2 + |s|^2 + sum
+    over active nodes of (error of the reading / noise)^2.
 
     Args:
         window: the nodes.
-        weights: what the errors are weighed by.
+        weights: weights of the errors.
         solve: the solver.
     """
     unknowns, _ = programme_size(window)
@@ -175,7 +175,7 @@ def excess_over_breakpoints(window: Window, xs: Affine, d: Affine) -> tuple[Affi
     Args:
         window: the nodes.
         xs: x of every node.
-        d: the widths [d_r; d_l].
+        d: the widths `[d_r; d_l]`.
     """
     p = window.y.shape[1]
     unknowns = d.M.shape[1]
@@ -206,8 +206,8 @@ def qp_constraints(
 ) -> tuple[Floats, Floats, Floats]:
     """Return A, low and high of the bounds.
 
-    Silent nodes are inside both edges, those at a limit beyond what they read, but for their
-    violation; widths are in their ranges.
+    Silent nodes are inside both edges, those at a limit beyond their reading, but for their
+    violation. Widths are in their ranges.
     """
     nodes, p = window.y.shape
     silent = ((window.side == 0) & (window.seen > 0)).ravel()
@@ -226,7 +226,7 @@ def qp_constraints(
 
 
 def reading_row(C: Floats, i: int, side: float) -> Floats:
-    """Return h of the reading z_i - d_r or z_i + d_l = h [x; d_r; d_l].
+    """Return h of the reading z_i - d_r or z_i + d_l = h `[x; d_r; d_l]`.
 
     With side 0 it is that of z_i.
     """

@@ -1,0 +1,44 @@
+"""The paper about the software: its citations exist, and its numbers are those of RESULTS.md."""
+
+from __future__ import annotations
+
+import re
+
+from benchmarks.markdown import parted
+
+from packed import ROOT
+
+PAPER = (ROOT / "joss/paper.md").read_text(encoding="utf-8")
+ENTRIES = dict(
+    re.findall(r"@\w+\{(\w+),.*doi = \{([^}]+)\}", (ROOT / "joss/paper.bib").read_text("utf-8"))
+)
+RESULTS = (ROOT / "benchmarks/RESULTS.md").read_text(encoding="utf-8")
+
+
+def test_every_citation_has_an_entry_with_a_doi_and_every_entry_is_cited() -> None:
+    cited = set(re.findall(r"@([A-Z]\w+)", PAPER))
+    assert cited == set(ENTRIES)
+
+
+def test_dois_agree_with_the_page_of_references() -> None:
+    listed = (ROOT / "docs/references.md").read_text(encoding="utf-8")
+    missing = [doi for doi in ENTRIES.values() if f"[doi:{doi}]" not in listed]
+    assert not missing
+
+
+def test_every_command_of_the_evidence_exists() -> None:
+    named = re.findall(r"`python -m benchmarks (\w+)`", PAPER)
+    assert named
+    assert all((ROOT / f"benchmarks/{name}.py").exists() for name in named)
+
+
+def test_numbers_are_those_of_the_results() -> None:
+    exact = parted(RESULTS)["## Filters beside the exact posterior"]
+    ratios = [float(value) for value in re.findall(r"\| all \| `censored` \| (\d\.\d+)", exact)]
+    assert f"{min(ratios):.3f} to {max(ratios):.3f}" in PAPER
+    broken = parted(RESULTS)["## Attempts to break certificates"]
+    rows = re.findall(r"^\| \d+ \| (\d+) \| (\d+) \| (\d+) \|", broken, re.MULTILINE)
+    designs = sum(int(row[0]) for row in rows)
+    assert (
+        f"that broke one of {designs} certified designs | {sum(int(r[2]) for r in rows)} |" in PAPER
+    )

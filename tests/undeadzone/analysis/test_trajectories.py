@@ -1,0 +1,52 @@
+"""Worst trajectories along schedules: modes, windows and settling times."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_identifiability import visiting
+
+from scenes import PAPER_PLANT
+from undeadzone.analysis.certificate.passivity import certify
+from undeadzone.analysis.convergence import trajectories
+from undeadzone.analysis.convergence.trajectories import worst_settling_time
+
+
+@pytest.mark.parametrize("window", [2, 4])
+def test_a_fair_adversary_takes_each_full_mode_in_every_window(
+    monkeypatch: pytest.MonkeyPatch, window: int
+) -> None:
+    """Though the third mode, which is none, is the one that it likes best."""
+    monkeypatch.setattr(trajectories, "_value", lambda V, errors: np.abs(errors).sum(axis=1))
+    maps = np.array([0.5, 0.6, 1.1])[:, None, None] * np.eye(2)
+    moves = trajectories._Moves(maps, np.array([0, 1]), window)
+    V: Any = None
+    taken = trajectories._adversary_modes(V, np.ones(2), moves, fair=True)
+    for one in taken.reshape(-1, window):
+        assert set(one) >= {0, 1}
+    assert set(trajectories._adversary_modes(V, np.ones(2), moves, fair=False)) == {2}
+
+
+@pytest.mark.parametrize("Ts", [None, 0.02])
+def test_a_pass_lasts_as_long_as_its_schedule(Ts: float | None) -> None:
+    schedule = visiting([True], [True], Ts)
+    errors: Any = SimpleNamespace(A=np.zeros((1, 2, 2)), Ts=Ts, C=np.ones((1, 2)))
+    modes = trajectories._modes_of_schedule(errors, schedule, 2 * schedule.total_duration)
+    lengths = schedule.spans * (Ts or 1.0)
+    assert [mode.seconds for mode in modes[:6]] == pytest.approx([*lengths, *lengths])
+
+
+def test_errors_may_need_many_passes_to_settle() -> None:
+    """A schedule of 1.5 ms, passed thousands of times; the count is the least that suffices."""
+    found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    usual = visiting([True], [True])
+    brief = usual._replace(spans=usual.spans / 1000)
+    slow = worst_settling_time(found.dynamics, found.V, usual)
+    fast = worst_settling_time(found.dynamics, found.V, brief)
+    assert slow is not None
+    assert fast is not None
+    assert fast / brief.total_duration > 1000
+    assert fast == pytest.approx(slow, rel=0.5)
