@@ -58,7 +58,10 @@ def ask(log: MotionLog) -> Outcome:
     answer, parts = found.answer, found.answer.parts
     fit = MotionFit(answer.data, answer.found.structure)
     white = NORMAL * answer.found.rms / np.sqrt(fit.information(answer.found))
-    half, held = answer.gap.half / max(white, 1e-300), answer.gap.low <= log.lost <= answer.gap.high
+    half, held = (
+        answer.gap.half_width / max(white, 1e-300),
+        answer.gap.low <= log.lost <= answer.gap.high,
+    )
     of_gap = None
     if log.gap is not None and parts is not None:
         of_gap = parts.gap.low <= log.gap <= parts.gap.high

@@ -331,7 +331,8 @@ def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
     Raises ValueError where neither is known, or a width is missing beside two edges.
     """
     values = [found["right"], found["left"]]
-    right, left = ((0.0, 0.0, 0.0) if one is None else _triple(one) for one in values)
+    none = (0.0, 0.0, 0.0)
+    right, left = (_triple(one or none) for one in values)
     if None not in values:
         return right, left, _triple(found["width"])
     if values == [None, None]:

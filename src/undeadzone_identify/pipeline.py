@@ -105,8 +105,8 @@ def identify(
             records of one plant.
         t: times (N) [s], or the step; with u and y, in place of `log`.
         u: inputs (N) or (N x m).
-        y: readings (N) or (N x p); NaN where one is missing.
-        r: the reference of a closed loop (N), NaN where it is missing; None: not recorded.
+        y: readings (N) or (N x p); NaN if one is missing.
+        r: the reference of a closed loop (N), NaN if it is missing; None: not recorded.
         order: orders of the plant to try, as 2 or "1-4".
         right: d_r if known, "0.2,1.0" for bounds, inf for no such edge [y].
         left: the same for d_l.
@@ -279,7 +279,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
 
     Args:
         grid: the records.
-        options: what the user said.
+        options: of the user.
         advance: called with the number of steps just done.
 
     Returns:

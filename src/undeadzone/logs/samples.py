@@ -59,8 +59,8 @@ class Samples(NamedTuple):
 
     Attributes:
         t: times (N) [s], or sample numbers; NaN where there is none or the line cannot be read.
-        y: readings (N x p), NaN where one is missing.
-        u: inputs (N x m), NaN where one is missing.
+        y: readings (N x p), NaN if one is missing.
+        u: inputs (N x m), NaN if one is missing.
         lines: number of each line in the log (N).
     """
 
@@ -443,8 +443,8 @@ class Regular(NamedTuple):
 
     Attributes:
         t: times (N) [s].
-        y: readings (N x p), NaN where one is missing.
-        u: inputs (N x m), NaN where one is missing.
+        y: readings (N x p), NaN if one is missing.
+        u: inputs (N x m), NaN if one is missing.
     """
 
     t: Floats

@@ -42,7 +42,7 @@ class Stamps(NamedTuple):
     day_first: bool | None
 
     def seconds(self, text: str) -> float | None:
-        """Return a time [s], since 1970 or since midnight; None where it cannot be read.
+        """Return a time [s], since 1970 or since midnight; None if it cannot be read.
 
         Args:
             text: date and time of day as written; what has no zone counts as UTC.
@@ -92,7 +92,7 @@ def over_midnight(t: Floats, before: float) -> Floats:
     """Times of day that go on after midnight [s].
 
     Args:
-        t: times of day (N) [s]; NaN where one is missing.
+        t: times of day (N) [s]; NaN if one is missing.
         before: the last time before these [s], days counted; NaN: there is none.
     """
     out = np.array(t)

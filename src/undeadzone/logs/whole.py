@@ -77,7 +77,7 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
 
     Args:
         t: times (N) [s]; None: one step apart.
-        y: readings (N) or (N x p), NaN where one is missing.
+        y: readings (N) or (N x p), NaN if one is missing.
         u: inputs (N) or (N x m).
         p, m: numbers of readings and inputs that the plant has.
         step: of the scenario [s].

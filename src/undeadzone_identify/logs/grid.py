@@ -40,7 +40,7 @@ class Grid(NamedTuple):
         inputs: names of the inputs.
         input_unit, output_unit: units, "1" if unknown.
         output: name of the output.
-        r: the reference (N x 1), NaN where it is missing or a spike; (N x 0) where a log has none.
+        r: the reference (N x 1), NaN if it is missing or a spike; (N x 0) where a log has none.
         climbs: of fits of the log, those that were kept on disk; None: none are.
     """
 

@@ -166,15 +166,15 @@ class Log(NamedTuple):
     Attributes:
         t: times (N) [s], increasing.
         u: inputs (N x m).
-        y: readings (N x p); NaN where one is missing.
+        y: readings (N x p); NaN if one is missing.
         inputs, outputs: names of the inputs (m) and of the readings (p)
         input_unit: unit of the inputs, "1" where none is named, or several differ.
         output_units: units of the readings (p), "1" where none is named.
         source: where the log came from, for messages.
-        lines: the line of each sample in its file (N), for messages; empty where there is none.
+        lines: the line of each sample in its file (N), for messages; empty if there is none.
         counted: whether the times count samples, so that no rate in seconds is known.
-        r: the reference (N x 1), NaN where it is missing; (N x 0) where none was recorded.
-        remarks: what was left out, for the user.
+        r: the reference (N x 1), NaN if it is missing; (N x 0) where none was recorded.
+        remarks: on omissions, for the user.
     """
 
     t: Floats
@@ -361,8 +361,8 @@ def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
     Args:
         t: times (N) [s], or one number, the sample time [s].
         u: inputs (N) or (N x m).
-        y: readings (N) or (N x p); NaN where one is missing.
-        r: the reference (N), NaN where it is missing; None: it was not recorded.
+        y: readings (N) or (N x p); NaN if one is missing.
+        r: the reference (N), NaN if it is missing; None: it was not recorded.
 
     Returns:
         The log.

@@ -42,7 +42,7 @@ def usable_readings(grid: Grid, remarks: list[str]) -> tuple[Flags, RangeEnds]:
 
     Args:
         grid: the log on its grid.
-        remarks: what is left out is added here, for the user.
+        remarks: each omission is added here, for the user.
     """
     ok = grid.ok & ~_flag_spikes(grid, remarks)
     ok &= ~_flag_dropouts(grid, ok, remarks)
@@ -166,12 +166,12 @@ class PreparedLog(NamedTuple):
     """Log prepared for a fit.
 
     Attributes:
-        options: what the user said.
+        options: of the user.
         data: scaled records.
         limits: of the widths, scaled.
         orders: orders that the log is long enough for.
         quantum: smallest common spacing of the readings, scaled; 0 if there is none.
-        remarks: what was done, for the user.
+        remarks: on each change, for the user.
         ends: where readings stick, as a range of readings has it; empty: nowhere.
         jumps: right and left edge of a jump sensor, scaled; None for a dead zone.
         settles: whether an integrating plant's other poles settle within a record.
@@ -193,7 +193,7 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
 
     Args:
         grid: the log on its grid.
-        options: what the user said.
+        options: of the user.
 
     Returns:
         Data scaled to rms 1, limits of the widths, orders to try.
@@ -385,7 +385,7 @@ def to_dead_zone_data(
 
     Args:
         data: records, scaled, with exact zeros.
-        options: what the user said; known edges are taken as they are.
+        options: of the user; known edges are taken as they are.
 
     Returns:
         The records, limits that hold the edges, and the edges with 95 % intervals, scaled.

@@ -280,7 +280,7 @@ def curve_share(z: Floats, residual: Floats) -> tuple[float, float]:
 
     Args:
         z: output of the plant (N).
-        residual: what a model leaves (N).
+        residual: of a model (N).
 
     Returns:
         Share and p.

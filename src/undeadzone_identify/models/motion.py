@@ -313,7 +313,7 @@ def four_offsets_along(
     Args:
         simulator: the plant, with its data.
         theta: its numbers.
-        rms: of what the fit leaves.
+        rms: of the residual.
         quantum: of the readings, scaled.
     """
     data = simulator.data
@@ -332,7 +332,7 @@ def to_moving_plant(
     Args:
         simulator: the plant.
         theta: its numbers.
-        rms: of what the fit leaves: white noise at the inputs makes as much of z.
+        rms: of the residual: white noise at the inputs makes as much of z.
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout

@@ -107,7 +107,7 @@ class Element(NamedTuple):
         ahead: what disturbs z, scaled; None where it was not told apart.
         noise: rms of the readings' white noise, scaled.
         degrees: of freedom of the intervals.
-        rms: of what the fit leaves, scaled.
+        rms: of the residual, scaled.
         remarks: what to know of the widths.
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.

@@ -96,7 +96,7 @@ class Case(NamedTuple):
 
     Attributes:
         grid: the log on its grid.
-        options: what the user said.
+        options: of the user.
         recorded: the records with the input as it was recorded.
         unreached: edges that no reading passes.
         fitted: every order.

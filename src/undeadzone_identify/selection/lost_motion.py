@@ -105,7 +105,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
 
     Args:
         log: with one output and one input; a second one is a servo's current or torque.
-        options: what the user said.
+        options: of the user.
 
     Returns:
         The answer, None if nothing can be fitted, and whether it stands before plants are tried.
@@ -169,7 +169,7 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
 
     Args:
         log: with one output.
-        options: what the user said.
+        options: of the user.
     """
     plain = options.kind in ("auto", "play") and options.place == "auto" and not options.integrators
     asked = options.right or options.left or options.resample or options.delay != "auto"

@@ -307,10 +307,10 @@ def feedback_share(
     without a loop, and 0 where nothing is left: the reference alone makes the input.
 
     Args:
-        moved: what may answer (N x m), NaN where it is missing; the column that does so most.
+        moved: what may answer (N x m), NaN if it is missing; the column that does so most.
         y: readings (N).
         ok: whether there is a reading (N).
-        r: what else makes it, now and before (N x k), NaN where it is missing.
+        r: what else makes it, now and before (N x k), NaN if it is missing.
         start: first sample of each record (R).
     """
     wanted, heard = (

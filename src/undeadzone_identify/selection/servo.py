@@ -77,7 +77,7 @@ def to_observations(grid: Grid, options: Options) -> Observations | None:
 
     Args:
         grid: the records.
-        options: what the user said.
+        options: of the user.
     """
     if grid.u.shape[1] != 1 or options.kind not in ("auto", "play"):
         return None
