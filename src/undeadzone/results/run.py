@@ -35,7 +35,7 @@ from undeadzone.util.text import label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-ERRORS: Final = {  # over the end of a run: what they are called in a terminal, and on a page
+ERRORS: Final = {  # over the end of a run: names on a terminal, and on a page
     "rms_tracking": ("rms z - r", "rms of z − r"),
     "rms_estimation": ("rms z - z^", "rms of z − z^"),
     "rms_behind_play": ("rms y/m - r", "rms of y / m − r"),
@@ -400,7 +400,7 @@ def blocks_from_run(run: Run) -> list[Block]:
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
-    if run.divergence_time is not None:  # what readings would tell is no use of these
+    if run.divergence_time is not None:  # identifiability is of no use then
         shown["DIVERGED"] = f"at {run.divergence_time:g} s"
         return [shown] if single else [shown, _final_output_rows(run)]
     if refuted := final_rejections(run.signals.arrays).get("claims"):

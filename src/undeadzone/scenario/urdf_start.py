@@ -22,7 +22,7 @@ SHARE = 0.8  # of the way to a limit, and of the greatest speed
 PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
-GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
+GAP, WIDER = 0.2, 0.6  # of a width: guess of half an unmeasured gap, and its upper bound
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 LEFT_OUT = 0.005  # of the torque of a motion, of what nobody modelled
 

@@ -41,7 +41,7 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.util.arrays import Floats, shift_rows
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
-ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
+ROUNDING: Final = 1e-9  # share of a gap by which an assumed one may miss it
 NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
 
 
