@@ -45,6 +45,7 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "valves",
     "identify_known",
     "identify_speed",
     "damaged_logs",
@@ -62,6 +63,7 @@ NAMES = (
     "servo",
     "gears",
     "gears_anchors",
+    "gears_worlds",
     "paper_recomputed",
 )
 HEAD = """# Results

@@ -137,6 +137,15 @@ class Twin:
         parts = [angles[0::2], angles[0::2] + angles[1::2]]
         return np.concatenate([*parts, speeds[0::2], speeds[0::2] + speeds[1::2]])
 
+    def load(self, payload: float) -> None:
+        """Change the payload at the tip [kg]."""
+        self._model.body_mass[-1] = payload
+        mujoco.mj_setConst(self._model, mujoco.MjData(self._model))
+
+    def rub(self, friction: float) -> None:
+        """Change Coulomb friction of the motors [N m]."""
+        self._model.dof_frictionloss[0::2] = friction
+
     def move(self, u: Floats, time: float) -> None:
         """Move under torques u (N) that last for so long [s]."""
         self._data.ctrl[:] = u

@@ -191,6 +191,7 @@ COMPENSATORS: Final = Registry(
     {
         "none": "undeadzone.compensators.no_inverse:NoInverse",
         "inverse": "undeadzone.compensators.zone_inverse:ZoneInverse",
+        "play_inverse": "undeadzone.compensators.play_inverse:PlayInverse",
         "smooth_inverse": "undeadzone.compensators.smooth_inverse:SmoothZoneInverse",
     },
 )

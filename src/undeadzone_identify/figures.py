@@ -38,7 +38,11 @@ POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
-SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
+SIDES = {
+    "input_play": "Motion behind the play",
+    "input_zone": "Side of the input",
+    "two_zones": "Side of the reading",
+}
 MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
 
 
@@ -314,7 +318,7 @@ def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     axes, t = panels["signals"], grid.t[part]
     _plot_output(axes, found_log, part)
     _plot_readings(axes, found_log, part)
-    if element.kind != "input_zone":
+    if element.kind in NAMES:
         expected = (element.readings * found_log.answer.scale)[part]
         axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
     finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
@@ -330,7 +334,7 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     grid, scale, unit = answer.case.grid, answer.scale, _unit_of_output(found_log)
     figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
     axes, z, title = panels["map"], element.z * scale, "Reading by z^"
-    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind == "input_zone"
+    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind not in NAMES
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"

@@ -39,9 +39,13 @@ from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
     Findings,
     add_play,
+    add_play_ahead,
     add_play_gap,
+    add_valve,
     build_input_element,
     has_a_model,
+    has_play_ahead,
+    needs_valve_test,
     with_adequacy,
     without_needless,
 )
@@ -426,10 +430,12 @@ QUESTIONS = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", needs_servo_test, add_servo),
+    Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
     Hypothesis("if a larger model simulates better", _holds_more, without_needless),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
+    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
 )

@@ -55,7 +55,7 @@ def test_an_integrating_plant_is_its_difference_equation(integrators: int) -> No
     simulator = PlantSimulator(data, 3, integrators)
     layout = simulator.layout
     theta = np.zeros(layout.parameter_count)
-    theta[layout.denominator] = [-0.5, 0.06][: layout.a.stop]
+    theta[layout.denominator] = [-0.5, 0.06][: layout.denominator.stop]
     theta[layout.numerators] = [0.1, 0.2, -0.05]
     theta[layout.x0.start] = 0.7
     z = simulator.simulate_z(theta)[:90]
@@ -234,7 +234,7 @@ def test_an_edge_that_is_hardly_passed_has_its_profile() -> None:
     assert answer.answer.excitation.visits[0] == 2
     assert any("profile likelihood" in remark for remark in answer.answer.remarks)
     assert answer.right.low <= right <= answer.right.high
-    assert answer.width.half_width >= answer.right.half
+    assert answer.width.half_width >= answer.right.half_width
 
 
 # --- several outputs

@@ -247,8 +247,8 @@ def test_a_pole_that_a_zero_cancels_is_left_out(fitted: ZoneFit) -> None:
     wide = ZoneObjective(PlantSimulator(objective.data, 3), objective.kind, objective.limits)
     old, layout = objective.layout, wide.layout
     theta = np.zeros(layout.parameter_count)
-    theta[layout.denominator] = np.convolve([1.0, *fitted.theta[old.a]], [1.0, 0.4])[1:]
-    theta[layout.numerators] = np.convolve(fitted.theta[old.b], [1.0, 0.4])
+    theta[layout.denominator] = np.convolve([1.0, *fitted.theta[old.denominator]], [1.0, 0.4])[1:]
+    theta[layout.numerators] = np.convolve(fitted.theta[old.numerators], [1.0, 0.4])
     theta[layout.x0] = np.convolve(fitted.theta[old.x0], [1.0, 0.4])
     theta[layout.right :] = fitted.theta[old.right :]
     wider = ZoneFit(wide, theta, wide.total_log_likelihood(theta))
@@ -516,7 +516,7 @@ def test_an_offset_widens_the_centre_and_not_the_width() -> None:
     wide = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset=0.1, delay=0)
     free = uz.identify(t=t, u=u, y=y, order=2, place="sensor", offset="free", delay=0)
     assert wide.width == plain.width
-    assert wide.centre.half_width == pytest.approx(math.hypot(plain.centre.half, 0.1))
+    assert wide.centre.half_width == pytest.approx(math.hypot(plain.centre.half_width, 0.1))
     assert math.isinf(free.centre.high)
     assert free.width == plain.width
 

@@ -233,7 +233,7 @@ def test_a_record_that_is_cut_in_motion_says_the_same(
     cut = identify_servo_gap(part)
     assert cut is not None
     assert cut.gap.value * log.y_scale == pytest.approx(
-        found.gap.value, abs=found.gap.half_width + cut.gap.half * log.y_scale
+        found.gap.value, abs=found.gap.half_width + cut.gap.half_width * log.y_scale
     )
 
 

@@ -45,6 +45,7 @@ def record(element: str, reading: str, integrates: bool, order: int = 2) -> tupl
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 15)
     acting = zone(u) if element in ("actuator", "ends") else u
+    acting = play(u) if element == "play ahead" else acting
     x, z = np.zeros(2), []
     spring = 0.0 if integrates else 20.0
     for force in acting:
@@ -218,7 +219,7 @@ def test_what_to_type_next_is_taken_as_it_is_printed(
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="no compiler")
-@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends", "jump"])
+@pytest.mark.parametrize("element", ["zone", "play", "actuator", "ends", "jump", "play ahead"])
 def test_a_log_ends_in_firmware(
     element: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,12 +4,14 @@ u is what the controller commands, and what enters the plant is
 
     m_r (u - b_r) for u > b_r,   m_l (u + b_l) for u < -b_l,   0 between,
 
-after a limit on u and on its rate. Functions take NumPy arrays or CasADi expressions alike.
+after a limit on u and on its rate. Of a play it is what the limited command drags along: u - c_r
+while it moves right in contact, u + c_l while it moves left. Functions take NumPy arrays or CasADi
+expressions alike.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import msgspec
@@ -17,6 +19,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.limits import pairs
+from undeadzone.nonlinearities.play import apply_backlash
 from undeadzone.util.arrays import LARGEST, Array, Floats, require_array, require_nonnegative
 
 Pairs = list[float | list[float]]
@@ -33,15 +36,19 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Sensor, Scenario, ZoneInverse
 
     Attributes:
-        right, left: widths b_r, b_l of the dead zone (m) [u].
+        kind: "deadzone"; "play" (sampled time): what enters the plant follows the command once it
+            has crossed a gap, as behind a linkage or in a valve that turns.
+        right, left: widths b_r, b_l of the dead zone, or gaps c_r, c_l of a play (m) [u]; of a play
+            only c_r + c_l matters once it has moved.
         slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per
-            input (m x 2); default 1.
+            input (m x 2); default 1; a play has none.
         limit: [lo, hi], between which the command stays [u], one pair, or one per input; default
             none.
         rate: [falling, rising], largest rates of the command [u/s], one pair, or one per input;
-            sampled time only; default none.
+            sampled time only; default none; a play has none.
     """
 
+    kind: Literal["deadzone", "play"] = "deadzone"
     right: Array = 0.0
     left: Array = 0.0
     slope: Pairs | None = None
@@ -53,13 +60,15 @@ class ActuatorModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """The actuator as observer and compensator know it; absent keys are the actuator's own.
 
     Attributes:
+        kind: as in [actuator].
         right, left: widths b_r, b_l (m) [u]; where the observer shall estimate them, a range
-            [lo, hi], or a list of one range per input.
+            [lo, hi], or a list of one range per input. Gaps of a play are numbers.
         slope: as in [actuator].
         limit: as in [actuator].
         rate: as in [actuator].
     """
 
+    kind: Literal["deadzone", "play"] | None = None
     right: Array | None = None
     left: Array | None = None
     slope: Pairs | None = None
@@ -75,6 +84,7 @@ class Drive(NamedTuple):
         slope_right, slope_left: m_r, m_l (m).
         low, high: limits of the command (m) [u]; `LARGEST` is none.
         fall, rise: largest rates of the command (m) [u/s]; `LARGEST` is none.
+        gap_right, gap_left: c_r, c_l of a play (m) [u]; empty: there is none.
     """
 
     right: Any
@@ -85,6 +95,13 @@ class Drive(NamedTuple):
     high: Any
     fall: Any
     rise: Any
+    gap_right: Any
+    gap_left: Any
+
+    @property
+    def is_play(self) -> bool:
+        """Return whether what enters the plant depends on how the command moved."""
+        return bool(self.gap_right.shape[0])
 
     @property
     def has_rate_limit(self) -> bool:
@@ -133,8 +150,46 @@ def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
     return ops.fmax(ops.fmin(u, last + step * drive.rise), last - step * drive.fall)
 
 
+def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[Any, Any]:
+    """Return (what is kept to the next sample, what passes limits, rate and play) of a command.
+
+    Args:
+        ops: the module of fmax and fmin, NumPy or CasADi.
+        u: command (m) [u].
+        last: what was kept: the command before of a limited rate, the level of a play (m); empty.
+        drive: the actuator.
+        step: time since the command before [s].
+    """
+    passed = within_limits(ops, u, drive)
+    if drive.is_play:
+        passed = apply_backlash(ops, passed, last, drive.gap_right, drive.gap_left)
+    elif last.shape[0]:
+        passed = within_rate(ops, passed, last, drive, step)
+    return (passed if last.shape[0] else last), passed
+
+
+def command_memory(drive: Drive, m: int, sampled: bool) -> Floats:
+    """Return what an actuator keeps before its first command: zeros (m), or nothing.
+
+    Args:
+        drive: the actuator.
+        m: number of inputs.
+        sampled: whether time is; a rate has no limit else.
+    """
+    return np.zeros(m if drive.is_play or (drive.has_rate_limit and sampled) else 0)
+
+
+def input_range(drive: Drive) -> tuple[Floats, Floats]:
+    """Return the least and the largest input of the plant that the limits leave (m each)."""
+    if drive.is_play:
+        return drive.low + drive.gap_left, drive.high - drive.gap_right
+    return through_zone(np, drive.low, drive), through_zone(np, drive.high, drive)
+
+
 def through_zone(ops: Any, u: Any, drive: Drive) -> Any:
-    """What enters the plant of a command that passed the limits (m)."""
+    """What enters the plant of a command that passed limits, rate and play (m)."""
+    if drive.is_play:
+        return u
     over = drive.slope_right * ops.fmax(u - drive.right, 0.0)
     return over + drive.slope_left * ops.fmin(u + drive.left, 0.0)
 
@@ -167,7 +222,13 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
     limits, rates = np.clip(ends, -LARGEST, LARGEST), np.minimum(rates, LARGEST)
-    return Drive(right, left, *slopes.T, *limits.T, *rates.T)
+    gaps = np.empty((2, 0))
+    if actuator.kind == "play":
+        for name in ("slope", "rate"):
+            if getattr(actuator, name) is not None:
+                raise InputError(f'{key}.{name}: kind = "play" has none. Leave it out')
+        gaps, right, left = np.stack([right, left]), np.zeros(m), np.zeros(m)
+    return Drive(right, left, *slopes.T, *limits.T, *rates.T, *gaps)
 
 
 def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
@@ -188,6 +249,12 @@ def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
         interval = _range(f"{key}.{side}", _width_or_zero(getattr(told, side)), m)
         if interval is not None:
             ranges[side] = interval
+    if ranges and told.kind == "play":
+        side = next(iter(ranges))
+        raise InputError(
+            f"{key}.{side}: the gaps of a play must be known numbers, found a range "
+            f"{getattr(told, side)}. Give a number; `undeadzone identify` measures it from a log"
+        )
     if not ranges:
         return Belief(resolve_actuator(told, m, key), None)
     for side, other in (SIDES, SIDES[::-1]):

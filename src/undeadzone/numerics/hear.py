@@ -2,7 +2,7 @@
 
 The graph of `Censored` computes the same, written for readers. A reading on a sure side is linear
 in state and widths. A censored sample shows that z lies between both edges, a condition that is
-matched in mean and covariance. docs/hear.md has examples, docs/filters.md the mathematics.
+matched in mean and covariance. docs/hear.md has examples, docs/filter_equations.md the mathematics.
 """
 
 from __future__ import annotations

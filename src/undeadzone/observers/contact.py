@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from itertools import product
+from itertools import chain, product
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -26,15 +26,17 @@ from undeadzone.observers.contact_filter.drive import (
     apply_gear_impulses,
     build_drive,
     contact_balance,
-    isolate_joint,
+    group_entries,
+    group_numbers,
+    group_readings,
+    isolate_joints,
     join_posteriors,
-    joint_entries,
-    joint_numbers,
     mean_posture,
     mix_posteriors,
-    update_joint_numbers,
+    update_group_numbers,
 )
 from undeadzone.observers.contact_filter.modes import (
+    NONE,
     Drive,
     Layout,
     Modes,
@@ -63,9 +65,11 @@ from undeadzone.util.arrays import (
 
 FRICTION = ("friction", "f")  # Coulomb's, of motors and of links, as the plant names it
 DRIFT = (3e-5, 4.5e-4)  # of half gaps, coupled and joint by joint [rad / sqrt(s)]
+OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+WANDERING = 5e-4  # random walk of an encoder's zero about the gears' centre [rad / sqrt(s)]
+LOADED = 0.1  # of a payload, over its claimed range [1 / sqrt(s)]
 MOST_COUPLED = 2  # joints with gaps, beyond which there are too many combinations
-RESOLVED = 0.8  # largest product of a Runge-Kutta step and the frequency of contact
-STABLE = 2.0  # the same, beyond which no firmer contact is taken for true
+RESOLVED = 0.8  # largest product of a step of integration and the frequency of contact
 LEAVING = 800.0  # rate at which a link leaves a flank that pulls [1/s]
 COMPLIANCE = 3e-4  # deviation of where a flank is [rad]
 JERK = 1e-3  # variance that the speed of a motor gains in a second [rad^2 / s^3]
@@ -88,9 +92,11 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
     Attributes:
         half: claimed range [lo, hi] of half the gap, or one per joint [rad].
-        payload: claimed range [lo, hi] of the payload [kg]; default: as the model says.
+        payload: claimed range [lo, hi] of the payload [kg], within which it may change by a random
+            walk of 0.1 of the range per sqrt(s); default: as the model says.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
-            [rad].
+            [rad]: of an encoder's zero, and of its eccentricity, for which the centre walks by 5e-4
+            rad/sqrt(s); 0: the zero was found at the link.
         friction: standard deviation of Coulomb friction of motors and links, as a share of the
             model's.
         contact: factor by which the frequency of the contacts is off the model's, in one standard
@@ -109,13 +115,15 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             upper half (1 to 3).
         joints: "separate" filters each joint for itself, to which the rest of the arm is known but
             for noise: 3 N combinations of contacts in place of 3^N.
+        groups: of separate joints, pairs of names that one filter holds, of 9 combinations each;
+            default: pairs that turn about nearly the same axis somewhere along the reference.
     """
 
     gears = True  # it knows them
 
     half: Array
     payload: Array | None = None
-    centre: Array = 0.0
+    centre: Array = 0.003
     friction: float = 0.6
     contact: float = 2.0
     noise: Array | None = None
@@ -125,6 +133,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     compliance: float = COMPLIANCE
     starts: int = len(STARTS)
     joints: Literal["coupled", "separate"] = "coupled"
+    groups: Sequence[Sequence[str]] | None = None
 
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the filter for the sampled model of an arm with gears.
@@ -147,23 +156,56 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             raise InputError(f"observer.starts: expected 1 to {len(STARTS)}, found {self.starts}")
         fastest = float(np.max(np.asarray(gears.gear_number(gears.values, "contact"))))
         substeps = int(np.ceil(Ts * fastest / RESOLVED))
-        apart = range(gears.joint_count) if self.joints == "separate" else ()
-        ones = tuple(isolate_joint(gears, joint) for joint in apart)
-        drives = tuple(build_drive(one, Ts, substeps, len(ones) > 1) for one in ones or (gears,))
-        first, numbers = self._build_numbers(model, gears, drives, sensor)
+        groups = self._read_groups(gears)
+        ones: tuple[Geared, ...] = ()
+        if len(groups) > 1:
+            ones = tuple(isolate_joints(gears, group) for group in groups)
+        drives = tuple(build_drive(one, Ts, substeps, bool(ones)) for one in ones or (gears,))
+        first, numbers = self._build_numbers(model, gears, groups, drives, sensor)
         params = Params(
             first, numbers, sensor.slope, decay_factor(Ts, MEMORY), decay_factor(Ts, PATIENCE)
         )
         each = product(FRICTION, range(1, gears.joint_count + 1))
         uncertain = ("payload", *(f"{name}{joint}" for name, joint in each))
-        traits = Traits(uncertain=uncertain, ranges=self._ranges_of_gaps(model, gears))
-        setup = Setup(drives, ones, model, gears, sensor.kind)
+        halves = _read_joint_ranges("observer.half", self.half, gears.joint_count)
+        traits = Traits(
+            uncertain=uncertain,
+            ranges=self._ranges_of_gaps(model, gears),
+            halves=np.vstack([halves, np.zeros((model.p - gears.joint_count, 2))]),
+            groups=groups,
+            unknown=numbers.torque / TURNING,
+        )
+        setup = Setup(groups, drives, ones, model, gears, sensor.kind)
         return Observer(
             params,
             partial(_start_contact_filter, setup),
             partial(_step_contact_filter, setup),
             traits=traits,
         )
+
+    def _read_groups(self, gears: Geared) -> Groups:
+        """Return the joints of each filter, by number. Raises InputError."""
+        names = list(gears.arm.chain.joints)
+        if self.joints == "coupled":
+            if self.groups:
+                raise InputError(
+                    'observer.groups: joints = "coupled" is one group. Use joints = "separate"'
+                )
+            return (tuple(range(gears.joint_count)),)
+        found: list[tuple[int, ...]] = []
+        for group in self.groups or ():
+            known = all(name in names for name in group)
+            if not known or len({*group}) != len(group) or not 1 <= len(group) <= MOST_COUPLED:
+                raise InputError(
+                    f"observer.groups: expected one or {MOST_COUPLED} different names of "
+                    f"{', '.join(names)}, found {list(group)!r:.80}"
+                )
+            found.append(tuple(sorted(names.index(name) for name in group)))
+        taken = [*chain.from_iterable(found)]
+        if len({*taken}) != len(taken):
+            raise InputError("observer.groups: a joint belongs to one group alone")
+        found += [(joint,) for joint in range(gears.joint_count) if joint not in taken]
+        return tuple(sorted(found))
 
     def _ranges_of_gaps(self, model: System, gears: Geared) -> Floats:
         """Return the declared [lo, hi] of all d_r, then of all d_l (2p x 2) [rad].
@@ -180,7 +222,12 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         return np.vstack([right, motors, left, motors])
 
     def _build_numbers(
-        self, model: System, gears: Geared, drives: tuple[Drive, ...], sensor: Zone
+        self,
+        model: System,
+        gears: Geared,
+        groups: Groups,
+        drives: tuple[Drive, ...],
+        sensor: Zone,
     ) -> tuple[tuple[tuple[Modes, ...], ...], Numbers]:
         """Return the initial modes and the parameters of the filter.
 
@@ -225,9 +272,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
                 0.0,
             )
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
-        stable = np.log(STABLE * drives[0].substeps / (Ts * gear_parameter("contact")))
-        high[of("firmness")] = np.fmin(3 * std[of("firmness")], stable)
-        low[of("firmness")] = -3 * std[of("firmness")]
+        high[of("firmness")] = 3 * std[of("firmness")]
+        low[of("firmness")] = -high[of("firmness")]
         mean[of("centre")] = gear_parameter("centre")
         std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
@@ -238,11 +284,15 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
         Q[of("push")] = 2 * Ts / FADING * unknown**2
         drift = DRIFT[apart] if self.drift is None else self.drift
         Q[of("half")] = require_number("observer.drift", drift, least=0.0) ** 2 * Ts
+        Q[of("centre")] = Ts * np.where(std[of("centre")] > 0, WANDERING, 0.0) ** 2
+        Q[of("payload")] = Ts * (LOADED * (high - low)[of("payload")]) ** 2
+        most = np.maximum(std**2, NONE)
+        most[of("half")] = np.maximum((OPEN * np.ptp(ranges, axis=1)) ** 2, NONE)
         rms = sensor.rms if self.noise is None else self.noise
         slack = require_number("observer.compliance", self.compliance, above=0.0) ** 2
         first = []
-        for joint, drive in enumerate(drives):
-            here = joint_entries(layout, joint) if apart else slice(None)
+        for group, drive in zip(groups, drives, strict=True):
+            here = group_entries(layout, group)
             begins = []
             for middle, length in STARTS[: self.starts]:
                 mean[of("half")] = ranges @ [1 - middle, middle]
@@ -255,6 +305,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             R=require_positive("observer.noise", rms, model.p, "one per encoder") ** 2,
             low=low,
             high=high,
+            most=most,
             slack=np.asarray(slack),
             torque=TURNING * unknown,
             leaving=np.asarray(1 - decay_factor(Ts, 1 / LEAVING)),
@@ -262,6 +313,9 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             rest=STICKING * Ts / gear_parameter("inertia") ** 2,
             least=gear_parameter("friction"),
         )
+
+
+Groups = tuple[tuple[int, ...], ...]  # joints of each filter, by number
 
 
 class Params(NamedTuple):
@@ -300,13 +354,15 @@ class Setup(NamedTuple):
     """Options shared by the functions of a filter.
 
     Attributes:
-        drives: the plant as the filter asks, of all joints or of each.
-        ones: each joint alone; none where they are coupled.
+        groups: joints of each filter.
+        drives: the plant as the filter asks, of each group.
+        ones: each group alone; none where there is one.
         model: the model.
         gears: of the model.
         kind: of the sensor.
     """
 
+    groups: Groups
     drives: tuple[Drive, ...]
     ones: tuple[Geared, ...]
     model: System
@@ -360,10 +416,10 @@ def _step_contact_filter(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the next state and the estimate for a sample: correct, estimate, predict."""
-    drives, y = setup.drives, reading.y / q.slope
-    count, layout = len(drives), Layout(setup.gears.joint_count)
-    parts = [joint_numbers(q.modes, layout, joint, count) for joint in range(count)]
-    readings = [y[joint::count] for joint in range(count)]
+    groups, drives, y = setup.groups, setup.drives, reading.y / q.slope
+    layout = Layout(setup.gears.joint_count)
+    parts = [group_numbers(q.modes, layout, group) for group in groups]
+    readings = [y[group_readings(group, layout.size, y.numel())] for group in groups]
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
         before = [(part, one, read) for one in modes]
@@ -371,8 +427,10 @@ def _step_contact_filter(
     odds, shares = _weigh_filters(s.odds, each)
     each = list(map(replace_diverged, each))
     ones = list(map(mix_posteriors, each, shares))
-    whole = join_posteriors(layout, ones)
-    started = ca.repmat(ca.vertcat(*(modes[0].begun for modes in s.modes)), y.shape[0] // count)
+    whole = join_posteriors(layout, groups, ones)
+    started = ca.SX(y.numel(), 1)
+    for group, modes in zip(groups, s.modes, strict=True):
+        started[group_readings(group, layout.size, y.numel())] = modes[0].begun
     seen = ca.logic_and(present(y), started > 0.5)
     sums = accumulate_innovations(
         s.sums, ca.if_else(seen, whole.e / whole.std, 0.0), seen, q.fade, q.keep
@@ -384,16 +442,18 @@ def _step_contact_filter(
     )
     if setup.ones:
         arm = mean_posture(setup.gears, q.modes.model, whole.whole.mean, u)
-        heard = [apply_gear_impulses(told, whole.news, arm) for told in zip(*each, strict=True)]
+        heard = [
+            apply_gear_impulses(groups, told, whole.news, arm) for told in zip(*each, strict=True)
+        ]
         each = [list(told) for told in zip(*heard, strict=True)]
         ones = list(map(mix_posteriors, each, shares))
-        parts = update_joint_numbers(setup.ones, drives, parts, ones, arm)
+        parts = update_group_numbers(groups, setup.ones, drives, parts, ones, arm)
     after = []
-    for joint, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
-        calls = [(part, one, u[joint::count]) for one in each[joint]]
+    for k, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
+        calls = [(part, one, u[list(groups[k])]) for one in each[k]]
         moved = share_step_graph(partial(predict_modes, drive), calls)
         pairs = zip(moved, modes, strict=True)
-        after.append(tuple(pack_modes(drive, *pair, readings[joint]) for pair in pairs))
+        after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
     return State(tuple(after), odds, sums), shown
 
 
@@ -443,7 +503,9 @@ def _to_contact_estimate(
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     var = partial(_row_variances, told.whole)
-    contact = ca.vertcat(*(contact_balance(*pair) for pair in zip(setup.drives, each, strict=True)))
+    contact = ca.SX(N, 1)
+    for group, drive, one in zip(setup.groups, setup.drives, each, strict=True):
+        contact[list(group)] = contact_balance(drive, one)
     give = ca.vertcat(q.modes.slack * ca.SX.ones(N), both)
     rows = ca.DM.eye(layout.entry_count)
     halves, centres = (rows[of(name), :] for name in ("half", "centre"))

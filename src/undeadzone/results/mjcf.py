@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-from undeadzone.results.run import Run, final_width_rows
+from undeadzone.results.run import Run, final_side_rows, final_width_rows
 from undeadzone.scenario.problem import systems
 from undeadzone.scenario.reader import parse
 from undeadzone.util.files import write_text
@@ -59,13 +59,12 @@ def joints_from_run(run: Run) -> list[Joint]:
     found = dict(zip(gears.names, gears.values.tolist(), strict=True))
     found |= {name: one["estimate"] for name, one in run.parameters.items()}
     joints = []
-    for i, (name, (right, left)) in enumerate(
-        zip(run.info.joints, final_width_rows(run), strict=False)
-    ):
+    rows = zip(run.info.joints, final_side_rows(run), final_width_rows(run), strict=False)
+    for i, (name, (right, left), (gap, centre)) in enumerate(rows):
         joint = Joint(
             name,
-            f"the link may be {right.value_with_interval} rad ahead of its motor, "
-            f"{left.value_with_interval} rad behind",
+            f"the gap is {gap.value_with_interval} rad, "
+            f"its centre {centre.value_with_interval} rad",
             behind=left.value or 0.0,
             ahead=right.value or 0.0,
             inertia=found[f"inertia{i + 1}"],

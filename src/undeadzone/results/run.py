@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final
 
 import msgspec
@@ -31,7 +32,7 @@ from undeadzone.results.signals import (
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.earlier import SCHEMA, translate_stds
 from undeadzone.util.shown import Block, Rows, format_result, plot, result_to_html
-from undeadzone.util.text import label_with_unit
+from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
@@ -276,6 +277,7 @@ class Run:
             **({} if self.theta_hat is None else {"parameters": self.parameters}),
             **last_values(ends, *list_summary_signals(float, but=("d_hat", "d_std", "width_std"))),
             **({"width_std": None} | last_values(ends, "width_std")),
+            **_gap_intervals(self),
             **last_values(ends, *list_summary_signals(bool), *list_summary_signals(int)),
             **final_rejections(ends),
             "listens": to_scalar_or_list(np.array(listens, float)) if listens else None,
@@ -334,6 +336,22 @@ def _root_mean_square(values: Floats) -> float:
         return float(np.sqrt(np.mean(values**2)))
 
 
+def _gap_intervals(run: Run) -> dict[str, Any]:
+    """Return the 95 % interval of each gap of gears for JSON; nothing without such gaps.
+
+    It is the declared range where the gap cannot be known.
+    """
+    if not run.info.halves:
+        return {}
+    ends = []
+    for gap, _ in final_width_rows(run):
+        assert gap.value is not None
+        std = math.inf if gap.withheld else gap.std or 0.0
+        ends.append(interval_95(gap.value, std, gap.least, gap.most))
+    low, high = np.array(ends).T
+    return {"gap_low": to_scalar_or_list(low), "gap_high": to_scalar_or_list(high)}
+
+
 def final_error_rows(run: Run) -> list[Row]:
     """Return the errors at the end of a run."""
     last, unit = f"last {run.lasting:g} s", run.info.units.output
@@ -358,7 +376,17 @@ def final_parameter_rows(run: Run) -> list[Row]:
 
 
 def final_width_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each output."""
+    """Return the widths of each output; of gears their gap and its centre."""
+    info, rows = run.info, final_side_rows(run)
+    if info.sensor != "gears":
+        return rows
+    deviations = None if run.width_std is None else run.width_std[-1].tolist()
+    known = [verdict["width"] for verdict in info.identifiable]
+    return sheet.build_gear_rows(rows, deviations, info.halves, known)
+
+
+def final_side_rows(run: Run) -> list[list[Row]]:
+    """Return the right and the left width of each output."""
     return sheet.build_width_rows(
         _last_widths(run), "d", run.info.units.output, run.info.widths, run.info.ranges
     )
@@ -425,9 +453,8 @@ def blocks_from_run(run: Run) -> list[Block]:
 def _final_output_rows(run: Run) -> Rows:
     """Return a row for each output: errors, widths and identifiability."""
     info, unit = run.info, run.info.units.output
-    heads = [
-        label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", "d_right", "d_left")
-    ]
+    sides = ("gap", "centre") if info.sensor == "gears" else ("d_right", "d_left")
+    heads = [label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", *sides)]
     what = "joint" if info.joints == run.outputs else "output"
     rows: list[Sequence[str]] = [(what, *heads[:3], "true", heads[3], "true", "identifiable")]
     for i, (name, edges) in enumerate(zip(run.outputs, final_width_rows(run), strict=True)):
@@ -439,9 +466,16 @@ def _final_output_rows(run: Run) -> Rows:
         for row in edges:
             cells += [row.value_with_interval, f"{row.true:.6g}"]
         verdict = info.identifiable[i]
-        told = "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
-        rows.append((name, *cells, told))
+        rows.append((name, *cells, _describe_verdict(verdict)))
     return rows
+
+
+def _describe_verdict(verdict: Mapping[str, Any]) -> str:
+    """Return the identifiability of an output's widths as text; of gears that of their gap."""
+    crossings = verdict.get("crossings")
+    if crossings is not None:
+        return f"yes, {count_noun(crossings, 'strike')} heard" if verdict["width"] else "NO"
+    return "yes" if all(verdict[each] for each in DIRECTIONS) else format_yes_no(verdict)
 
 
 def _describe_proof(run: Run) -> dict[str, Any]:
@@ -467,7 +501,9 @@ def _describe_identifiable(info: Info, outputs: Sequence[str]) -> dict[str, Any]
     """
     if len(outputs) == 1:
         verdict = info.identifiable[0]
-        return {"identifiable": "; ".join([format_yes_no(verdict), *verdict["reasons"]])}
+        geared = verdict.get("crossings") is not None
+        told = _describe_verdict(verdict) if geared else format_yes_no(verdict)
+        return {"identifiable": "; ".join([told, *verdict["reasons"]])}
     why = []
     for name, verdict in zip(outputs, info.identifiable, strict=True):
         why += [f"{name}: {reason}" for reason in verdict["reasons"]]

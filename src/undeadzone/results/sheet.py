@@ -30,6 +30,7 @@ class Row(NamedTuple):
         form: of the number if it has no deviation.
         note: text behind it on a terminal.
         least, most: ends of the range in which the number is known to lie.
+        withheld: whether no more than that range can be known of it.
     """
 
     label: str
@@ -43,10 +44,13 @@ class Row(NamedTuple):
     note: str = ""
     least: float = -math.inf
     most: float = math.inf
+    withheld: bool = False
 
     @property
     def value_with_interval(self) -> str:
-        """Return the value as text, with its 95 % interval if known (nan if missing)."""
+        """Return the value as text, with its 95 % interval if known; nan if missing."""
+        if self.withheld:
+            return f"[{self.least:.4g}, {self.most:.4g}] as declared"
         if self.std is None:
             return format_number(to_json_value(self.value), self.form)
         return format_with_interval(
@@ -62,7 +66,7 @@ class Row(NamedTuple):
     @property
     def page_cell(self) -> Any:
         """Return the value for a page: a number, or text if its interval is known."""
-        return self.value if self.std is None else self.value_with_interval
+        return self.value if self.std is None and not self.withheld else self.value_with_interval
 
     @property
     def title_with_unit(self) -> str:
@@ -164,3 +168,43 @@ def _build_side_rows(
         total = None if true is None else sum(true)
         rows.append(Row("gap_right + gap_left", title, sum(found[:2]), unit, found[4], total))
     return rows
+
+
+def build_gear_rows(
+    widths: Sequence[Sequence[Row]],
+    deviations: Sequence[float] | None,
+    halves: Sequence[Sequence[float]],
+    known: Sequence[bool],
+) -> list[list[Row]]:
+    """Return the rows of the gears at each output: their gap, and their centre.
+
+    Args:
+        widths: rows of right and left, at each output.
+        deviations: of right + left; None: not known.
+        halves: declared [lo, hi] of half the gap; empty: none.
+        known: whether the gap can be known; else it is only as it was declared.
+    """
+    rows = []
+    for i, (right, left) in enumerate(widths):
+        sides = (right.value, left.value)
+        gap = right._replace(label="gap", title="gap", value=_add(*sides), std=None)
+        centre = right._replace(label="centre", title="centre", value=_add(*sides, -1.0, 0.5))
+        gap = gap._replace(true=_add(right.true, left.true), least=0.0)
+        centre = centre._replace(true=_add(right.true, left.true, -1.0, 0.5), std=None)
+        centre = centre._replace(least=-math.inf, most=math.inf)
+        if deviations is not None and right.std is not None and left.std is not None:
+            square = (right.std**2 + left.std**2) / 2 - deviations[i] ** 2 / 4
+            gap = gap._replace(std=deviations[i])
+            centre = centre._replace(std=math.sqrt(max(square, 0.0)))
+        if halves:
+            low, high = halves[i]
+            gap = gap._replace(least=2 * low, most=2 * high, withheld=not known[i])
+        rows.append([gap, centre])
+    return rows
+
+
+def _add(
+    right: float | None, left: float | None, sign: float = 1.0, share: float = 1.0
+) -> float | None:
+    """Return a share of right + sign left; None without them."""
+    return None if right is None or left is None else share * (right + sign * left)

@@ -12,9 +12,12 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from undeadzone.analysis.identifiability.flanks import COUPLED, PLACES
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import SHAPE, Sensor, Zone, resolve
+from undeadzone.plants.robots.geared import largest_couplings
 from undeadzone.plants.system import System
+from undeadzone.util.arrays import Floats
 
 ZONE = ("right", "left", "noise_before", "drift", "play", "load_friction", "load_inertia", *SHAPE)
 
@@ -68,3 +71,33 @@ def require_gears(kind: str, options: Any, system: System) -> None:
         f"{kind}.method: {options.__struct_config__.tag!r} takes motors for links, and this arm "
         f"has gears with a gap between them. Use {known[kind]}, or leave plant.arm.gears out"
     )
+
+
+def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
+    """Return the options of an observer, with pairs of coupled joints as groups.
+
+    Only for a filter joint by joint that was given no groups. Where more than two joints turn about
+    nearly one axis they stay apart, and a run says that their gaps cannot be known.
+
+    Args:
+        options: of the observer.
+        system: what it is for.
+        postures: angles of the links that the motion visits (K x N).
+    """
+    gears = system.gears
+    if gears is None or getattr(options, "joints", "") != "separate" or options.groups is not None:
+        return options
+    few = postures[np.unique(np.linspace(0, len(postures) - 1, PLACES).astype(int))]
+    alone = [(joint,) for joint in range(gears.joint_count)]
+    links = gears.link_params(np.ravel(system.params))
+    partners: dict[int, set[int]] = {joint: set() for joint in range(gears.joint_count)}
+    for joint, found in enumerate(largest_couplings(gears.arm, links, few, alone)):
+        if found.ratio > COUPLED:
+            partners[joint].add(found.partner)
+            partners[found.partner].add(joint)
+    names, pairs = gears.arm.chain.joints, []
+    for joint, others in partners.items():
+        for other in others:
+            if joint < other and partners[other] == {joint} and others == {other}:
+                pairs.append([names[joint], names[other]])
+    return msgspec.structs.replace(options, groups=pairs)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.compensators import SmoothZoneInverse
+from undeadzone.compensators import PlayInverse, SmoothZoneInverse
 from undeadzone.controllers.parts.behind_play import lead_across_gap
 from undeadzone.controllers.parts.estimated import use_gear_estimates
 from undeadzone.controllers.parts.predicted import predict_over_delay
@@ -36,7 +36,7 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.region import build_box
 from undeadzone.plants.system import System, plant_pace
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import require_gears, resolve_sensor
+from undeadzone.scenario.encoders import group_coupled_joints, require_gears, resolve_sensor
 from undeadzone.scenario.messages import require_words
 from undeadzone.scenario.overrun import require_contact
 from undeadzone.scenario.schema import Model, Scenario, Simulation, Units
@@ -124,7 +124,11 @@ def resolve_scenario(scenario: Scenario) -> Problem:
         _require_play(scenario.model.play, sensor)
     told = resolve_sensor(sensor_of_model(scenario), flow, step, rate)
     require_branch_observer(scenario.observer, sensor)
-    observer = watching(scenario.observer, model, told, belief, step)
+    options = scenario.observer
+    if path is not None:
+        along = path.output_at(np.arange(steps + 1) * step)
+        options = group_coupled_joints(options, model, along)
+    observer = watching(options, model, told, belief, step)
     _require_room(sensor, observer)
     require_gears("controller", scenario.controller, model)
     controller = use_gear_estimates(
@@ -244,14 +248,19 @@ def _actuator(scenario: Scenario, inputs: int) -> tuple[Drive | None, Belief | N
     drive = resolve_actuator(scenario.actuator, inputs)
     if drive.has_rate_limit and scenario.simulation.time != "sampled":
         raise InputError('actuator.rate: needs samples. Set simulation.time = "sampled"')
+    if drive.is_play and scenario.simulation.time != "sampled":
+        raise InputError('actuator.kind: "play" needs samples. Set simulation.time = "sampled"')
     return drive, belief
 
 
 def _compensator(scenario: Scenario, model: System, belief: Belief | None) -> Compensator | None:
-    """Return the compensator of a scenario, by default a smooth inverse of a known actuator."""
+    """Return the compensator of a scenario, by default an inverse of a known actuator."""
     if scenario.compensator is not None:
         return scenario.compensator.build(model, belief)
-    return None if belief is None else SmoothZoneInverse().build(model, belief)
+    if belief is None:
+        return None
+    usual: Any = PlayInverse() if belief.drive.is_play else SmoothZoneInverse()
+    return usual.build(model, belief)
 
 
 def _require_room(sensor: Zone, observer: Observer) -> None:

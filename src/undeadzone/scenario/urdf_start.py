@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.observers.contact import MOST_COUPLED
+from undeadzone.plants.robots.geared import Gears, build_geared_arm, fastest_contact
 from undeadzone.plants.robots.survey import Survey
 from undeadzone.plants.robots.urdf_elements import Joint
 from undeadzone.util.arrays import Floats
@@ -24,6 +25,11 @@ FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
 GAP, WIDER = 0.2, 0.6  # of a width: guess of half an unmeasured gap, and its upper bound
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
+FRICTION_SHARE = 0.1  # of the largest torque of the motion, above which it is no guess
+STEP = 0.001  # [s] of a sample of an arm with gears
+RESOLVED = 2.0  # largest product of a Runge-Kutta step and the fastest mode
+FEWEST = 4  # Runge-Kutta steps in a sample
+PLACES = 21  # of the motion at which modes are looked at
 LEFT_OUT = 0.005  # of the torque of a motion, of what nobody modelled
 
 
@@ -39,13 +45,10 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
     swing = np.array([_swing(joint, float(q)) for joint, q in pairs])
     widths = np.array([float(f"{width:.2g}") for width in swing / PLAY])
     points = (found.q, found.q + swing, found.q - swing, found.q)
-    few = len(found.joints) <= MOST_COUPLED
-    torque = abs(found.holding) + FASTEST**2 * _links(found) * swing
     words: dict[str, Any] = {
         "zone": not gears,
         "gears": gears,
-        "contact": gears and few,
-        "told": gears and not few,
+        "apart": gears and len(found.joints) > MOST_COUPLED,
         "title": _text(f"Arm of {Path(path).name}"),
         "path": _text(path),
         "joints": _texts(found.body.chain.joints),
@@ -59,21 +62,35 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
         "times": [0.0, PERIOD / 4, 3 * PERIOD / 4, PERIOD],
         "ranges": ", ".join(map(_range, widths)),
         "x_std": _toml_numbers(np.r_[widths / 5, widths]),
-        "disturbance": _toml_numbers(LEFT_OUT * torque),
-        "most": f"{WIDER * widths.max():.3g}",
+        "disturbance": _toml_numbers(LEFT_OUT * _torques(found, swing)),
         "duration": 2 * PERIOD,
     }
     template = files("undeadzone.scenario").joinpath("urdf_start.toml").read_text(encoding="utf-8")
     words |= _units(found.joints, bodies=1 + gears)
-    return fill_words(template, words | (_gears(found, widths) if gears else {}))
+    return fill_words(template, words | (_gears(found, swing, widths) if gears else {}))
 
 
-def _gears(found: Survey, widths: Floats) -> dict[str, str]:
-    """Return gears that might be the arm's: motors as heavy as the links that they move."""
-    torque = found.body.chain.torque
-    friction = FRICTION * np.where(np.isfinite(torque), torque, np.abs(found.holding))
+def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
+    """Return gears that might be the arm's, and what a filter and a simulation of them need.
+
+    Motors are as heavy as what they move.
+    """
+    most = FRICTION_SHARE * np.max(_torques(found, swing))  # limits of files may be anything
+    friction = np.fmin(FRICTION * found.body.chain.torque, most)
     guessed = {"half": GAP * widths, "inertia": _links(found), "friction": friction}
-    return {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
+    written = {name: _toml_numbers(numbers) for name, numbers in guessed.items()}
+    told = {name: json.loads(numbers) for name, numbers in written.items()}
+    arm = build_geared_arm(found.body.chain, Gears(**told))
+    postures = found.q + np.linspace(-1, 1, PLACES)[:, None] * swing
+    steps = int(np.ceil(STEP * fastest_contact(arm, arm.values, postures) / RESOLVED))
+    ranges = [f"[0.0, {float(f'{WIDER * width:.3g}')}]" for width in widths]
+    shown = ranges[0] if len({*ranges}) == 1 else f"[{', '.join(ranges)}]"
+    return {**written, "half_ranges": shown, "step": STEP, "substeps": max(steps, FEWEST)}
+
+
+def _torques(found: Survey, swing: Floats) -> Floats:
+    """Return the torque of each joint that holds the arm and swings it (N) [N m or N]."""
+    return np.asarray(abs(found.holding) + FASTEST**2 * _links(found) * swing)
 
 
 def _links(found: Survey) -> Floats:

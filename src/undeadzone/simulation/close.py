@@ -13,10 +13,10 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Compensator, Controller, Estimate, Observer, Reading
 from undeadzone.nonlinearities.actuator import (
+    command_memory,
+    pass_command,
     through_line,
     through_zone,
-    within_limits,
-    within_rate,
 )
 from undeadzone.nonlinearities.limits import at_limit
 from undeadzone.nonlinearities.play import apply_backlash, contact
@@ -168,15 +168,12 @@ class Wiring(NamedTuple):
         )
 
     def _actuate(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
-        """Return (the command within its rate, what enters the plant) of a command u (m)."""
+        """Return (what the actuator keeps, what enters the plant) of a command u (m)."""
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u
-        passed, last = within_limits(ca, u, drive), s.actuator
-        if last.shape[0]:
-            passed = within_rate(ca, passed, last, drive, self.p.h)
-            last = passed
-        return last, through_zone(ca, passed, drive)
+        kept, passed = pass_command(ca, u, s.actuator, drive, self.p.h)
+        return kept, through_zone(ca, passed, drive)
 
     def _sensor_reading(
         self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode
@@ -299,7 +296,9 @@ def _state(problem: Problem) -> loop.State:
         controller=controller.init(controller.params),
         sensor=sensor.start if sensor.moves else np.zeros(0),
         compensator=None if undoing is None else undoing.init(undoing.params),
-        actuator=np.zeros(plant.m if drive is not None and drive.has_rate_limit else 0),
+        actuator=np.zeros(0)
+        if drive is None
+        else command_memory(drive, plant.m, plant.Ts is not None),
         line=np.zeros(plant.delay * plant.m),
     )
 

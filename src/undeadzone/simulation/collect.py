@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -15,8 +16,11 @@ from undeadzone.analysis.identifiability.disturbance import unknown_constants
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import flat_targets
+from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.observers.contact import JERK, unknown_torques
+from undeadzone.observers.contact_filter.drive import FADING
 from undeadzone.plants.robots.arm import evaluate_rows
 from undeadzone.plants.system import System
 from undeadzone.results.info import Info, IntegrationError
@@ -53,7 +57,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         signal: the outputs of the loop (a row per sample).
     """
     if problem.plant.gears is not None:
-        return _verdicts_on_flanks(problem, len(signal.x))
+        return _verdicts_on_gaps(problem, signal.x)
     if problem.sensor.play is not None and (problem.plant.nonlinear or actuator_unknown(problem)):
         why = "a nonlinear plant" if problem.plant.nonlinear else "an actuator that is not known"
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
@@ -68,20 +72,51 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     return with_false_claims(problem, found)
 
 
-def _verdicts_on_flanks(problem: Problem, rows: int) -> list[WidthIdentifiability]:
-    """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
-    from undeadzone.analysis.identifiability.flanks import gap_identifiability
+def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
+    """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
+    from undeadzone.analysis.identifiability.flanks import Listener, gap_identifiability
 
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
-    assert plant.arm is not None
     assert plant.gears is not None
     assert path is not None
-    t = np.arange(rows) * step
+    gears, traits, N = plant.gears, problem.observer.traits, plant.gears.joint_count
+    t = np.arange(len(x)) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
-    gears, at_motor = plant.gears, 1.0 * (plant.gears.measured == "motor")
-    friction = at_motor * np.ravel(gears.gear_number(plant.params, "friction"))
-    told = gap_identifiability(plant.arm, gears.link_params(plant.params), along, step, friction)
-    return told * (plant.p // plant.arm.joint_count)
+    unknown = traits.unknown
+    if unknown is None:
+        unknown = unknown_torques(problem.model, gears, 0.0)[0]
+    crossing = getattr(problem.scenario.controller, "crossing", math.inf)
+    noise = problem.sensor.rms[-N:]
+    told = Listener(traits.groups or [range(N)], unknown, FADING, JERK, noise, crossing)
+    verdicts = gap_identifiability(gears, plant.params, x, along, step, told)
+    return verdicts * (plant.p // N)
+
+
+def withhold_gaps(
+    problem: Problem, verdicts: list[WidthIdentifiability], estimate: Estimate
+) -> Estimate:
+    """Return the estimates of a run, with the prior for each gap that cannot be known.
+
+    A belief that nothing has tested may be false and narrow. A link behind such a gap may be
+    anywhere in the widest one that is declared.
+
+    Args:
+        problem: what was simulated.
+        verdicts: of each output.
+        estimate: a row per sample.
+    """
+    ranges, gears = problem.observer.traits.halves, problem.plant.gears
+    lost = np.array([not verdict.width for verdict in verdicts])
+    if gears is None or ranges is None or not lost.any():
+        return estimate
+    changed = {}
+    for name in ("right", "left", "right_std", "left_std", "width_std"):
+        signal = getattr(estimate, name)
+        changed[name] = np.where(lost, signal[0], signal)
+    N, x_std = gears.joint_count, estimate.x_std.copy()
+    widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
+    x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
+    return estimate._replace(**changed, x_std=x_std)
 
 
 def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
@@ -197,7 +232,8 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         began: reading of the performance counter when the run began [s].
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    estimate = signal.estimate
+    verdicts = verdicts_of_run(problem, signal)
+    estimate = withhold_gaps(problem, verdicts, signal.estimate)
     given = signals_from_estimate(estimate)
     proof = certificate(problem)
     signals = {
@@ -214,7 +250,8 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
         **tips(problem, signal.x, estimate.x, t),
         **_poses(problem, signal.x, t),
     }
-    return Run(_info(problem, signal, proof, error, began), Signals(RUN, signals))
+    info = _info(problem, signal, verdicts, proof, error, began)
+    return Run(info, Signals(RUN, signals))
 
 
 def _true_actuator(problem: Problem) -> list[float]:
@@ -264,13 +301,14 @@ def _storage(
 def _info(
     problem: Problem,
     signal: Outputs,
+    verdicts: list[WidthIdentifiability],
     proof: Certificate | None,
     error: IntegrationError | None,
     began: float,
 ) -> Info:
     """Return the facts about a run besides its signals."""
     scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
-    verdicts, scales = verdicts_of_run(problem, signal), plant_scales(problem)
+    scales = plant_scales(problem)
     return Info(
         title=scenario.title,
         method=str(type(scenario.observer).__struct_config__.tag),
@@ -290,6 +328,7 @@ def _info(
         joints=[] if plant.arm is None else list(plant.arm.chain.joints),
         adapts=traits.adapts,
         ranges=traits.ranges_in_turn,
+        halves=[] if traits.halves is None else traits.halves.tolist(),
         sensor=problem.sensor.kind,
         actuator=_true_actuator(problem),
         gaps=_true_gaps(problem, signal),

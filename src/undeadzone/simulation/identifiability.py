@@ -33,6 +33,7 @@ from undeadzone.analysis.identifiability.sensor_and_actuator import (
     sensor_actuator_identifiability,
 )
 from undeadzone.interfaces import Traits
+from undeadzone.nonlinearities.actuator import Drive
 from undeadzone.nonlinearities.play import gaps_of
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.observers.filtering.prior import read_width_ranges
@@ -287,10 +288,18 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
         return verdict
     true = np.stack([actuator.right, actuator.left])
     told = np.stack([belief.drive.right, belief.drive.left])
+    if actuator.is_play or belief.drive.is_play:
+        true, told = (_gaps_or_widths(one) for one in (actuator, belief.drive))
     if _meets_assumptions(true, told, belief.ranges).all():
         return verdict
     reason = f"a false claim: model.actuator excludes the actuator's widths, {true.tolist()}"
     return verdict.add_reasons(reason, **NONE)
+
+
+def _gaps_or_widths(drive: Drive) -> Floats:
+    """Return widths and gaps of an actuator (4 x m); it has the ones or the others."""
+    gaps = [drive.gap_right, drive.gap_left] if drive.is_play else [0 * drive.right] * 2
+    return np.stack([drive.right, drive.left, *gaps])
 
 
 def _meets_assumptions(true: Floats, told: Floats, ranges: Floats | None) -> np.ndarray:

@@ -25,7 +25,7 @@ from undeadzone.plants import build as plants
 from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, plant_pace, sample_plant
 from undeadzone.registry import ObserverOptions
-from undeadzone.scenario.encoders import resolve_sensor
+from undeadzone.scenario.encoders import group_coupled_joints, resolve_sensor
 from undeadzone.scenario.messages import require_kind, require_words
 from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
@@ -355,4 +355,9 @@ def build_observer(
     model = sample_plant(system, Ts, substeps)
     zone = resolve_sensor(sensor, system, Ts, plant_pace(system.linear))
     belief = believe_actuator(actuator, model.m)
+    if system.gears is not None:
+        start = plants.initial_state(plant, system)[
+            system.gears.joint_count : 2 * system.gears.joint_count
+        ]
+        observer = group_coupled_joints(observer, system, start[None])
     return model, zone, watching(observer, model, zone, belief, Ts)

@@ -11,13 +11,13 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.models.chain import gap_of_input
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
 from undeadzone_identify.models.least_squares import CHANCE, FittedModel
 from undeadzone_identify.models.plant import Layout, PlantSimulator
 from undeadzone_identify.models.zone_fit import ZoneFit
+from undeadzone_identify.results.loop_words import describe_loop
 from undeadzone_identify.selection.alternatives import (
     Element,
     Findings,
@@ -27,8 +27,10 @@ from undeadzone_identify.selection.alternatives import (
 )
 from undeadzone_identify.selection.decision import (
     CHAINED,
+    LOOP,
     MODELS,
     UNEXPLAINED,
+    VALVE,
     Case,
     Feedback,
     build_verdict,
@@ -45,6 +47,7 @@ from undeadzone_identify.selection.orders import (
     is_white,
     training_samples,
 )
+from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     Excitation,
@@ -262,22 +265,25 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = _add_feedback(answer)
     if found.element is not None:
         remarks = [*found.element.remarks, *_delay_remarks(answer)]
-        return _set_widths(answer, found.element.widths, remarks)
-    if answer.verdict == "input_play" and named is not None:
-        return _with_gap_ahead(answer, gap_of_input(named))
+        answer = _set_widths(answer, found.element.widths, remarks)
+    if found.valve is not None:
+        return _with_valve(answer, found.valve)
+    if found.element is not None:
+        return answer
     if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
         return _add_edges(answer)
     return answer
 
 
-def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
-    """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
-    width = gap.scale_by(float(answer.case.record_data.u_scale[0]))
-    doubt = _doubt_of_zero({"width": width})
+def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
+    """Return the answer on a loop, with S of a valve [u]; what may be 0 has no name."""
+    is_faulty = answer.verdict in VALVE
+    doubt = _doubt_of_zero({"width": valve.stick}) if is_faulty else ""
     if doubt:
         found = answer.found._replace(odds={})
         return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    return answer._replace(width=width)
+    reasons = describe_loop(answer.case, answer.verdict, valve) or answer.reasons
+    return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
 
 
 OF_THEIR_OWN = (
@@ -285,6 +291,7 @@ OF_THEIR_OWN = (
     "saturation",
     "other",
     *CHAINED,
+    *LOOP,
 )  # words of models with a plant of their own
 
 
@@ -298,6 +305,8 @@ def named_fit(case: Case, found: Findings) -> FittedModel[Any] | None:
     word = found.verdict.word
     if found.element is not None or word not in OF_THEIR_OWN or word not in found.odds:
         return None
+    if found.valve is not None:
+        return found.valve.plant
     is_likeliest = word == next(iter(found.odds)) or word != "other"
     return fit_of(case, found, word) if is_likeliest else None
 
@@ -305,7 +314,7 @@ def named_fit(case: Case, found: Findings) -> FittedModel[Any] | None:
 def _withhold_poor_fit(found: Findings, share: float) -> Findings:
     """What is found, without a name that explains less than half of what it was not fitted to."""
     word = found.verdict.word
-    if word not in MODELS or share >= LEAST_SHARE:
+    if found.valve is not None or word not in MODELS or share >= LEAST_SHARE:
         return found
     reason = (
         f"{MODELS[word]} is the likeliest, but fitted to a part of the log it explains"
@@ -317,6 +326,8 @@ def _withhold_poor_fit(found: Findings, share: float) -> Findings:
 def _validate_findings(case: Case, found: Findings, named: FittedModel[Any] | None) -> OrderFit:
     """Return the chosen order with the held-out check of the final findings."""
     chosen, held_out = case.chosen, case.options.held_out
+    if found.valve is not None:
+        return chosen._replace(**found.valve.held_out._asdict())
     if found.element is not None:
         chosen = chosen._replace(**validate_element(found.element, held_out)._asdict())
     elif named is not None:

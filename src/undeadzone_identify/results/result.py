@@ -26,13 +26,18 @@ from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
 from undeadzone_identify.results.words import answer_numbers, summarise_answer
 
-WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
+WRITTEN = (
+    "play",
+    "both",
+    "input_zone",
+    "two_zones",
+    "input_play",
+)  # besides the sensor's zone, in a scenario
 
 UNWRITTEN = {
     "filtered_zone": "what a filter behind the zone smooths no observer holds; record with it off",
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
-    "input_play": "play ahead of the plant is no element of a scenario; its gap is in units of the"
-    " input",
+    "stiction": "no observer holds a valve that sticks; its play alone would be another valve",
 }
 
 

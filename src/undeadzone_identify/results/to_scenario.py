@@ -60,7 +60,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
         **_zone_fields(answers),
-        "bare": first.verdict == "input_zone",
+        "bare": first.verdict in ("input_zone", "input_play"),
         **_gap_fields(first),
         **_noise_fields(answers),
         "range": _range_field(answers),
@@ -89,6 +89,9 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         InputError: a width that no scenario has.
     """
     first, none = answers[0], ("", "")
+    if first.verdict == "input_play":
+        empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
+        return empty | {"actuator": _gap_of_actuator(first)}
     own = _width_lines([_require_edges(answer) for answer in answers]), _prior_range_lines(answers)
     sensor, actuator = (none, own) if first.verdict == "input_zone" else (own, none)
     if first.element is not None and first.element.input:
@@ -97,6 +100,16 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(told)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
+
+
+def _gap_of_actuator(answer: Answer) -> str:
+    """Return the lines of an actuator's play. Raise InputError without its gap or its plant."""
+    gap = answer.width
+    if gap is None or answer.element is None:
+        raise InputError("scenario: no plant that settles fits behind the play; record longer")
+    half = _toml_number(gap.value / 2)
+    told = f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
+    return f'kind = "play"\n{told}\nleft = {half}'
 
 
 def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:

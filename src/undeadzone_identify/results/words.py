@@ -16,9 +16,11 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.selection.decision import MODELS
+from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
+from undeadzone_identify.selection.decision import MODELS, VALVE
 from undeadzone_identify.selection.location import input_levels_of
 from undeadzone_identify.selection.odds import nats_behind_best
+from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.servo.likelihood import At
 
 WITHOUT_GAP = ("none", "friction")  # words of a servo whose gap is excluded
@@ -123,6 +125,9 @@ HEADS = {
     "input_curve": "NO: a curve of the input",
     "input_play": "NO: play ahead of the plant",
     "filtered_zone": "yes, with a filter behind it",
+    "stiction": "NO: the valve sticks",
+    "external": "NO: an oscillation from outside",
+    "tight_tuning": "NO: the loop is tuned too tightly",
     "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
     "undecided": "undecided",
@@ -137,6 +142,8 @@ SHORT = {
     "input_curve": "curve of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor and filter",
+    "external": "from outside",
+    "tight_tuning": "tight tuning",
 }
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
@@ -178,6 +185,9 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
         "servo": servo_numbers(answer),
+        "loop": None
+        if answer.found.valve is None
+        else loop_numbers(answer.found.valve, grid.step, answer.scale),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,
@@ -276,6 +286,8 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         lines["odds"] = describe_probabilities(answer)
     unit = _unit_suffix(answer.case.grid.output_unit)
     lines |= _describe_widths(answer)
+    if answer.found.valve is not None:
+        lines |= _describe_valve(answer, answer.found.valve)
     if answer.found.friction is not None:
         of_input = _unit_suffix(answer.case.grid.input_unit)
         lines["friction"] = f"{_describe_interval(answer.found.friction, of_input)}, of the motor"
@@ -293,7 +305,7 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
     letter, unit = "d", _unit_suffix(grid.output_unit)
-    if answer.verdict == "input_play":
+    if answer.verdict in VALVE:
         letter, unit = "c", _unit_suffix(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
@@ -305,6 +317,8 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         if interval is None:
             continue
         title = _width_title(letter, name).removeprefix("d ")
+        if answer.found.valve is not None:
+            title = "S"
         lines[title] = _describe_interval(interval, unit)
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
@@ -318,6 +332,14 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
     if element is not None and answer.found.offsets is not None:
         lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
+
+
+def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
+    """Describe S and J of a valve, and the shape of PV over OP."""
+    unit, lines = _unit_suffix(answer.case.grid.input_unit), {}
+    if answer.verdict == "stiction":
+        lines["J"] = _describe_interval(valve.jump, unit)
+    return lines | {"loop": shape_in_words(valve, answer.case.grid)}
 
 
 def _width_title(letter: str, name: str) -> str:
@@ -426,6 +448,9 @@ def _describe_held_out(answer: Answer, unit: str) -> str:
     chosen = answer.chosen
     share = f"{100 * answer.case.options.held_out:.0f} % in blocks"
     white = "white" if chosen.white else "not white"
+    if answer.found.valve is not None:
+        less = 100 * (1 - chosen.error / answer.found.valve.without)
+        share += f", one sample ahead ({less:.1f} % less than without the valve)"
     return (
         f"{share}: rms error {chosen.error * answer.scale:.3g}{unit},"
         f" fit {100 * chosen.share:.1f} %, one-step residual {white}"

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from undeadzone.nonlinearities.play import levels
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.chain import ChainFit
+from undeadzone_identify.models.chain import ChainFit, gap_of_input
 from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
@@ -46,6 +47,7 @@ from undeadzone_identify.selection.adequacy import largest_remainder
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     CHAINED,
+    LOOP,
     MEMORY,
     MODELS,
     UNLIKELY,
@@ -63,6 +65,13 @@ from undeadzone_identify.selection.orders import (
     score_held_out,
     training_samples,
 )
+from undeadzone_identify.selection.valve import (
+    OWN,
+    ValveFindings,
+    ask_valve,
+    is_control_loop,
+    may_be_valve,
+)
 from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
 
@@ -77,6 +86,7 @@ LAST = {
     "both": 25,
     "input_zone": 40,
     "two_zones": 40,
+    "input_play": 25,
 }  # steps of a climb that checks a fit
 
 
@@ -84,14 +94,15 @@ class Element(NamedTuple):
     """Element other than a dead zone of the sensor, with the plant of its own fit.
 
     Attributes:
-        kind: play, both, input_zone, two_zones; none or friction of a servo without a gap.
+        kind: play, both, input_zone, two_zones, input_play; none or friction of a servo without a
+            gap.
         fit: what was fitted.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
         V: covariance of a and b.
         z: output of the plant (N), scaled.
         readings: what is read of it without noise (N), scaled.
-        side: contact of a play, side of an input zone (N).
+        side: contact of a play, of the input's too, side of an input zone (N).
         widths: right, left, width, centre in units of the log; None where they are not known.
         ahead: what disturbs z, scaled; None where it was not told apart.
         noise: rms of the readings' white noise, scaled.
@@ -104,7 +115,7 @@ class Element(NamedTuple):
     """
 
     kind: str
-    fit: PlayFit | FittedModel[MapModel] | ServoGap
+    fit: PlayFit | FittedModel[MapModel] | ChainFit | ServoGap
     simulator: plant.PlantSimulator
     theta: Floats
     V: Floats
@@ -155,6 +166,7 @@ class Findings(NamedTuple):
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
         friction: level of a motor's friction [u]; None where no servo measured it.
+        valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
 
     verdict: Verdict
@@ -169,6 +181,7 @@ class Findings(NamedTuple):
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
+    valve: ValveFindings | None = None
 
     def add_models(self, case: Case, *models: Family, without: Collection[str] = ()) -> Findings:
         """Return the findings with more models and a new decision, perhaps without some
@@ -176,11 +189,18 @@ class Findings(NamedTuple):
         """
         every = (*self.models, *models)
         odds = model_probabilities(every, {*without, *self.denied, *impossible_words(case)})
+        found = self._replace(models=every, odds=odds)
+        return found._replace(verdict=found.classify(case))
+
+    def classify(self, case: Case) -> Verdict:
+        """Return the verdict by the odds.
+
+        Args:
+            case: the log.
+        """
         plays = {} if self.plays is None else self.plays.fits
         fits = dict(self.places) | dict(self.chains) | dict(plays)
-        return self._replace(
-            models=every, odds=odds, verdict=classify_by_probabilities(case, odds, every, fits)
-        )
+        return classify_by_probabilities(case, self.odds, self.models, fits)
 
 
 def impossible_words(case: Case) -> Collection[str]:
@@ -199,6 +219,36 @@ def impossible_words(case: Case) -> Collection[str]:
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
         out |= {"input_curve", "input_play"}
     return out
+
+
+# --- Is it the valve of a control loop?
+
+
+def needs_valve_test(case: Case, found: Findings) -> bool:
+    """Return whether a valve ahead of the plant must be asked for."""
+    return found.element is None and may_be_valve(case, found.odds)
+
+
+def add_valve(case: Case, found: Findings) -> Findings:
+    """Add why a loop swings; without a loop only a valve that sticks is news.
+
+    Args:
+        case: the log.
+        found: the odds of all else.
+    """
+    excluded = frozenset({*found.denied, *impossible_words(case)})
+    answer = ask_valve(case, found.models, excluded)
+    word = next(iter(answer.odds))
+    if not is_control_loop(case) and answer.verdict.word != "stiction":
+        return found
+    asked = found._replace(models=(answer.family,), odds=answer.odds)
+    if word not in (*OWN, *LOOP):
+        verdict = asked.classify(case)
+        if verdict.word != "unclear":
+            return asked._replace(verdict=verdict)
+        answer = answer.of_loop_alone(excluded)
+        asked = asked._replace(models=(answer.family,), odds=answer.odds)
+    return asked._replace(verdict=answer.verdict, valve=answer.valve)
 
 
 # --- Is it a play, or a play and a dead zone?
@@ -491,6 +541,88 @@ def _zone_intervals(
     return widths, least
 
 
+# --- A play of the actuator
+
+
+def has_play_ahead(case: Case, found: Findings) -> bool:
+    """Return whether a play of the input is named, with a plant behind it."""
+    if found.verdict.word != "input_play" or found.element is not None:
+        return False
+    return found.valve is None or found.valve.plant is not None
+
+
+def add_play_ahead(case: Case, found: Findings) -> Findings:
+    """Add the play of the actuator with the plant behind it.
+
+    Args:
+        case: the log.
+        found: named input_play.
+    """
+    valve = found.valve
+    fit = found.chains["input_play"] if valve is None else valve.plant
+    assert fit is not None
+    data, whole, delay = fit.model.simulator.data, case.record_data, case.fitted.delay
+    recorded = plant.longest_record_of(case.recorded)
+    if valve is not None or np.array_equal(recorded.u, data.u):
+        whole, delay = case.recorded, 0
+    if valve is None:
+        gap = gap_of_input(fit).scale_by(float(whole.u_scale[0]))
+    else:
+        gap, delay = valve.stick, valve.late
+        whole = plant.delay_inputs(whole, delay)
+    element = _play_ahead_element(fit, whole, gap)
+    return found._replace(element=element, delay=delay)
+
+
+def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -> Element:
+    """Return the element of a play of the input, along all records.
+
+    Args:
+        fit: of the plant behind it.
+        whole: all records.
+        gap: of the play [u].
+    """
+    numbers, layout = fit.theta, fit.model.simulator.layout
+    half = np.array([gap.value / 2]) / whole.u_scale[0]
+    passed = np.vstack(
+        [levels(whole.u[part], half, half, whole.u[part][0]) for part in whole.record_slices()]
+    )
+    simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n, layout.integrators)
+    theta = np.zeros(simulator.layout.parameter_count)
+    same = fit.model.simulator.data.y.size == whole.y.size
+    known = layout.x0.stop if same else layout.numerators.stop  # else at rest
+    theta[:known] = numbers[:known]
+    z = simulator.simulate_z(theta)
+    level = float((whole.y - z)[whole.ok].mean())
+    e = np.where(whole.ok, whole.y - z - level, 0.0)
+    rms = float(np.sqrt(np.mean(e[whole.ok] ** 2)))
+    covariance = fit.squares.robust_covariance(numbers)
+    remarks = ["the gap is that of the input, in its unit; both sides are half of it"]
+    noise = min(white_noise_rms(whole.y, whole.ok, whole.start), rms)
+    if abs(level) > max(noise, LEAST_NOISE):
+        about = f"{level * whole.y_scale:.4g}"
+        remarks.append(
+            f"the readings lie {about} from what the plant makes of the input: estimate and run"
+            f" count from there; --zero {about} takes it off"
+        )
+    return Element(
+        kind="input_play",
+        fit=fit,
+        simulator=simulator,
+        theta=theta,
+        V=covariance.V[: layout.numerators.stop, : layout.numerators.stop],
+        z=z,
+        readings=z + level,
+        side=np.sign(np.diff(passed[:, 0], prepend=passed[0, 0])).astype(int),
+        widths=dict.fromkeys(DIRECTIONS) | {"width": gap},
+        ahead=plant.find_input_disturbance(layout, numbers, e, whole.ok),
+        noise=noise,
+        degrees=math.inf,
+        rms=rms,
+        remarks=remarks,
+    )
+
+
 # --- Whether what explains the log best leaves nothing known
 
 
@@ -515,7 +647,8 @@ def has_a_model(case: Case, found: Findings) -> bool:
     is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
-    return bool(top) and not (is_said or of_servo or case.jump_edges)
+    of_loop = found.valve is not None
+    return bool(top) and not (is_said or of_servo or of_loop or case.jump_edges)
 
 
 def with_adequacy(case: Case, found: Findings) -> Findings:

@@ -38,6 +38,8 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
 CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
+VALVE = ("stiction", "input_play")  # words of a valve's fault
+LOOP = (*VALVE, "external", "tight_tuning")  # words of why a loop swings: models/valve.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
@@ -83,6 +85,9 @@ MODELS = {
     "input_curve": "a smooth curve of the input",
     "input_play": "play between input and plant",
     "filtered_zone": "a dead zone of the sensor with a filter behind it",
+    "stiction": "a valve that sticks",
+    "external": "an oscillation from outside",
+    "tight_tuning": "a loop that is tuned too tightly",
 }
 
 

@@ -12,6 +12,7 @@ import pytest
 import undeadzone as uz
 from commands import undeadzone
 from undeadzone.errors import InputError
+from undeadzone.plants.robots.geared import fastest_contact
 from undeadzone.plants.robots.survey import survey_urdf
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import parse
@@ -187,16 +188,57 @@ def test_with_gears_a_started_scenario_follows_its_path(tmp_path: Path) -> None:
     assert run.rms_tip < 2e-3
 
 
-def test_the_proposed_filter_of_a_large_arm_with_gears_runs() -> None:
-    """The three lines that stand in remarks take the place of the method, as written."""
-    text = starting_scenario(survey_urdf(UR5), str(UR5), gears=True)
-    text = re.sub(r'^method = "full_state".*\n', "", text, flags=re.M)
-    text = re.sub(r"^# (method|joints|half) =", r"\1 =", text, flags=re.M)
-    scenario = parse(text).replace("simulation.duration", 0.05)
+def test_a_large_arm_with_gears_starts_with_a_filter_that_runs() -> None:
+    scenario = parse(starting_scenario(survey_urdf(UR5), str(UR5), gears=True))
     assert isinstance(scenario.observer, uz.observers.Contact)
-    run = uz.simulate(scenario)
-    assert run.gap_std is not None or run.d_std is not None
+    assert scenario.observer.joints == "separate"
+    run = uz.simulate(scenario.replace("simulation.duration", 0.05))
+    assert run.d_std is not None
     assert np.isfinite(run.z_hat).all()
+    assert "gap [rad]" in str(run)
+
+
+def alternatives(text: str) -> list[str]:
+    """The text with each of the keys that stand in remarks, one by one, and with those of a table.
+
+    A remark's key replaces the one of its table that is there.
+    """
+    model = text.replace("# [model.parameters] ", "[model.parameters]", 1)
+    texts = [model.replace("# payload = 0.0", "payload = 0.0", 1)]
+    for line in re.findall(r"^# \w+ = .*$", text, flags=re.M):
+        if not line.startswith("# payload = 0.0"):
+            texts.append(text.replace(line, line.removeprefix("# "), 1))
+    return texts
+
+
+@pytest.mark.parametrize("gears", [True, False])
+@pytest.mark.parametrize("file", ["two", "ur5"])
+def test_every_alternative_that_stands_in_a_remark_runs(
+    tmp_path: Path, gears: bool, file: str
+) -> None:
+    path = UR5 if file == "ur5" else two(tmp_path)
+    texts = alternatives(starting_scenario(survey_urdf(path), str(path), gears=gears))
+    assert len(texts) == (5 if gears else 3)
+    for text in texts:
+        problem = resolve_scenario(parse(text))
+        assert problem.plant.n == (4 if gears else 2) * len(survey_urdf(path).joints)
+    if gears and file == "two":
+        for text in texts[-2:]:  # those of the filter
+            run = uz.simulate(parse(text).replace("simulation.duration", 0.05))
+            assert np.isfinite(run.z_hat).all()
+
+
+def test_the_step_of_an_arm_with_gears_follows_from_its_fastest_contact() -> None:
+    """Two axes that coincide at first have a light body between them."""
+    found = survey_urdf(UR5)
+    scenario = parse(starting_scenario(found, str(UR5), gears=True))
+    problem = resolve_scenario(scenario)
+    gears = problem.plant.gears
+    assert gears is not None
+    fastest = fastest_contact(gears, gears.values, found.q[None])
+    poles = np.abs(np.linalg.eigvals(problem.plant.continuous.A)).max()
+    assert fastest == pytest.approx(poles, rel=0.02)
+    assert fastest * scenario.simulation.step <= 2.0 * scenario.simulation.substeps
 
 
 def test_an_upright_lift_is_drawn(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from undeadzone.errors import InputError
 from undeadzone.numerics.runge_kutta import rk4_change
 from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_one_link, build_two_link
-from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm
+from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm, largest_couplings
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.util.arrays import Floats
 
@@ -232,11 +233,16 @@ def test_readme_path_holds_the_second_joint_on_one_flank(known: uz.Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("friction", "measured", "known"),
-    [(0.05, "motor", True), (1.0, "motor", False), (1.0, "link", True)],
+    ("friction", "measured", "noise", "known"),
+    [
+        (0.05, "motor", 1e-4, True),
+        (0.05, "motor", 4e-3, False),
+        (1.0, "motor", 1e-4, False),
+        (1.0, "link", 1e-4, True),
+    ],
 )
-def test_a_load_that_motor_friction_hides_shows_no_gap(
-    friction: float, measured: str, known: bool
+def test_a_strike_that_noise_and_unknown_torque_hide_shows_no_gap(
+    friction: float, measured: str, noise: float, known: bool
 ) -> None:
     """A light link that nothing presses but its inertia, to and fro."""
     gears = {"half": 0.03, "inertia": 0.012, "friction": friction, "measured": measured}
@@ -249,6 +255,7 @@ def test_a_load_that_motor_friction_hides_shows_no_gap(
                 "parameters": weightless,
             },
             reference={"kind": "quintic", "points": [[0.0], [0.5], [0.0]], "times": [0, 0.8, 1.6]},
+            sensor={"right": 0.0, "left": 0.0, "noise": noise},
             simulation={"time": "sampled", "duration": 1.6, "step": 1e-3, "substeps": 4},
         )
     )
@@ -256,7 +263,10 @@ def test_a_load_that_motor_friction_hides_shows_no_gap(
     assert verdict["width"] == known
     if not known:
         (reason,) = verdict["reasons"]
-        assert "which friction of its motor, 1 N m, hides" in reason
+        assert "a strike changes the speed of its motor by" in reason
+        assert "noise and unknown torque hide" in reason
+    else:
+        assert verdict["crossings"] > 0
 
 
 def test_after_a_swing_both_gaps_can_be_known() -> None:
@@ -299,6 +309,93 @@ def test_a_file_runs_and_its_numbers_are_json(tmp_path: Path) -> None:
     assert len(numbers["identifiable"]) == 2
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "held on one flank" in page
+
+
+# --- Joints about nearly one axis
+
+COAXIAL = {
+    "plant": {
+        "arm": {
+            "kind": "two_link",
+            "gears": {"half": 0.01, "inertia": [1.455, 1.418], "friction": 1.74},
+        },
+        "x0": [0.0] * 4,
+        "parameters": {
+            **{"m1": 1.0, "m2": 1.0, "l1": 1e-4, "c1": 1e-4, "c2": 1e-4, "g": 0.0},
+            **{"I1": 0.037, "I2": 1.4176},
+        },
+    },
+    "sensor": {"right": 0.0, "left": 0.0, "noise": 1e-3},
+    "reference": {
+        "kind": "quintic",
+        "points": [[0.0, 0.0], [0.3, 0.3], [-0.3, -0.3], [0.0, 0.0]],
+        "times": [0.0, 1.0, 3.0, 4.0],
+        "repeat": True,
+    },
+    "observer": {"method": "contact", "joints": "separate", "half": [0.0, 0.03]},
+    "simulation": {"time": "sampled", "duration": 1.5, "step": 1e-3, "substeps": 9},
+}
+
+
+def test_joints_about_one_axis_are_coupled_by_what_lies_between_them() -> None:
+    """A body of 0.037 kg m^2 between two links: m_ii times the inverse's entry, by hand."""
+    arm = resolve_scenario(scenario(**COAXIAL)).plant
+    assert arm.gears is not None
+    links, still = arm.gears.link_params(arm.params), np.zeros((1, 2))
+    first, second = largest_couplings(arm.gears.arm, links, still, [(0,), (1,)])
+    assert (first.partner, second.partner) == (1, 0)
+    assert first.ratio == pytest.approx(second.ratio)
+    assert first.ratio == pytest.approx((0.037 + 1.4176) / 0.037, rel=1e-3)
+    (both, _) = largest_couplings(arm.gears.arm, links, still, [(0, 1)])
+    assert both.ratio == 1.0
+
+
+def test_coupled_joints_share_a_filter_unless_they_are_told_apart() -> None:
+    """Of a two-link arm whose joints hardly know of each other each has its own."""
+    observer = COAXIAL["observer"]
+    assert isinstance(observer, dict)
+    apart = scenario(**COAXIAL | {"observer": {**observer, "groups": []}})
+    usual = scenario(observer=observer)
+    groups = [
+        resolve_scenario(each).observer.traits.groups for each in (scenario(**COAXIAL), apart)
+    ]
+    assert groups == [((0, 1),), ((0,), (1,))]
+    assert resolve_scenario(usual).observer.traits.groups == ((0,), (1,))
+
+
+def test_joint_by_joint_a_coupled_gap_is_as_it_was_declared() -> None:
+    """The filter stays finite, its belief is narrow and false, and none of it is shown."""
+    observer = COAXIAL["observer"]
+    assert isinstance(observer, dict)
+    run = uz.simulate(scenario(**COAXIAL | {"observer": {**observer, "groups": [], "starts": 1}}))
+    assert run.width_std is not None
+    assert run.x_std is not None
+    assert np.isfinite(run.x_hat).all()
+    for verdict in run.info.identifiable:
+        assert not verdict["width"]
+        (reason,) = verdict["reasons"]
+        assert "(coupling 39.3): joint by joint its gap cannot be known" in reason
+    low, high = (np.array(run.summary()[name]) for name in ("gap_low", "gap_high"))
+    np.testing.assert_allclose(low, 0.0)
+    np.testing.assert_allclose(high, 0.06)
+    assert str(run).count("[0, 0.06] as declared") == 2
+    assert np.ptp(run.width_std, axis=0).max() == 0.0
+    assert (run.x_std[:, 2:4] >= 0.03 / np.sqrt(3)).all()
+
+
+@pytest.mark.parametrize(
+    ("observer", "words"),
+    [
+        ({"groups": [["q1", "q2"]]}, 'joints = "coupled" is one group'),
+        ({"joints": "separate", "groups": [["q1", "q3"]]}, "expected one or 2 different names"),
+        ({"joints": "separate", "groups": [["q1", "q1"]]}, "expected one or 2 different names"),
+        ({"joints": "separate", "groups": [["q1", "q2"], ["q2"]]}, "belongs to one group alone"),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(observer: dict[str, Any], words: str) -> None:
+    contact = {"method": "contact", "half": [0.0, 0.1], **observer}
+    with pytest.raises(uz.InputError, match=words):
+        resolve_scenario(scenario(observer=contact))
 
 
 # --- Refusals

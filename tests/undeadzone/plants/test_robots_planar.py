@@ -236,7 +236,7 @@ def test_bias_is_lagranges(kind: str, seed: int) -> None:
     """
     body = ARMS[kind]
     _, numbers, q, v = drawn(body, seed)
-    x, w = ca.SX.sym("q", body.joint_count), ca.SX.sym("v", body.size)
+    x, w = ca.SX.sym("q", body.joint_count), ca.SX.sym("v", body.joint_count)
     M = body.mass(numbers, x)
     change = ca.reshape(ca.jtimes(ca.vec(M), x, w), M.shape)
     at = ca.Function("at", [x, w], [change, change @ w - ca.gradient(0.5 * ca.dot(w, M @ w), x)])

@@ -458,8 +458,8 @@ def driven(given: Arm, limit: Floats) -> System:
     """An arm as a plant whose motors have so much torque."""
     linear = Matrices(
         np.zeros((2 * given.joint_count,) * 2),
-        np.zeros((2 * given.joint_count, given.size)),
-        np.eye(given.joint_count, 2 * given.size),
+        np.zeros((2 * given.joint_count, given.joint_count)),
+        np.eye(given.joint_count, 2 * given.joint_count),
     )
     return System(
         given.values,

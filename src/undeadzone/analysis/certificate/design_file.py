@@ -276,6 +276,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         cures: what would turn a 'no' into a 'yes'.
         std: expected standard deviation of each, by its name [unit of z].
         second: another truth with the same readings (None: none far from it, or not looked for).
+        crossings: strikes at the ends of a gap of gears that show (None: there are no gears).
     """
 
     right: bool
@@ -286,6 +287,7 @@ class Knowledge(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     cures: list[str]
     std: dict[str, float]
     second: dict[str, Any] | None = None
+    crossings: int | None = None
 
 
 def describe_design(design: Mapping[str, Any]) -> dict[str, Any]:

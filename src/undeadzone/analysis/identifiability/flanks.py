@@ -1,12 +1,16 @@
-"""Contact sides of a joint's gears along a path, and the motion that would visit both.
+"""Gaps of an arm's gears that readings of a run tell, and why others cannot be known.
 
-A gap shows where the load crosses it: where the torque tau = M(q) a + h(q, v) that a link needs
-changes sign. A joint that gravity holds on one flank is offset by half a gap that no reading tells
-from its centre (docs/robots.md).
+A gap shows where a load crosses it: a link that arrives at the other flank strikes its motor. Three
+things are asked of each joint. Its link has to cross the gap. The strike has to show in what the
+encoder reads, against its noise and the unknown torque of the motor. And the joint must not be so
+coupled to others that what these do to its link in their gaps cannot be told from its own: joint by
+joint that was noise, a gap of zero foretold best, and a Panda's gaps came out as zero
+(docs/robots.md).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,14 +18,17 @@ import numpy as np
 
 from undeadzone.analysis.identifiability.linear import WidthIdentifiability
 from undeadzone.plants.robots.arm import Arm, inverse_dynamics
+from undeadzone.plants.robots.geared import Geared, largest_couplings
 from undeadzone.util.arrays import Flags, Floats, bounds_of_runs
 
 SHARE = 0.02  # of the largest torque at a joint: a smaller one presses on no flank
-FRICTION_SHARE = (
-    0.2  # of a motor's friction: what its encoder tells of a smaller load is lost in that
-)
 LASTING = 0.05  # [s] that a torque must last to carry its link across
 POSTURES = 721  # of a joint within a turn, among which one without torque is sought
+COUPLED = 8.0  # coupling above which joint by joint a gap cannot be known
+HEARD = 3.0  # deviations of the innovations by which a strike shows
+WINDOW = 0.15  # [s] for which a strike is looked for
+SETTLED = 1e-6  # change of a variance by a sample, relative, below which it no longer changes
+PLACES = 50  # of the motion at which masses are looked at
 
 
 class FlankVisits(NamedTuple):
@@ -37,15 +44,14 @@ class FlankVisits(NamedTuple):
     changes: int
 
 
-def flank_visits(tau: Floats, step: float, unheard: Floats) -> list[FlankVisits]:
+def flank_visits(tau: Floats, step: float) -> list[FlankVisits]:
     """Return the contact sides that each joint visits.
 
     Args:
         tau: torque that the links need along the path (N x joints) [N m].
         step: between two rows [s].
-        unheard: of each joint, up to which no reading tells a load (joints) [N m].
     """
-    least = np.maximum(SHARE * np.abs(tau).max(axis=0, initial=0.0), unheard)
+    least = SHARE * np.abs(tau).max(axis=0, initial=0.0)
     told = []
     for load, small in zip(tau.T, least, strict=True):
         pressed = 1 * _keep_lasting_runs(load > small, step) - 1 * _keep_lasting_runs(
@@ -108,45 +114,175 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
     return float(zeros[np.abs(zeros - q[i]).argmin()])
 
 
-def gap_identifiability(
-    body: Arm, params: Floats, path: Floats, step: float, friction: Floats
-) -> list[WidthIdentifiability]:
-    """Return the identifiability of each joint's gap from readings along a path.
+class Listener(NamedTuple):
+    """What hears the strikes of an arm's links.
+
+    Attributes:
+        groups: joints that one filter holds; the others are noise to it.
+        torque: rms of the unknown torque of the motors (joints) [N m].
+        lasting: correlation time of that torque [s].
+        jerk: variance that the speed of a motor gains in a second besides [rad^2 / s^3].
+        noise: rms of the readings of the motors (joints) [rad].
+        crossing: w, of the way on which motors are led across a gap [1/s].
+    """
+
+    groups: Sequence[Sequence[int]]
+    torque: Floats
+    lasting: float
+    jerk: float
+    noise: Floats
+    crossing: float
+
+
+class Crossings(NamedTuple):
+    """Times at which a link struck the other flank of its gap.
+
+    Attributes:
+        rows: of the motion (K).
+        speeds: at which the gap closed (K) [rad/s].
+    """
+
+    rows: np.ndarray
+    speeds: Floats
+
+
+def list_crossings(gears: Geared, params: Floats, x: Floats) -> list[Crossings]:
+    """Return the crossings of each joint's gap along a motion.
 
     Args:
-        body: the arm.
+        gears: the arm.
         params: its parameters.
+        x: states (N x 4 joints).
+    """
+    N = gears.joint_count
+    half, centre = (np.ravel(gears.gear_number(params, name)) for name in ("half", "centre"))
+    ahead = x[:, :N] - x[:, N : 2 * N] + centre
+    closing = np.abs(x[:, 2 * N : 3 * N] - x[:, 3 * N :])
+    sides = 1 * (ahead >= half) - 1 * (ahead <= -half)
+    found = []
+    for i in range(N):
+        touching = np.flatnonzero(sides[:, i])
+        across = touching[1:][np.diff(sides[touching, i]) != 0]
+        found.append(Crossings(across, closing[np.maximum(across - 1, 0), i]))
+    return found
+
+
+def strike_response(
+    inertia: float, torque: float, noise: float, told: Listener, Ts: float
+) -> float:
+    """Return by how many deviations a unit jump of a motor's speed shows in its readings [s/rad].
+
+    It is the matched filter's ratio of signal to noise, of the innovations of a filter of angle,
+    speed and unknown torque.
+
+    Args:
+        inertia: of the motor [kg m^2].
+        torque: rms of its unknown torque [N m].
+        noise: rms of a reading [rad].
+        told: what hears it.
+        Ts: sample time [s].
+    """
+    fade = np.exp(-Ts / told.lasting)
+    A = np.array([[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts], [0.0, 0.0, fade]])
+    pushed = (1 - fade**2) * (torque / inertia) ** 2
+    Q = np.diag([0.0, told.jerk * Ts, pushed])
+    P, before = np.diag([noise**2, 1.0, (torque / inertia) ** 2]), np.inf
+    while abs(P[0, 0] - before) > SETTLED * P[0, 0]:
+        before = P[0, 0]
+        gain = P[:, 0] / (P[0, 0] + noise**2)
+        P = A @ (P - np.outer(gain, P[0])) @ A.T + Q
+    gain = P[:, 0] / (P[0, 0] + noise**2)
+    jump, energy = np.array([0.0, 1.0, 0.0]), 0.0
+    for _ in range(round(WINDOW / Ts)):
+        jump = A @ jump
+        energy += jump[0] ** 2 / (P[0, 0] + noise**2)
+        jump = jump - gain * jump[0]
+    return float(np.sqrt(energy))
+
+
+def gap_identifiability(
+    gears: Geared, params: Floats, x: Floats, path: Floats, step: float, told: Listener
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each joint's gap from the readings of a run.
+
+    A motor that crosses a gap faster than planned is driven by a belief in a wider one: it counts
+    as fast as planned, with both poles at -w and a top speed of 2 half w / e.
+
+    Args:
+        gears: the arm.
+        params: its parameters.
+        x: states along the run (N x 4 joints).
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
-        friction: of the motors; 0 where encoders read the links (joints) [N m].
+        told: what hears the strikes.
     """
-    mean, tau, unheard = (
-        path[:, 0].mean(axis=0),
-        torques_along_path(body, params, path),
-        FRICTION_SHARE * friction,
+    body, links = gears.arm, gears.link_params(params)
+    tau, inertia = (
+        torques_along_path(body, links, path),
+        np.ravel(gears.gear_number(params, "inertia")),
     )
-    most, slides, verdicts = np.abs(tau).max(axis=0, initial=0.0), body.chain.slides, []
-    for i, joint in enumerate(flank_visits(tau, step, unheard)):
-        known = joint.right and joint.left
-        why = (
-            "" if known or most[i] >= unheard[i] else _friction_reason(most[i], friction[i], slides)
+    half = np.ravel(gears.gear_number(params, "half"))
+    few = np.unique(np.linspace(0, len(path) - 1, PLACES).astype(int))
+    coupling = largest_couplings(body, links, path[few, 0], told.groups)
+    visits, verdicts = flank_visits(tau, step), []
+    for i, found in enumerate(list_crossings(gears, params, x)):
+        planned = 2 * half[i] * told.crossing / np.e
+        strikes = _strikes(
+            gears, params, x, i, found._replace(speeds=np.fmin(found.speeds, planned))
         )
-        if not (known or why):
-            why = _gap_reasons(
-                torque_free_position(body, params, mean, i), "" if slides else " rad"
-            )
-        verdicts.append(
-            WidthIdentifiability(known, known, known, known, reasons=(why,) if why else ())
-        )
+        if gears.measured == "motor":
+            unit = strike_response(inertia[i], told.torque[i], told.noise[i], told, step)
+        else:  # an encoder at the link tells where it is
+            unit = np.inf
+        heard = int(np.count_nonzero(unit * strikes >= HEARD))
+        if coupling[i].ratio > COUPLED:
+            why = _coupling_reason(i, coupling[i].partner, coupling[i].ratio, body.chain.joints)
+        elif heard:
+            why = ""
+        elif found.rows.size:
+            why = _strike_reason(float(strikes.max()), unit, "m" if body.chain.slides else "rad")
+        elif visits[i].right and visits[i].left:
+            why = "its link never crossed the gap: its gap cannot be known; turn it faster"
+        else:
+            place = torque_free_position(body, links, path[:, 0].mean(axis=0), i)
+            why = _gap_reasons(place, "" if body.chain.slides else " rad")
+        known, whys = not why, (why,) if why else ()
+        verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=heard))
     return verdicts
 
 
-def _friction_reason(most: float, friction: float, slides: bool) -> str:
-    """Describe that a motor's friction hides the largest torque of its link."""
-    unit = "" if slides else " N m"
-    asks = f"its link asks for {most:.2g}{unit} at most"
-    hides = f"friction of its motor, {friction:.2g}{unit}, hides"
-    return f"{asks}, which {hides}: its gap cannot be known; turn it faster"
+def _strikes(gears: Geared, params: Floats, x: Floats, i: int, found: Crossings) -> Floats:
+    """Return the jumps of a motor's speed by the strikes of its link (K) [rad/s].
+
+    The gears of the other joints are taken to be closed: so they are nearly always.
+    """
+    inertia = np.ravel(gears.gear_number(params, "inertia"))
+    others = np.where(np.arange(gears.joint_count) == i, 0.0, inertia)
+    jumps = []
+    for row, speed in zip(found.rows, found.speeds, strict=True):
+        q = x[row, gears.joint_count : 2 * gears.joint_count]
+        M = np.asarray(gears.arm.mass(gears.link_params(params), q)) + np.diag(others)
+        link = 1 / np.linalg.inv(M)[i, i]
+        jumps.append(link / (inertia[i] + link) * speed)
+    return np.array(jumps)
+
+
+def _coupling_reason(i: int, partner: int, ratio: float, joints: Sequence[str]) -> str:
+    """Describe that two joints turn about nearly one axis."""
+    return (
+        f"turns about nearly the same axis as {joints[partner]} (coupling {ratio:.3g}): joint by "
+        f"joint its gap cannot be known; give observer.groups = [{sorted((i, partner))}], or move "
+        "where their axes are apart"
+    )
+
+
+def _strike_reason(jump: float, unit: float, name: str) -> str:
+    """Describe that noise and unknown torque hide the strikes at a gap's ends."""
+    return (
+        f"a strike changes the speed of its motor by {jump:.2g} {name}/s at most, which noise and "
+        f"unknown torque hide ({unit * jump:.2g} of {HEARD:g} deviations): its gap cannot be "
+        "known; turn it faster"
+    )
 
 
 def _gap_reasons(place: float | None, unit: str) -> str:

@@ -250,8 +250,9 @@ class WidthIdentifiability(NamedTuple):
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
-        second: another truth with these readings (`second_truth`) (None: none far from it, or not
-            looked for).
+        second: another truth with these readings (`second_truth`); None: none far from it, or not
+            looked for.
+        crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
     """
 
     right: bool
@@ -261,6 +262,7 @@ class WidthIdentifiability(NamedTuple):
     reasons: tuple[str, ...]
     std: dict[str, float] | None = None
     second: dict[str, Any] | None = None
+    crossings: int | None = None
 
     def add_reasons(self, *reasons: str, **changed: bool) -> WidthIdentifiability:
         """Return the result with more reasons and with changed fields."""

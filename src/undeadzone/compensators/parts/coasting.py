@@ -134,6 +134,11 @@ def require_drive(belief: Belief | None) -> Drive:
         raise InputError(
             "compensator: there is no actuator to compensate. Add [actuator] or [model.actuator]"
         )
+    if belief.drive.is_play:
+        raise InputError(
+            "compensator.method: this inverse is of a dead zone, and the actuator has play. Use "
+            "'play_inverse' or 'none'"
+        )
     return belief.drive
 
 

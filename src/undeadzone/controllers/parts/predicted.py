@@ -22,7 +22,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.interfaces import Controller, Estimate
-from undeadzone.nonlinearities.actuator import Belief, through_line, through_zone
+from undeadzone.nonlinearities.actuator import Belief, input_range, through_line
 from undeadzone.plants.system import System, hold_integral
 from undeadzone.util import tree
 from undeadzone.util.arrays import LARGEST, Floats
@@ -73,9 +73,8 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
     low, high = -most, most
     if belief is not None:
-        drive = belief.drive
-        low = np.maximum(low, through_zone(np, drive.low, drive))
-        high = np.minimum(high, through_zone(np, drive.high, drive))
+        least, largest = input_range(belief.drive)
+        low, high = np.maximum(low, least), np.minimum(high, largest)
     kind = type(controller.params)
 
     def init(q: Any) -> State:

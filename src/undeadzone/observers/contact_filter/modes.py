@@ -36,7 +36,7 @@ from undeadzone.numerics.gaussian import (
     truncate_at_bounds,
     update_with_outliers,
 )
-from undeadzone.numerics.runge_kutta import rk4_change
+from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
 from undeadzone.observers.filtering.multiple_models import mean_of_models
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
@@ -55,7 +55,7 @@ AWAY = 1000.0  # by which the log of a density is less where a filter ran away
 MOST = 60.0  # largest difference of logs of chances
 LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
 SURE = 3.0  # deviations from a flank beyond which it cuts nothing
-OPEN = 0.07  # deviation to which half gaps drift, over their claimed range
+WALKING = ("half", "centre", "payload")  # what changes slowly, up to a largest deviation
 RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
 
 
@@ -104,16 +104,19 @@ class Drive(NamedTuple):
         layout: where the quantities stand.
         rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
             locked.
+        implicit: (numbers, x, contact, g) -> function that returns (I - g A)^-1 times a column
+            (entries), with A the part of the Jacobian of `rate` that contacts and friction make.
         mobility: (numbers, x) -> change of [theta'; q'] (2N x N) by a unit impulse between motor
             and link of each joint, which takes from the motor.
         readings: entry of x that each reading gives (p).
         Ts: sample time [s].
-        substeps: Runge-Kutta steps in a sample.
+        substeps: steps of integration in a sample.
         apart: whether it is one joint of several, to which what the others do to its link is noise.
     """
 
     layout: Layout
     rate: Callable[[Any, Any, Any, Contacts], tuple[Any, Any]]
+    implicit: Callable[[Any, Any, Contacts, Any], Callable[[Any], Any]]
     mobility: Callable[[Any, Any], Any]
     readings: tuple[int, ...]
     Ts: float
@@ -129,6 +132,7 @@ class Numbers(NamedTuple):
         Q: variance that x gains in a step (entries).
         R: variance of a reading (p).
         low, high: between which x is known to lie (entries).
+        most: largest variance to which x drifts (entries).
         slack: variance of where a flank is: its compliance is not known (1) [rad^2].
         torque: deviation of the torque through the gears (N) [N m].
         leaving: chance per sample that a link leaves a flank which pulls.
@@ -142,6 +146,7 @@ class Numbers(NamedTuple):
     R: Floats
     low: Floats
     high: Floats
+    most: Floats
     slack: Any
     torque: Floats
     leaving: Any
@@ -391,7 +396,11 @@ def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Calla
         """Return the change of x over a sample (entries)."""
         total = ca.SX.zeros(drive.layout.entry_count)
         for _ in range(drive.substeps):
-            total += rk4_change(lambda z, _: drive.rate(q.model, z, u, contact)[0], x + total, h)
+            now = x + total
+            solve = drive.implicit(q.model, now, contact, GAMMA * h)
+            total += rosenbrock_change(
+                lambda z: drive.rate(q.model, z, u, contact)[0], solve, now, h
+            )
         return total
 
     return change
@@ -463,11 +472,12 @@ def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: An
 def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
     """Return a mode a sample later, with the contacts unchanged."""
     layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
-    motors, halves = layout.slice_of("motor_speed"), layout.slice_of("half")
+    motors = layout.slice_of("motor_speed")
     friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
     Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])  # which takes whatever there is
-    most = ca.fmax((OPEN * (q.high - q.low)[halves]) ** 2, NONE)
-    Q[halves] *= ca.fmax(1 - ca.diag(cov[halves, halves]) / most, 0.0)
+    for name in WALKING:
+        here = layout.slice_of(name)
+        Q[here] *= ca.fmax(1 - ca.diag(cov[here, here]) / q.most[here], 0.0)
     return Mode(
         one.chance,
         predict_first_order(one.belief, _sample_motion(drive, q, contact, u), ca.diag(Q)),

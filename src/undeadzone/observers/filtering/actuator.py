@@ -12,10 +12,10 @@ from undeadzone.errors import InputError
 from undeadzone.interfaces import Estimate, Observer, Reading
 from undeadzone.nonlinearities.actuator import (
     Belief,
+    command_memory,
+    pass_command,
     through_line,
     through_zone,
-    within_limits,
-    within_rate,
 )
 from undeadzone.nonlinearities.sensor import Zone
 from undeadzone.plants.system import System
@@ -25,7 +25,7 @@ ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a loa
 
 
 class State(NamedTuple):
-    """State of the observer, and the last command within its rate (m) if that has a limit."""
+    """State of the observer, and what the actuator keeps: of a rate limit, or of a play (m)."""
 
     observer: Any
     command: Any
@@ -97,8 +97,7 @@ def wrap_actuator(observer: Observer, model: System, belief: Belief) -> Observer
         belief: knowledge about the actuator.
     """
     kind = type(observer.params)
-    rated = belief.drive.has_rate_limit and model.Ts is not None
-    last = np.zeros(model.m if rated else 0)
+    last = command_memory(belief.drive, model.m, model.Ts is not None)
 
     def init(q: Any) -> State:
         """Return the state at t = 0."""
@@ -170,11 +169,7 @@ def step_with_actuator(
     Here q: parameters of the observer, then the actuator's `Drive`.
     """
     drive, inner = q.actuator, tree.drop_last_field(q, type(observer.params))
-    passed = within_limits(ca, u, drive)
-    command = s.command
-    if command.shape[0]:
-        passed = within_rate(ca, passed, command, drive, model.Ts)
-        command = passed
+    command, passed = pass_command(ca, u, s.command, drive, model.Ts)
     entering = through_zone(ca, passed, drive) if known else passed
     after, estimate = observer.step(inner, s.observer, entering, reading)
     if known:

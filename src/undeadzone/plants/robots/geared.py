@@ -16,7 +16,7 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -33,6 +33,8 @@ from undeadzone.util.arrays import (
     require_positive,
     require_vector,
 )
+
+TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
 class Gears(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -123,6 +125,11 @@ class Geared(NamedTuple):
         viscous = self.gear_number(params, "viscous") * turning
         return viscous + self.gear_number(params, "friction") * sliding
 
+    def contact_stiffness(self, params: Any) -> tuple[Any, Any]:
+        """Return K [N m/rad] and D [N m s/rad] of gears in contact (N each)."""
+        frequency = self.gear_number(params, "contact")
+        return self.stiffness * frequency**2, self.damping * frequency
+
     def gear_torque(self, params: Any, x: Any, contact: Any = None) -> Any:
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
         `motion`.
@@ -169,6 +176,70 @@ class Geared(NamedTuple):
         K = self.stiffness * self.gear_number(params, "contact") ** 2
         flank = ca.sign(tau) * self.gear_number(params, "half")
         return q - self.gear_number(params, "centre") + flank + tau / K
+
+
+class Coupling(NamedTuple):
+    """How strongly a joint is coupled to joints of other groups.
+
+    Attributes:
+        ratio: how many times heavier its group's links are with the others held than free; 1: they
+            know nothing of each other.
+        partner: the joint outside of its group that it is coupled to most.
+    """
+
+    ratio: float
+    partner: int
+
+
+def largest_couplings(
+    body: Arm, links: Floats, postures: Floats, groups: Sequence[Sequence[int]]
+) -> list[Coupling]:
+    """Return the largest coupling of each joint to other groups, over postures (N).
+
+    Args:
+        body: the links.
+        links: their parameters.
+        postures: angles of the joints (K x N).
+        groups: joints that belong together.
+    """
+    masses = [np.asarray(body.mass(links, q)) for q in postures]
+    found = [Coupling(1.0, joint) for joint in range(body.joint_count)]
+    for M in masses:
+        inverse = np.linalg.inv(M)
+        shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
+        for group in map(list, groups):
+            here = np.ix_(group, group)
+            ratio = float(np.abs(np.linalg.eigvals(M[here] @ inverse[here])).max())
+            others = [joint for joint in range(body.joint_count) if joint not in group]
+            for joint in group:
+                if others and ratio > found[joint].ratio:
+                    partner = others[int(np.argmax(shares[joint, others]))]
+                    found[joint] = Coupling(ratio, partner)
+    return found
+
+
+def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
+    """Return the fastest mode of an arm at rest with all its gears in contact [1/s].
+
+    Args:
+        gears: the arm.
+        params: its parameters.
+        postures: angles of the joints, of which the fastest counts (K x N).
+    """
+    N, body, links = gears.joint_count, gears.arm, gears.link_params(params)
+    inertia = np.ravel(gears.gear_number(params, "inertia"))
+    K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
+    slow, fastest = np.full(N, TINY * gears.rest), 0.0
+    rubbing = np.diag(np.ravel(np.asarray(ca.DM(body.friction(links, slow)))) / slow)
+    friction = np.ravel(np.asarray(ca.DM(gears.motor_friction_torque(params, slow)))) / slow
+    turned = np.hstack([np.zeros((2 * N, 2 * N)), np.eye(2 * N)])
+    for q in postures:
+        W = np.linalg.inv(np.asarray(body.mass(links, q)))
+        motors = np.hstack([-K, K, -D - np.diag(friction), D]) / inertia[:, None]
+        moved = W @ np.hstack([K, -K, D, -D - rubbing])
+        A = np.vstack([turned, motors, moved])
+        fastest = max(fastest, float(np.abs(np.linalg.eigvals(A)).max()))
+    return fastest
 
 
 def build_geared_arm(

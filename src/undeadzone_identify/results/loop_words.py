@@ -1,0 +1,138 @@
+"""Why a control loop swings, in words of the trade and as numbers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from undeadzone.util.arrays import to_json_value
+from undeadzone.util.text import bracket_interval
+from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.selection.decision import Case
+from undeadzone_identify.selection.valve import BUMP, TIGHT, ValveFindings
+
+
+def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
+    """Return what a loop suffers from, and what to do; empty where nothing is named.
+
+    Args:
+        case: the log.
+        verdict: the word.
+        valve: what the loop says.
+    """
+    grid = case.grid
+    stick, jump = (_percent(one, grid) for one in (valve.stick, valve.jump))
+    period = _period(valve, grid)
+    if verdict == "stiction":
+        return [
+            f"the valve sticks: S {stick}, J {jump}",
+            "tuning does not cure it: see to its packing, its positioner and the size of its"
+            f" actuator{_rest(case, valve)}",
+            BUMP,
+        ]
+    if verdict == "input_play":
+        return [
+            f"the valve has a dead band (play) of {stick}, and no jump",
+            "alone it makes no cycle of a self-regulating loop; a level loop cycles, and any loop"
+            " answers late: see to linkage and positioner, or add the dead band at each turn",
+            BUMP,
+        ]
+    if verdict == "external":
+        return [
+            f"an oscillation from outside swings the loop, {period}: neither its valve nor its"
+            " tuning; look for another loop of this period upstream",
+        ]
+    if verdict == "tight_tuning":
+        return [
+            f"the loop is tuned too tightly: it swings regularly, {period}, at which its"
+            f" sensitivity |1 / (1 + C G)| is {min(valve.sensitivity, 99):.2g} (above {TIGHT:g});"
+            " the valve follows",
+            f"divide the controller's gain by about {_gain_to_cut(valve):.2g}, then record again",
+        ]
+    if verdict == "none":
+        swings = f"; the loop swings, {period}" if valve.swings else ""
+        return [f"the plant answers to {grid.inputs[0]} without stiction or play{swings}"]
+    return []
+
+
+def _percent(interval: Interval, grid: Grid) -> str:
+    """Return an interval in the unit of the controller's output: % of OP."""
+    unit = "" if grid.input_unit == "1" else f" {grid.input_unit}"
+    width = max(interval.high - interval.low, 1e-12)
+    digits = min(max(0, math.ceil(-math.log10(width)) + 1), 9)
+    return f"{bracket_interval(*interval, f'.{digits}f')}{unit} of {grid.inputs[0]}"
+
+
+def _period(valve: ValveFindings, grid: Grid) -> str:
+    """Return the period in words."""
+    if not math.isfinite(valve.period):
+        return "without a period"
+    unit = "samples" if grid.counted else "s"
+    return f"period {valve.period * grid.step:.3g} {unit}"
+
+
+def _gain_to_cut(valve: ValveFindings) -> float:
+    """Return by how much a gain is divided to leave a sensitivity of 2 [1].
+
+    Near its limit the loop's C G is about -1 + 1 / S; of S = 2 it is -0.5.
+    """
+    return max(2 * (1 - 1 / max(valve.sensitivity, TIGHT)), 1.0)
+
+
+def _rest(case: Case, valve: ValveFindings) -> str:
+    """Return the dead band of the integral part that lets a loop of known gain rest."""
+    plant = valve.plant
+    if plant is None or plant.model.simulator.is_at_limit(plant.theta):
+        return ""
+    gain = abs(float(plant.model.simulator.dc_gain(plant.theta)[0]))
+    band = (
+        gain * valve.jump.value * case.record_data.y_scale / float(case.record_data.u_scale[0]) / 2
+    )
+    unit = "" if case.grid.output_unit == "1" else f" {case.grid.output_unit}"
+    if not 0 < band < case.record_data.y_scale:
+        return ""
+    held = (
+        f"stop the integral part while the error is within {band:.2g}{unit} of {case.grid.output}"
+    )
+    return f"; meanwhile {held} (half of what a jump moves it)"
+
+
+def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
+    """Return how the loop swings, and how wide PV lies over OP.
+
+    Args:
+        valve: what the loop says.
+        grid: the log.
+    """
+    how = "swings regularly" if valve.swings else "does not swing regularly"
+    wide = f"{grid.output} over {grid.inputs[0]} is an ellipse {100 * valve.shape:.0f} % as wide as"
+    return (
+        f"{how} (r {min(valve.regularity, 99):.2g}, {_period(valve, grid)}); {wide}"
+        f" the range of {grid.inputs[0]}"
+    )
+
+
+def loop_numbers(valve: ValveFindings, step: float, scale: float) -> dict[str, Any]:
+    """Return what a loop says of its valve, for JSON.
+
+    Args:
+        valve: what the loop says.
+        step: of the log [s].
+        scale: rms of the readings [y].
+    """
+    period = valve.period * step
+    return dict(
+        to_json_value(
+            {
+                "S": list(valve.stick),
+                "J": list(valve.jump),
+                "account": valve.fit.account,
+                "regularity": valve.regularity,
+                "period": period if math.isfinite(period) else None,
+                "sensitivity": valve.sensitivity,
+                "shape": valve.shape,
+                "held_out_without": valve.without * scale,
+            }
+        )
+    )

@@ -1,0 +1,307 @@
+"""Why a control loop swings: a valve that sticks or plays, its tuning, or something outside.
+
+All of it is asked of errors of prediction one step ahead, of the same readings, so that the odds
+stand beside those of every other model that foretells these readings.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.models.chain import ChainFit, ChainModel
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.least_squares import Density, LeastSquares
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
+from undeadzone_identify.models.zone_fit import fit_linear
+from undeadzone_identify.selection.decision import (
+    LIKELY,
+    MODELS,
+    UNLIKELY,
+    VALVE,
+    Case,
+    Verdict,
+    best_model_of,
+    build_verdict,
+    detect_feedback,
+)
+from undeadzone_identify.selection.odds import Family, model_probabilities
+from undeadzone_identify.selection.orders import HeldOutScore, is_white, training_samples
+
+LEAST, MOST = 200, 8000  # samples of a record that is asked
+SUSPECTS = ("friction", "play", "jump", "input_zone", "input_play", "zone_and_friction")
+OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
+CONTROLLER = ("op", "co", "mv", "controller output")  # names of what a controller puts out
+RARE = 3  # numbers that a cause costs besides which is rare in a control loop
+REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
+SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
+TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
+
+
+class ValveFindings(NamedTuple):
+    """What a loop says of its valve.
+
+    Attributes:
+        fit: the valve that explains the loop best.
+        stick, jump: S and J [u].
+        position: of the valve along the record [u].
+        part: samples of the record.
+        late: samples by which the plant answers late.
+        plant: linear plant behind the valve, or behind u if the valve follows; None: none settles.
+        held_out: one step ahead.
+        without: the same rms without the valve, scaled as the readings.
+        regularity: of the oscillation; above 1 it is regular.
+        period: of the oscillation [samples]; inf without.
+        sensitivity: |1 / (1 + C G)| about this period.
+        shape: width of the ellipse of PV over OP, in the range of OP.
+    """
+
+    fit: ValveFit
+    stick: Interval
+    jump: Interval
+    position: Floats
+    part: slice
+    late: int
+    plant: ChainFit | None
+    held_out: HeldOutScore
+    without: float
+    regularity: float
+    period: float
+    sensitivity: float
+    shape: float
+
+    @property
+    def swings(self) -> bool:
+        """Return whether the loop swings regularly."""
+        return self.regularity > REGULAR
+
+
+class LoopAnswer(NamedTuple):
+    """Odds of a loop with the verdict.
+
+    Attributes:
+        verdict: by the odds.
+        odds: by word, largest first.
+        family: the models, all of the same readings.
+        valve: what the loop says of its valve.
+    """
+
+    verdict: Verdict
+    odds: dict[str, float]
+    family: Family
+    valve: ValveFindings
+
+    def of_loop_alone(self, excluded: frozenset[str]) -> LoopAnswer:
+        """Return the answer by the models of a loop alone.
+
+        Args:
+            excluded: words that are out of the question.
+        """
+        return answer_by_odds(
+            {word: self.family[word] for word in self.family if word in OWN}, self.valve, excluded
+        )
+
+
+def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
+    """Return whether a valve may be asked for, and has to.
+
+    Args:
+        case: the log.
+        odds: so far.
+    """
+    data, options = case.recorded, case.options
+    asked = options.kind == "auto" and options.place == "auto" and case.jump_edges is None
+    if not asked or data.u.shape[1] > 1 or data.silent_zeros:
+        return False
+    part = _longest_record(data)
+    u, y = data.u[part, 0], data.y[part][data.ok[part]]
+    if y.size < LEAST or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return False
+    return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
+
+
+def is_control_loop(case: Case) -> bool:
+    """Return whether the log is of a control loop: by its readings, or by what u is called.
+
+    Args:
+        case: the log.
+    """
+    return case.grid.inputs[0].strip().lower() in CONTROLLER or detect_feedback(case).is_closed
+
+
+def _longest_record(data: RecordData) -> slice:
+    """Return the samples of the longest record, at most its last `MOST`."""
+    longest = max(data.record_slices(), key=lambda part: part.stop - part.start)
+    return slice(max(longest.start, longest.stop - MOST), longest.stop)
+
+
+def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) -> LoopAnswer:
+    """Find why a loop swings.
+
+    Args:
+        case: the log.
+        models: fitted so far.
+        excluded: words that are out of the question.
+    """
+    data, part = case.recorded, _longest_record(case.recorded)
+    known = case.grid.r[part, 0] if case.grid.r.shape[1] else None
+    reference = None if known is None else known / data.y_scale
+    log = LoopLog(data.u[part, 0], data.y[part], data.ok[part], reference)
+    fits = fit_loop(log)
+    family = _comparable_family(fits, log, models, data, part)
+    odds = _weigh_by_shape(model_probabilities([family], excluded), ellipse_width(log))
+    return answer_by_odds(family, _measure(case, fits, part, odds), excluded)
+
+
+def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str]) -> LoopAnswer:
+    """Return the answer on a loop by the odds of its models.
+
+    Args:
+        family: the models, all of the same readings.
+        valve: what the loop says of its valve.
+        excluded: words that are out of the question.
+    """
+    odds = _weigh_by_shape(model_probabilities([family], excluded), valve.shape)
+    if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
+        odds = {("tight_tuning" if word == "none" else word): p for word, p in odds.items()}
+    return LoopAnswer(_verdict_of(odds, valve), odds, family, valve)
+
+
+def ellipse_width(log: LoopLog) -> float:
+    """Return how wide an ellipse PV over OP is, in the direction of OP, in the range of OP [1].
+
+    A valve that does not follow leaves PV where it was while OP moves.
+
+    Args:
+        log: the loop.
+    """
+    u = log.u[log.ok]
+    related = float(np.corrcoef(u, log.y[log.ok])[0, 1])
+    return math.sqrt(8 * max(1 - related**2, 0.0)) * float(u.std())
+
+
+def _weigh_by_shape(odds: dict[str, float], shape: float) -> dict[str, float]:
+    """Return odds with the evidence of the ellipse, which predictions one step ahead do not see.
+
+    Its weight is that of loops of known cause (`python -m benchmarks valves`).
+    """
+    told = math.exp(SHAPE * (shape - USUAL))
+    weighed = {word: p * (told if word in VALVE else 1.0) for word, p in odds.items()}
+    total = sum(weighed.values())
+    return {word: weighed[word] / total for word in sorted(weighed, key=lambda one: -weighed[one])}
+
+
+def _comparable_family(
+    fits: LoopFits, log: LoopLog, models: tuple[Family, ...], data: RecordData, part: slice
+) -> dict[str, Density]:
+    """Return the densities of the same readings: of the loop, and of all that foretell these."""
+    scale = math.log(log.deviation)
+    family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
+    there = np.flatnonzero(data.ok)
+    rows = np.searchsorted(there, fits.regression.rows + part.start)
+    for word in {word for one in models for word in one} - set(VALVE):
+        best = best_model_of(word, models)
+        if best.value.size == there.size:
+            rare = RARE * (word not in OWN)
+            same = best._replace(value=best.value[rows], numbers=best.numbers + rare)
+            family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
+    return family
+
+
+def _measure(case: Case, fits: LoopFits, part: slice, odds: dict[str, float]) -> ValveFindings:
+    """Measure the valve of a loop, whatever the odds are."""
+    log, data = fits.log, case.recorded
+    words = ("stiction", "input_play")
+    word = max(words, key=lambda one: odds.get(one, 0.0))
+    fit = min((one for one in fits.valves if one.word == word), key=lambda one: one.density.bic)
+    scale = log.range * float(data.u_scale[0])
+    stick, jump = (one.scale_by(scale) for one in fits.intervals(fit))
+    is_faulty = sum(odds.get(one, 0.0) for one in words) > 0.5
+    position = fit.position(log.u)
+    acting = position if is_faulty else log.u
+    held_out, without = _score(case, fits, acting, part)
+    return ValveFindings(
+        fit=fit,
+        stick=stick,
+        jump=jump,
+        position=position * scale + float(data.u[part, 0].mean() * data.u_scale[0]),
+        part=part,
+        late=fits.structure.lags[0] - 1,
+        plant=_plant_behind(case, acting, fits.structure.lags[0] - 1, part),
+        held_out=held_out,
+        without=without,
+        regularity=log.regularity,
+        period=log.period,
+        sensitivity=fits.sensitivity(acting),
+        shape=ellipse_width(log),
+    )
+
+
+def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutScore, float]:
+    """Score predictions of held-out blocks one step ahead, and the same behind u itself."""
+    regression, lags = fits.regression, fits.structure.lags
+    rows: Integers = regression.rows
+    train = training_samples(case.recorded, case.options.held_out)[part][rows]
+    scale, errors = fits.log.deviation, []
+    for position in (v, fits.log.u):
+        columns = np.hstack(
+            [
+                regression.past,
+                regression.lagged(position[:, None], lags)[:, 0],
+                np.ones((rows.size, 1)),
+            ]
+        )
+        told = np.linalg.lstsq(columns[train], regression.y[train], rcond=1e-9)[0]
+        errors.append((regression.y - columns @ told) * scale)
+    rms, without = (math.sqrt(float(np.mean(e[~train] ** 2))) for e in errors)
+    share = 1 - rms / max(float(regression.y[~train].std()) * scale, 1e-12)
+    return HeldOutScore(rms, share, is_white(errors[0], ~train)), without
+
+
+def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | None:
+    """Return the linear plant behind a position, of the best order; None if none settles."""
+    data = case.recorded
+    delayed = np.append(np.full(late, v[0]), v[: v.size - late]) * np.ptp(data.u[part, 0])
+    delayed += float(data.u[part, 0].mean())
+    begun = data._replace(
+        u=delayed[:, None],
+        y=data.y[part],
+        ok=data.ok[part],
+        start=np.zeros(1, int),
+        side=data.side[part],
+        climbs=None,
+    )
+    found = []
+    for n in case.fitted.prepared.orders:
+        simulator = PlantSimulator(begun, n, case.options.integrators)
+        fit = fit_linear(simulator, begun.ok)
+        found.append((fit.bic, n, simulator, fit.theta[: simulator.layout.right]))
+    _, _, simulator, theta = min(found, key=lambda one: one[:2])
+    return LeastSquares(ChainModel(simulator)).fit_from_starts([theta])
+
+
+def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
+    """Return the verdict on a loop by its odds."""
+    word, share = next(iter(odds.items()))
+    sticks = odds.get("stiction", 0.0) + odds.get("input_play", 0.0)
+    cautions = []
+    if share < LIKELY <= sticks:
+        other = "input_play" if word == "stiction" else "stiction"
+        cautions = [f"{MODELS[other]} is not excluded ({100 * odds[other]:.0f} %)"]
+    elif share < LIKELY:
+        likely = [MODELS[one] for one, p in odds.items() if p >= UNLIKELY]
+        return build_verdict("undecided", f"this record cannot tell {' from '.join(likely)}", BUMP)
+    if word in VALVE and valve.held_out.error >= valve.without:
+        kept = "but predicts held-out readings no better than u itself"
+        return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}", BUMP)
+    return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)
+
+
+BUMP = (
+    "to be sure put the controller to manual and move its output up and down by 1, 2 and 4 %, each"
+    " step held until the readings settle"
+)

@@ -1,0 +1,141 @@
+"""Why a control loop swings: a valve that sticks or plays, its tuning, something outside."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
+
+import undeadzone as uz
+from commands import undeadzone
+from undeadzone.nonlinearities.play import levels
+from undeadzone_identify.models.valve import (
+    HE,
+    KANO,
+    LoopLog,
+    fit_loop,
+    oscillation_of,
+    valve_positions,
+)
+from undeadzone_identify.page import build_identified_page
+from undeadzone_identify.selection.valve import ellipse_width
+
+SIZE = 800
+
+
+def write(loop: ValveLoop, path: Path) -> Path:
+    """The log of a loop as a process historian exports it."""
+    columns = np.column_stack([np.arange(loop.op.size), loop.op, loop.pv, loop.sp])
+    np.savetxt(path, columns, delimiter=",", header="time,OP,PV,SP", comments="")
+    return path
+
+
+def walk(size: int = 400) -> np.ndarray:
+    """An output that turns often."""
+    return np.cumsum(np.random.default_rng(3).standard_normal(size))
+
+
+@pytest.mark.parametrize("account", [KANO, HE])
+def test_without_a_jump_a_valve_is_a_play(account: str) -> None:
+    u = walk()
+    v = valve_positions(u, np.array([2.0]), np.array([0.0]), account)
+    gap = np.array([1.0])
+    assert v == pytest.approx(levels(u[:, None], gap, gap, u[:1]))
+
+
+@pytest.mark.parametrize("account", [KANO, HE])
+def test_many_valves_move_as_each_does_alone(account: str) -> None:
+    u, stick, jump = walk(), np.array([1.0, 3.0, 4.0]), np.array([0.5, 3.0, 1.0])
+    together = valve_positions(u, stick, jump, account)
+    for k in range(3):
+        valve = ACCOUNTS[account](float(stick[k]), float(jump[k]), float(u[0]))
+        assert together[:, k] == pytest.approx([valve(float(one)) for one in u])
+
+
+def test_a_sine_is_regular_and_noise_is_not() -> None:
+    rng = np.random.default_rng(0)
+    sine = np.sin(2 * np.pi * np.arange(1000) / 40) + 0.1 * rng.standard_normal(1000)
+    regular, period = oscillation_of(sine)
+    assert regular > 1
+    assert period == pytest.approx(40, rel=0.05)
+    assert oscillation_of(rng.standard_normal(1000))[0] < 1
+
+
+def test_a_valve_that_does_not_follow_widens_the_ellipse() -> None:
+    u = walk()
+    follows = LoopLog(u, 2 * u, np.ones(u.size, bool), None)
+    stuck = LoopLog(
+        u, np.random.default_rng(1).standard_normal(u.size), np.ones(u.size, bool), None
+    )
+    assert ellipse_width(follows) < 1e-6 < 0.4 < ellipse_width(stuck)
+
+
+def test_a_missing_reading_is_left_out_of_the_regression() -> None:
+    loop = make(1, "stiction", SIZE)
+    ok = np.random.default_rng(0).uniform(size=SIZE) > 0.02
+    pv = np.where(ok, loop.pv, 1e6)  # never looked at
+    fits = fit_loop(LoopLog(loop.op, pv, ok, loop.sp))
+    assert not set(fits.regression.rows) & set(np.flatnonzero(~ok))
+    assert fits.best.density.bic < fits.densities["none"].bic
+    stick = fits.intervals(fits.best)[0].scale_by(float(np.ptp(loop.op)))
+    assert stick.low < loop.stick < stick.high
+
+
+SEEDS = {"stiction": 1, "dead band": 7, "tight tuning": 3, "external": 4}
+WORDS = {"tight tuning": "tight_tuning", "external": "external"}
+
+
+@pytest.fixture(scope="module", params=[*SEEDS])
+def named(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[ValveLoop, Any]:
+    """A loop, and what a naive `identify` of its file says."""
+    loop = make(SEEDS[request.param], request.param, SIZE)
+    return loop, uz.identify(write(loop, tmp_path_factory.mktemp("loop") / "loop.csv"))
+
+
+def test_a_loop_is_named_by_its_cause(named: tuple[ValveLoop, Any]) -> None:
+    loop, found = named
+    numbers = found.numbers()
+    if loop.stick:
+        assert found.verdict in ("stiction", "input_play")
+        assert found.width.low < loop.stick < found.width.high
+        assert numbers["loop"]["S"] == list(found.width)
+        assert numbers["held_out"]["error"] < numbers["loop"]["held_out_without"]
+    else:
+        assert found.verdict == WORDS[loop.cause]
+        assert found.width is None
+    assert sum(numbers["odds"].values()) == pytest.approx(1)
+
+
+def test_its_words_say_what_to_do(named: tuple[ValveLoop, Any]) -> None:
+    loop, found = named
+    why = " ".join(found.summary()["why"])
+    wanted = {
+        "stiction": "the valve sticks: S",
+        "input_play": "the valve has a dead band (play) of",
+        "tight_tuning": "gain by about",
+        "external": "look for another loop of this period upstream",
+    }
+    assert wanted[found.verdict] in why
+    assert "of OP" in why or not loop.stick
+    page = build_identified_page(found, {}, "loop.csv")
+    assert wanted[found.verdict] in page
+
+
+def test_a_loop_in_order_is_not_a_valve(tmp_path: Path) -> None:
+    found = uz.identify(write(make(0, "none", SIZE), tmp_path / "loop.csv"))
+    assert found.verdict not in ("stiction", "input_play", "friction", "play")
+    odds = found.numbers()["odds"]
+    assert odds.get("stiction", 0) + odds.get("input_play", 0) < 0.5
+
+
+def test_a_valve_that_sticks_has_no_scenario(tmp_path: Path) -> None:
+    write(make(1, "stiction", SIZE), tmp_path / "loop.csv")
+    done = undeadzone("identify", "loop.csv", "--no-figures", "--out", "o", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "the valve sticks" in done.stdout
+    assert not (tmp_path / "o" / "loop.toml").exists()
