@@ -337,7 +337,7 @@ def _root_mean_square(values: Floats) -> float:
 
 
 def _gap_intervals(run: Run) -> dict[str, Any]:
-    """Return the 95 % interval of each gap of gears for JSON; nothing without such gaps.
+    """Return the 95 % interval of each gap of gears for JSON, or nothing without such gaps.
 
     It is the declared range where the gap cannot be known.
     """
@@ -376,7 +376,7 @@ def final_parameter_rows(run: Run) -> list[Row]:
 
 
 def final_width_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each output; of gears their gap and its centre."""
+    """Return the widths of each output, of gears their gap and its centre."""
     info, rows = run.info, final_side_rows(run)
     if info.sensor != "gears":
         return rows
@@ -471,7 +471,7 @@ def _final_output_rows(run: Run) -> Rows:
 
 
 def _describe_verdict(verdict: Mapping[str, Any]) -> str:
-    """Return the identifiability of an output's widths as text; of gears that of their gap."""
+    """Return the identifiability of an output's widths as text, of gears that of their gap."""
     crossings = verdict.get("crossings")
     if crossings is not None:
         return f"yes, {count_noun(crossings, 'strike')} heard" if verdict["width"] else "NO"

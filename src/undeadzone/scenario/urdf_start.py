@@ -71,9 +71,9 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
 
 
 def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
-    """Return gears that might be the arm's, and what a filter and a simulation of them need.
+    """Return gears that might be the arm's, with the numbers that a filter and a simulation need.
 
-    Motors are as heavy as what they move.
+    Motors are as heavy as the links that they move.
     """
     most = FRICTION_SHARE * np.max(_torques(found, swing))  # limits of files may be anything
     friction = np.fmin(FRICTION * found.body.chain.torque, most)

@@ -297,7 +297,7 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
 
 
 def _gaps_or_widths(drive: Drive) -> Floats:
-    """Return widths and gaps of an actuator (4 x m); it has the ones or the others."""
+    """Return widths and gaps of an actuator (4 x m). It has the ones or the others."""
     gaps = [drive.gap_right, drive.gap_left] if drive.is_play else [0 * drive.right] * 2
     return np.stack([drive.right, drive.left, *gaps])
 
