@@ -45,6 +45,7 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "lost_motion",
     "valves",
     "identify_known",
     "identify_speed",

@@ -119,6 +119,7 @@ from .tuning.tune import tune as tune
 # What other packages register under `undeadzone.names`.
 Exported = undeadzone_export.Exported
 Identified = undeadzone_identify.Identified
+IdentifiedMotion = undeadzone_identify.IdentifiedMotion
 IdentifiedOutputs = undeadzone_identify.IdentifiedOutputs
 export = undeadzone_export.export
 identify = undeadzone_identify.identify

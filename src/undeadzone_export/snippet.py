@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -29,6 +29,10 @@ _HEADS: Final = {
         "Sensor dead zone {right} / -{left} {unit} ({interval}), from {source}.",
         "It cannot see inside the zone: there it holds the edge last passed, up to {width} off.",
     ),
+    "one_edge": (
+        "Sensor dead zone with one edge, {edge} {unit} ({interval}), from {source}.",
+        "It cannot see inside the zone: there it gives the edge, beyond which z surely is not.",
+    ),
     "actuator": (
         "Actuator dead zone {right} / -{left} {unit} ({interval}), from {source}.",
         "It uses the low ends, for too large a jump oscillates. It cannot remove friction.",
@@ -40,6 +44,7 @@ _HEADS: Final = {
 }
 _SETTINGS: Final = {
     "sensor": "A PID controller: error dead band 0, with limits on its integral.",
+    "one_edge": "A PID controller: error dead band 0, with limits on its integral.",
     "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
     "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
 }
@@ -56,6 +61,12 @@ _C: Final = {
     else if (y < -{silent}f) edge = -{left}f;
     else return edge; /* silent */
     return y + edge;
+}}
+""",
+    "one_edge": """static float {name}(float y)
+{{
+    if ({sign}y <= {silent}f) return {edge}f; /* silent */
+    return y + {edge}f;
 }}
 """,
     "actuator": """static float {name}(float wanted)
@@ -86,6 +97,10 @@ _PYTHON: Final = {
         self.edge = {right} if y > 0 else -{left}
         return y + self.edge
 """,
+    "one_edge": """class {Name}:
+    def __call__(self, y):
+        return {edge} if {sign}y <= {silent} else y + {edge}  # silent below
+""",
     "actuator": """class {Name}:
     def __call__(self, wanted):
         share = max(-1.0, min(1.0, wanted / {ramp}))  # fades the jump near 0
@@ -112,6 +127,14 @@ ELSE z := edge; (* silent *)
 END_IF;
 END_FUNCTION_BLOCK
 """,
+    "one_edge": """FUNCTION_BLOCK {name}
+VAR_INPUT y : REAL; END_VAR
+VAR_OUTPUT z : REAL; END_VAR
+IF {sign}y <= {silent} THEN z := {edge}; (* silent *)
+ELSE z := y + {edge};
+END_IF;
+END_FUNCTION_BLOCK
+""",
     "actuator": """FUNCTION_BLOCK {name}
 VAR_INPUT wanted : REAL; END_VAR
 VAR_OUTPUT command : REAL; END_VAR
@@ -134,6 +157,9 @@ END_FUNCTION_BLOCK
 }
 
 
+Triple: TypeAlias = tuple[float, float, float]  # a value with the ends of its interval
+
+
 class Lost(NamedTuple):
     """Widths that a snippet compensates.
 
@@ -143,15 +169,17 @@ class Lost(NamedTuple):
         unit: of them.
         source: description of their source.
         silent: |y| up to which a sensor's sample is censored.
+        absent: right or left, where a sensor has no such edge, else empty.
     """
 
     kind: str
-    right: tuple[float, float, float]
-    left: tuple[float, float, float]
-    width: tuple[float, float, float]
+    right: Triple
+    left: Triple
+    width: Triple
     unit: str
     source: str
     silent: float = 0.0
+    absent: str = ""
 
 
 def write_snippet(
@@ -191,8 +219,14 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
-    bounded = [lost.width] if lost.kind == "backlash" else [lost.right, lost.left]
+    kind, sign = lost.kind, ""
+    bounded = [lost.width] if kind == "backlash" else [lost.right, lost.left]
+    if lost.absent:
+        kind, sign = "one_edge", "-" if lost.absent == "right" else ""
+        bounded = [lost.left if sign else lost.right]
     words = {
+        "sign": sign,
+        "edge": sign + _literal(bounded[0][0]),
         "name": name,
         "Name": name.capitalize(),
         "unit": "" if lost.unit == "1" else escape_controls(to_one_line(lost.unit)),
@@ -208,12 +242,12 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "silent": _literal(lost.silent),
         "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
     }
-    settings = [_SETTINGS[lost.kind]]
-    if lost.kind == "backlash" and lost.unit in _SETTINGS_OF_GAPS:
+    settings = [_SETTINGS[kind]]
+    if kind == "backlash" and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
-    head = [line.format(**words) for line in (*_HEADS[lost.kind], *settings)]
+    head = [line.format(**words) for line in (*_HEADS[kind], *settings)]
     head = [" ".join(line.split()) for line in head]
-    c, python, st = (each[lost.kind].format(**words) for each in (_C, _PYTHON, _ST))
+    c, python, st = (each[kind].format(**words) for each in (_C, _PYTHON, _ST))
     return {
         "snippet.h": "/* " + "\n   ".join(head) + " */\n" + c,
         "snippet.py": "".join(f"# {line}\n" for line in head) + python,
@@ -234,11 +268,26 @@ def _of_answer(path: Path) -> Lost:
     """Return the widths in an answer of `identify`. Raises InputError if no width is certain."""
     try:
         found = json.loads(read_text(path))
-        verdict = found["verdict"]
+        found["verdict"]
     except (ValueError, KeyError, TypeError):
         raise FileError(
             f"{path}: expected the identify.json of `undeadzone identify`, or a scenario"
         ) from None
+    return lost_of_answer(found, str(path), path.name)
+
+
+def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
+    """Return what the numbers of an answer of `identify` compensate.
+
+    Args:
+        found: the numbers, as in identify.json.
+        path: of it, for messages.
+        name: of where they came from, for people.
+
+    Raises:
+        InputError: nothing is certain, or no few lines compensate it.
+    """
+    verdict = found["verdict"]
     if "outputs" in found:
         raise InputError(f"{path}: holds several outputs. Identify one, named by --columns y=NAME")
     if verdict not in KINDS:
@@ -247,12 +296,16 @@ def _of_answer(path: Path) -> Lost:
             "longer, or with larger and slower reversals, and identify again (--next proposes an "
             "input)"
         )
+    motion, kind = found.get("lost_motion"), KINDS[verdict]
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
-        right, left = _side(found["right"]), _side(found["left"])
-        width = _triple(found["width"])
-        unit = found["units"]["input" if verdict == "input_zone" else "output"]
+        unit = found["units"]["input" if verdict == "input_zone" or motion else "output"]
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
+        if kind == "backlash":  # whose width alone may be known, and alone counts
+            width = _triple(motion["gap"] if motion else found["width"])
+            right = left = (0.0, 0.0, 0.0)
+        else:
+            right, left, width = _edges(found)
     except (KeyError, TypeError, ValueError):
         raise InputError(
             f"{path}: the verdict {verdict} has no widths with intervals. Record longer, with "
@@ -263,16 +316,31 @@ def _of_answer(path: Path) -> Lost:
             f"{path}: {verdict} is likely to {100 * share:.0f} % only, and {100 * SURE:.0f} % are "
             "needed. Record the input that `identify --next` proposes"
         )
-    return Lost(KINDS[verdict], right, left, width, unit, path.name, silent)
+    absent = [side for side in ("right", "left") if kind != "backlash" and found[side] is None]
+    if absent and kind == "actuator":
+        raise InputError(
+            f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
+            "compensation pulls to one side. Record an input that passes both edges"
+        )
+    return Lost(kind, right, left, width, unit, name, silent, absent[0] if absent else "")
 
 
-def _side(values: Any) -> tuple[float, float, float]:
-    """Return (value, low, high) of a side, for a gap of the width, if that alone is known."""
-    return (0.0, 0.0, 0.0) if values is None else _triple(values)
+def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
+    """Return right, left and width of a zone; an edge that does not exist is of no width.
+
+    Raises ValueError where neither is known, or a width is missing beside two edges.
+    """
+    values = [found["right"], found["left"]]
+    right, left = ((0.0, 0.0, 0.0) if one is None else _triple(one) for one in values)
+    if None not in values:
+        return right, left, _triple(found["width"])
+    if values == [None, None]:
+        raise ValueError
+    return right, left, left if values[0] is None else right
 
 
-def _triple(values: Any) -> tuple[float, float, float]:
-    """Return (value, low, high). Raises ValueError if a number is not finite."""
+def _triple(values: Any) -> Triple:
+    """Return (value, low, high). Raises ValueError where one of them is no finite number."""
     value, low, high = (float(number) for number in values)
     if not all(map(math.isfinite, (value, low, high))):
         raise ValueError

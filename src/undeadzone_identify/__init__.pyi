@@ -1,3 +1,4 @@
 from .pipeline import identify as identify
+from .results.lost_motion import IdentifiedMotion as IdentifiedMotion
 from .results.result import Identified as Identified
 from .results.result import IdentifiedOutputs as IdentifiedOutputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import msgspec
 import numpy as np
 
+from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.text import append_unit
 
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from undeadzone.results.estimation import Estimation
     from undeadzone.scenario.schema import Scenario
     from undeadzone_export.code import Code
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
 
 
 class FirmwareChain(NamedTuple):
@@ -89,6 +92,62 @@ def run_firmware_chain(
     return FirmwareChain(
         words, to_json_value(numbers), [kept, *firmware.files], firmware.has_passed
     )
+
+
+def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
+    """Return the few lines that compensate what was found, by the names of their files.
+
+    Args:
+        numbers: of the answer, as in identify.json.
+        source: name of the log, for people.
+
+    Returns:
+        C, Python and Structured Text; nothing where no few lines help or nothing is certain.
+    """
+    from undeadzone_export.snippet import NAMES, lost_of_answer, snippet_texts
+
+    try:
+        lost = lost_of_answer(numbers, source, source)
+    except InputError:
+        return {}
+    return snippet_texts(lost, NAMES[lost.kind])
+
+
+def run_snippet_chain(answer: IdentifiedMotion, source: Path, folder: Path) -> FirmwareChain:
+    """Write the few lines for an axis without a plant, compile the C and run it on a simulated one.
+
+    Args:
+        answer: with a gap.
+        source: its identify.json.
+        folder: where the lines go.
+
+    Raises:
+        InputError: nothing is certain, no few lines help, or there is no compiler.
+    """
+    from undeadzone.nonlinearities.play import levels
+    from undeadzone_export.compiler import compile_library
+    from undeadzone_export.snippet import NAMES, write_snippet
+
+    report = write_snippet(source, folder / "snippet", None, False)
+    name, u = NAMES[report["kind"]], answer.answer.data.u
+    with tempfile.TemporaryDirectory() as scratch:
+        main = Path(scratch) / "axis.c"
+        called = f"float call(float x);\nfloat call(float x) {{ return {name}(x); }}\n"
+        snippet = (folder / "snippet" / "snippet.h").read_text(encoding="utf-8")
+        main.write_text(snippet + called, encoding="utf-8")
+        call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
+        call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
+        told = np.array([call(float(one)) for one in u])
+    gap = np.array([report["width"][0]])
+    without, reached = (levels(one[:, None], gap, 0 * gap, u[:1])[:, 0] for one in (u, told))
+    errors = [float(np.abs(one - u)[1:].max()) for one in (without, reached)]
+    texts = [append_unit(f"{one:.3g}", report["unit"]) for one in errors]
+    words = {
+        "firmware": f"{name}() of snippet.h compiles. No plant is needed",
+        "axis off": f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C",
+    }
+    numbers = {"axis_off": errors[0], "axis_off_with_code": errors[1]}
+    return FirmwareChain(words, numbers, [Path(one) for one in report["written"]], True)
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

@@ -29,10 +29,11 @@ from undeadzone.util.files import write_text
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
-    Answers = Identified | IdentifiedOutputs
+    Answers = Identified | IdentifiedOutputs | IdentifiedMotion
 
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
@@ -125,8 +126,13 @@ def identify(
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file
-    from undeadzone_identify.chain import run_firmware_chain
+    from undeadzone_identify.chain import (
+        compensating_lines,
+        run_firmware_chain,
+        run_snippet_chain,
+    )
     from undeadzone_identify.pipeline import identify as identified
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import WRITTEN
 
     first = logs[0]
@@ -143,10 +149,12 @@ def identify(
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
         answer = identified(names, progress=advance, keep=keep, resume=resume, **options)
-        is_found = answer.verdict in ("dead_zone", options["kind"].replace("backlash", "play"))
+        wanted = options["kind"].replace("backlash", "play")
+        motion = answer if isinstance(answer, IdentifiedMotion) else None
+        is_found = answer.verdict in ("dead_zone", "play" if motion else wanted)
         written: list[Path] = [] if folder is None else [answer.save(folder / "identify.json")]
         reason = None
-        if is_found or answer.verdict in (*WRITTEN, "jump"):
+        if motion is None and (is_found or answer.verdict in (*WRITTEN, "jump")):
             scenario, reason = _write_scenario_file(answer, path, force)
             written = scenario + written
         best, why = (None, {}) if further is None else _propose_next_input(answer)
@@ -160,11 +168,19 @@ def identify(
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
-    if folder is not None and answer.verdict in ("dead_zone", "input_zone", "play"):
+    lines = compensating_lines(answer.numbers(), first.name)
+    if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
-        why |= {"few lines": f"{few} writes what compensates it"}
+        why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
     is_done, more = is_found or is_written, {}
-    if chain is not None and is_written:
+    if chain is not None and motion is not None and folder is not None:
+        reached = run_snippet_chain(motion, folder / "identify.json", chain)
+        written, why, more = (
+            written + reached.files,
+            why | reached.words,
+            {"chain": reached.numbers},
+        )
+    elif chain is not None and is_written:
         with progress("going on to firmware", None):
             reached = run_firmware_chain(path, first, chain, options["columns"], options["strict"])
         written, is_done = written + reached.files, reached.passed
@@ -172,9 +188,10 @@ def identify(
         follow = {"next": f"{shell_command('make', '-C', chain / 'firmware')} builds the self-test"}
     elif chain is not None:
         is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
+    shown = [{"in C": lines["snippet.h"].splitlines()}] if lines else []
     output.print_result(
         lambda: answer.numbers() | more,
-        answer.blocks,
+        lambda: [*answer.blocks(), *shown],
         written,
         why | files_line(written) | follow,
     )
@@ -199,8 +216,10 @@ def _next_commands(
 
 def _propose_next_input(answer: Answers) -> tuple[NextLog | None, dict[str, str]]:
     """Return the input to record next and its description, or None and the reason."""
-    from undeadzone_identify.results.result import Identified
+    from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 
+    if not isinstance(answer, Identified | IdentifiedOutputs):
+        return None, {"no next log": "two positions: move slowly, with 10 reversals or more"}
     if not isinstance(answer, Identified):
         return None, {"no next log": "several outputs: ask it of one, named by --columns"}
     try:
@@ -223,10 +242,13 @@ def _write_scenario_file(answer: Answers, path: Path, force: bool) -> tuple[list
 def _write_pages(answer: Answers, folder: Path, source: str, best: NextLog | None) -> list[Path]:
     """Write a page with figures for each output to a folder; return the paths."""
     from undeadzone.results.mjcf import write_gears
-    from undeadzone_identify.page import write_identified
+    from undeadzone_identify.page import write_identified, write_identified_motion
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import Identified
     from undeadzone_identify.results.words import servo_joints
 
+    if isinstance(answer, IdentifiedMotion):
+        return write_identified_motion(answer, folder, source, build_origin(None))
     if isinstance(answer, Identified):
         written = write_gears(servo_joints(answer.answer), folder)
         return written + write_identified(answer, folder, source, build_origin(None), best)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from undeadzone.util.arrays import Floats, Integers
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import IdentifiedOutputs
     from undeadzone_identify.selection.alternatives import Element
 
@@ -173,6 +174,31 @@ def of_outputs(result: IdentifiedOutputs) -> Figure:
 def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
     """Plot the log and the fit of the first output."""
     signals(axes, result.outputs[0])
+
+
+def lost_motion(result: IdentifiedMotion) -> Figure:
+    """Plot both positions over time, and the second less its share of the first by the first."""
+    figure, panels = create_panels([["time"], ["flanks"]], "Two positions", height=2.6)
+    one, axes = result.answer, panels["time"]
+    data, found, part = one.data, one.found, slice(None, MOST)
+    fitted = data.y - found.residual
+    axes.plot(data.t[part], fitted[part], color=ink.ESTIMATE, label="behind the lost motion")
+    axes.plot(data.t[part], data.y[part], ".", color=ink.READING, markersize=2.5, label="reading y")
+    unit = one.log.output_units[0]
+    finish_panel(axes, "Reading and fit", label_with_unit("y", unit), "t [s]")
+    both_flanks(panels["flanks"], result)
+    return figure
+
+
+def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
+    """Plot what the second position lags behind the first, by the first: two flanks of a gap."""
+    one = result.answer
+    data, found = one.data, one.found
+    _plot_dots(axes, data.u, data.y - found.gain * data.u - found.level, ink.READING, "readings")
+    for sign in (-1, 1):
+        axes.axhline(sign * 0.5 * found.gain * one.gap.value, color=ink.ESTIMATE, linewidth=0.8)
+    left = label_with_unit("y - R u - b", one.log.output_units[0])
+    finish_panel(axes, "Both flanks", left, label_with_unit("u", one.log.input_unit))
 
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:

@@ -5,16 +5,23 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from undeadzone.report import html
 from undeadzone.util.text import HALF_95, format_with_interval, label_with_unit
-from undeadzone_identify.figures import build_figures
+from undeadzone_identify.chain import compensating_lines
+from undeadzone_identify.figures import build_figures, lost_motion
+from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
-from undeadzone_identify.results.words import HEADS, crossing_columns, describe_rivals
+from undeadzone_identify.results.words import (
+    OPEN,
+    crossing_columns,
+    describe_rivals,
+    headline,
+)
 from undeadzone_identify.selection.orders import OrderFit, is_fit_at_limit
 
 if TYPE_CHECKING:
@@ -43,6 +50,12 @@ OF_ELEMENT = {  # in place of these
     " leaves of the readings; a curve there is something that it does not hold.",
     "crossings": "The gap that each reversal shows, with the printed interval shaded. A trend with"
     " duration is friction that is not fully held; one with y is a worn or an eccentric gear.",
+}
+
+
+OF_POSITIONS = {
+    "overview": "Above: the second position and its fit. Below: what it lags behind the first, by"
+    " the first; the lines are both flanks of the gap.",
 }
 
 
@@ -91,9 +104,8 @@ def build_identified_page(
         HTML that needs nothing but itself.
     """
     answer = found_log.answer
-    good = "yes" if found_log.verdict == "dead_zone" else "no"
     head = html.build_paragraph(
-        html.build_tag("span", f"Dead zone of the sensor: {HEADS[found_log.verdict]}", good)
+        html.build_tag("span", headline(answer), "no" if found_log.verdict in OPEN else "yes")
     )
     first: list[tuple[str, str]] = []
     rest: list[tuple[str, str]] = []
@@ -123,6 +135,63 @@ def build_identified_page(
             *html.pick_pictures(shown, "residual_map"),
         ),
         *_fit_sections(found_log, shown),
+        *_few_lines_section(found_log.numbers(), source),
+        origin=origin,
+    )
+
+
+def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
+    """Return the section with the few lines that compensate; empty where none help."""
+    lines = compensating_lines(numbers, source)
+    if not lines:
+        return []
+    parts = [html.build_tag("pre", text.rstrip()) for text in lines.values()]
+    return [html.build_section("A few lines that compensate it", *parts)]
+
+
+def write_identified_motion(
+    found: IdentifiedMotion, folder: Path, source: str, origin: html.Origin | None = None
+) -> list[Path]:
+    """Write the figure of two positions as SVG and report.html to a folder.
+
+    Args:
+        found: the answer.
+        folder: where to.
+        source: name of the log.
+        origin: what it takes to get the same again; None: nobody can.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileError: a file cannot be written.
+    """
+    text = partial(_build_motion_page, found, source=source, origin=origin)
+    return html.write_page({"overview": lost_motion(found)}, folder, text)
+
+
+def _build_motion_page(
+    found: IdentifiedMotion,
+    images: Mapping[str, bytes],
+    source: str,
+    origin: html.Origin | None = None,
+) -> str:
+    """Build the HTML page of two positions."""
+    rows = []
+    for name, value in found.summary().items():
+        for text in value if isinstance(value, list) else [value]:
+            rows.append((name, text))
+    head = html.build_tag("span", found.headline(), "no" if found.verdict in OPEN else "yes")
+    shown = html.encode_pictures(images, CAPTIONS | OF_POSITIONS)
+    return html.build_page(
+        f"Identified: {source}",
+        html.build_paragraph(head),
+        html.build_section(
+            "The answer",
+            html.build_table(("what", "value"), rows),
+            *html.pick_pictures(shown, "overview"),
+        ),
+        *_few_lines_section(found.numbers(), source),
         origin=origin,
     )
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.errors import InputError
+from undeadzone.errors import FileError, InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
@@ -34,6 +34,7 @@ from undeadzone_identify.models.zone_fit import (
     refit_longest_record,
 )
 from undeadzone_identify.results.assemble import to_answer
+from undeadzone_identify.results.lost_motion import IdentifiedMotion
 from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
@@ -58,6 +59,7 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_zone_locations
+from undeadzone_identify.selection.lost_motion import find_lost_motion, without_drive
 from undeadzone_identify.selection.servo import (
     add_servo,
     add_servo_element,
@@ -95,7 +97,7 @@ def identify(
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,
-) -> Identified | IdentifiedOutputs:
+) -> Identified | IdentifiedOutputs | IdentifiedMotion:
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:
@@ -128,7 +130,7 @@ def identify(
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
-        answer each.
+        answer each; of two positions the motion that is lost between them.
 
     Raises:
         FileError: a log that cannot be read, or `keep`.
@@ -183,7 +185,7 @@ def _identify_with_cache(
     advance: Callable[[int], None],
     keep: Path,
     resume: bool,
-) -> Identified | IdentifiedOutputs:
+) -> Identified | IdentifiedOutputs | IdentifiedMotion:
     """Return the answer, with the fits cached in a file meanwhile. Raise InputError."""
     answers = Answers(keep, _cache_key(logs, options), "fits", resume)
     climbs = CachedMaxima(answers)
@@ -209,16 +211,33 @@ def _identify_logs(
     options: Options,
     advance: Callable[[int], None],
     climbs: CachedMaxima | None = None,
-) -> Identified | IdentifiedOutputs:
+) -> Identified | IdentifiedOutputs | IdentifiedMotion:
     """Return the answer for a single output, or the answers for several. Raise InputError."""
     names = logs[0].outputs
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
+    motion, stands = (None, False)
+    if len(logs) == len(names) == 1:
+        motion, stands = find_lost_motion(logs[0], options)
+        advance(1)
+    if motion is not None and stands:
+        return IdentifiedMotion(motion)
+    logs = [without_drive(log) for log in logs]
     apart = ([log.select_output(k) for log in logs] for k in range(len(names)))
-    grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
-    answers = [identify_output(grid, options, advance) for grid in grids]
-    return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
+    try:
+        grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
+        answers = [identify_output(grid, options, advance) for grid in grids]
+    except FileError as error:  # an irregular step, which two positions may have
+        refused: InputError = error
+    except InputError as error:  # no plant fits
+        refused = error
+    else:
+        return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
+    if motion is None or not motion.are_positions:
+        raise refused
+    no_plant = f"no plant was fitted: {refused}"
+    return IdentifiedMotion(motion._replace(reasons=[*motion.reasons, no_plant]))
 
 
 def _collect_logs(

@@ -307,7 +307,7 @@ def test_the_command_says_no_and_bad_input(written: Path, tmp_path: Path) -> Non
     arguments = ["identify", str(path), "--order", "2", "--out", str(tmp_path / "out")]
     result = runner.invoke(group, [*arguments, "--no-figures"], standalone_mode=False)
     assert result.return_value == 1
-    assert "NO" in result.output
+    assert "No dead zone" in result.output
     assert not (tmp_path / "out" / "none.toml").exists()
     with pytest.raises(InputError, match="order"):
         runner.invoke(

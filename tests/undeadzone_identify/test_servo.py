@@ -324,7 +324,7 @@ def test_a_late_log_ends_in_firmware_that_has_followed_it(
     words = ["identify", "log.csv", "--order", "2", "--chain", "fw"]
     assert not group.main(words, standalone_mode=False)
     out = capsys.readouterr().out
-    assert "NO: play" in out
+    assert "Backlash: 0." in out
     assert "crossings" in out
     numbers = json.loads(Path("log-identify/identify.json").read_text(encoding="utf-8"))
     servo = numbers["servo"]

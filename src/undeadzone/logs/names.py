@@ -46,13 +46,18 @@ OF_READINGS: Final = (
         *("flow", "level", "pressure", "temperature", "temp", "position", "speed", "rpm"),
         *("present position", "actual position", "measured position", "present speed"),
     ),
+    ("joint", "link", "load", "joint position", "joint angle", "link position", "link angle"),
+    ("axis", "star", "camera", "dial", "scale"),
 )
+GOALS: Final = ("goal", "goal position", "target position", "commanded position", "goal speed")
+DRIVES: Final = ("current", "motor current", "present current", "torque", "motor torque", "effort")
 OF_INPUTS: Final = (
     ("op", "co", "mv", "controller output", "output", "out"),
     ("dec pulse", "decpulse", "decguidedistance"),  # signed, as a duration is not
     ("valve", "heater", "pwm", "duty", "duty cycle", "voltage"),
-    ("goal", "goal position", "target position", "commanded position", "goal speed"),
+    GOALS,
     ("desired", "target", "wanted"),  # where nothing else drives
+    ("pulses", "pulse", "motor", "motor position", "motor angle", "motor encoder"),
 )
 TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
 _TIME_WITH_UNIT: Final = re.compile(r"(?:t|time|times|timestamp|elapsed|elapsed time) (\S+)")
@@ -135,6 +140,12 @@ class Layout(NamedTuple):
     of_the_trade: bool = False
 
     @property
+    def has_current(self) -> bool:
+        """Return whether the second input is the current or torque of a servo that has a goal."""
+        plain = [_plain(title.name) for title in self.input_titles]
+        return len(plain) == 2 and plain[0] in GOALS and plain[1] in DRIVES
+
+    @property
     def driving(self) -> list[int]:
         """Return the columns of the inputs, and behind them that of the reference, if there is
         one.
@@ -201,6 +212,8 @@ def layout_of_titles(
     time = header.find_time_column()
     readings = header.signals("y", p, READINGS)
     inputs = header.signals("u", m, INPUTS, readings)
+    if m is None and not _of_signal(chosen, "u"):
+        inputs = inputs + header.drive_of_servo(inputs, [*readings, time])
     layout = header.layout(time, readings, inputs)
     return layout if m is not None else header.with_reference(layout)
 
@@ -355,6 +368,15 @@ class _Header(NamedTuple):
                 return same if len(same) == count else []
         pair = [k for k, name in enumerate(plain) if name in TEST_MACHINE]
         return pair[-1:] * (signal == "y") or pair[:1] if len(pair) == 2 and count == 1 else []
+
+    def drive_of_servo(self, inputs: Sequence[int], taken: Sequence[int | None]) -> list[int]:
+        """Return the column of the current of a servo that is told a position; none for others."""
+        told = [_plain(self.titles[k].name) for k in inputs]
+        if len(told) != 1 or told[0] not in GOALS:
+            return []
+        plain = [_plain(title.name) for title in self.titles]
+        same = [k for k, name in enumerate(plain) if name in DRIVES and k not in taken]
+        return same if len(same) == 1 else []
 
     def to_be_named(self) -> str:
         """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""

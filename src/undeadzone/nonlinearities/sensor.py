@@ -92,7 +92,7 @@ def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
     """Return the measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
 
     0 is silent, also for NaN. +2 and -2 are at the limits of the range, if there are any: there z
-    is at least, or at most, what the reading says.
+    is at least, or at most, the reading.
     """
     measured = 1.0 * (y > threshold) - 1.0 * (y < -threshold)
     return measured if limits is None else measured + at_limit(y, limits)
@@ -120,7 +120,7 @@ def quantise(y: Any, quantum: Any) -> Any:
 def offset(side: Any, right: Any, left: Any) -> Any:
     """Return chi_bar d of (12) with chi_bar = [chi_r, -chi_l].
 
-    That is what the deadzone takes off z on that side (+1, -1; 0 where silent).
+    The dead zone subtracts it from z on that side (+1, -1; 0 where silent).
     """
     return right * (side > 0) - left * (side < 0)
 
@@ -251,7 +251,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         dropout: probability that a reading is missing (p), below 1.
         range: [lo, hi], lo < 0 < hi: where readings end, after noise and rounding; one pair, or one
             per output (p x 2) [y]; -inf and inf are no limits; default: none. A reading at its
-            limit says only that z is at least, or at most, what it reads; of a play it is missing.
+            limit only bounds z from one side; of a play it is missing.
         start: reading of a play before the first sample (p) [y]; the first one is the nearest
             possible to it. Of a play ahead of a dead zone what would be read without the zone.
         window: time over which a play's motion is judged where readings are noisy [s]; default a
@@ -317,7 +317,7 @@ class Zone(msgspec.Struct, frozen=True):
         low, high: least and largest reading (p) [y]; -inf, inf: no limit.
         start: level of a play before the first sample (p) [z].
         window: readings over which a play's motion is judged.
-        friction: of what is behind a play (p) [u].
+        friction: of the load behind a play (p) [u].
         inertia: of the same (p) [u s^2/z].
         friction_std: standard deviation of the friction, to an observer that is not told (p) [u].
         play: ahead of the dead zone; None: there is none.
@@ -350,7 +350,7 @@ class Zone(msgspec.Struct, frozen=True):
 
     @property
     def moves(self) -> bool:
-        """Return whether it is a play, or has one: what it reads depends on how z moved."""
+        """Return whether it is a play, or has one: its readings depend on the motion of z."""
         return self.kind == "play" or self.play is not None
 
     @property
@@ -360,7 +360,7 @@ class Zone(msgspec.Struct, frozen=True):
 
     @property
     def rms(self) -> Floats:
-        """What a reading on an active side is off by, rms (p) [z].
+        """Return the rms error of a reading on an active side (p) [z].
 
         The sum of noise ahead of and after the zone, and rounding.
         """

@@ -275,6 +275,19 @@ def rounding_step(y: Floats) -> float:
     return common_spacing(np.unique(np.append(np.abs(y), 0.0)))
 
 
+def printed_step(values: Floats) -> float:
+    """Return the common divisor of values (N), else the last decimal of all; 0 for neither.
+
+    Args:
+        values: none missing.
+    """
+    step, off = rounding_step(values), 1e-9 * max(float(np.ptp(values)), 1e-300)
+    for digits in range(7):
+        if step == 0 and np.abs(values - np.round(values, digits)).max() < off:
+            step = 10.0**-digits
+    return step
+
+
 def common_spacing(values: Floats) -> float:
     """Return the common divisor of all differences of values; 0 without a common divisor.
 

@@ -226,7 +226,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
             raise FileError(f"{source}: {name} holds no reading: every one is missing")
         if np.nanmax(np.abs(column)) > LARGEST:
             raise FileError(f"{source}: {name} holds numbers beyond {LARGEST:g}")
-    units = {title.unit or "1" for title in layout.input_titles}
+    driving = layout.input_titles[: 1 if layout.has_current else None]
+    units = {title.unit or "1" for title in driving}
     is_said = layout.reference is not None or layout.of_the_trade
     remarks = [f"{source}: {layout.said}"] if is_said else []
     if repeated:

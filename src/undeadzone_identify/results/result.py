@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -57,7 +57,14 @@ class States(NamedTuple):
     x: Floats
 
 
-def save_numbers(found: Identified | IdentifiedOutputs, path: str | os.PathLike[str]) -> Path:
+class HasNumbers(Protocol):
+    """Answer with numbers for JSON."""
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers of the answer."""
+
+
+def save_numbers(found: HasNumbers, path: str | os.PathLike[str]) -> Path:
     """Write all numbers as JSON.
 
     Args:

@@ -111,28 +111,29 @@ def describe_crossings(answer: Answer, unit: str) -> list[str]:
 
 # --- Any answer
 
-HEADS = {
-    "dead_zone": "yes",
-    "unreached": "yes, but an edge is never reached",
-    "none": "NO",
-    "saturation": "NO: a saturation",
-    "jump": "NO: a zone with a jump, readings are not shifted",
-    "play": "NO: play",
-    "both": "NO, not alone: a play and a dead zone",
-    "friction": "NO: friction in the plant",
-    "input_zone": "NO: a zone of the input",
-    "two_zones": "yes, and not alone: the input has one too",
-    "input_curve": "NO: a curve of the input",
-    "input_play": "NO: play ahead of the plant",
-    "filtered_zone": "yes, with a filter behind it",
-    "stiction": "NO: the valve sticks",
-    "external": "NO: an oscillation from outside",
-    "tight_tuning": "NO: the loop is tuned too tightly",
-    "operating_point": "nothing can be known of a zone",
-    "other": "NO: another nonlinearity",
-    "undecided": "undecided",
-    "unclear": "nothing can be said",
+HEADS = {  # what was found, before its numbers
+    "dead_zone": "Dead zone of the sensor",
+    "unreached": "Dead zone of the sensor, an edge of which is never reached",
+    "none": "No dead zone and no backlash: a linear plant explains the log",
+    "saturation": "Saturation",
+    "jump": "Dead zone with a jump (readings are not shifted)",
+    "play": "Backlash",
+    "both": "Backlash and a dead zone of the sensor",
+    "friction": "Friction",
+    "input_zone": "Dead zone of the actuator",
+    "two_zones": "Dead zones of sensor and actuator",
+    "input_curve": "Curve of the input",
+    "input_play": "Backlash ahead of the plant",
+    "filtered_zone": "Dead zone of the sensor with a filter behind it",
+    "operating_point": "Nothing can be known of a zone",
+    "other": "Another nonlinearity",
+    "undecided": "Undecided",
+    "unclear": "Nothing can be said",
+    "stiction": "The valve sticks",
+    "external": "An oscillation from outside",
+    "tight_tuning": "The loop is tuned too tightly",
 }
+OPEN = ("operating_point", "undecided", "unclear")  # words that name nothing
 SHORT = {
     "dead_zone": "sensor",
     "input_zone": "input",
@@ -167,6 +168,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
     return {
         "zone": answer.zone,
         "verdict": answer.verdict,
+        "found": headline(answer),
         "reasons": answer.reasons,
         **{name: _interval_list(getattr(answer, name)) for name in DIRECTIONS},
         "input_widths": None
@@ -269,6 +271,22 @@ def _stage_numbers(answer: Answer) -> dict[str, Any]:
 # --- Words
 
 
+def headline(answer: Answer) -> str:
+    """Return what was found in one line, with its number and interval.
+
+    Args:
+        answer: what a log says.
+    """
+    grid, word = answer.case.grid, answer.verdict
+    at_input = word in ("input_zone", "friction", *VALVE)
+    unit = unit_suffix(grid.input_unit if at_input else grid.output_unit)
+    sides = [one for one in (answer.right, answer.left) if one is not None]
+    shown = [answer.width] if word in ("play", "both", *VALVE) or not sides else sides
+    shown = [answer.found.friction] if word == "friction" else shown
+    texts = [describe_interval(one, unit) for one in shown if one is not None]
+    return ": ".join([HEADS[word], *([" / ".join(texts)] if texts else [])])
+
+
 def summarise_answer(answer: Answer) -> dict[str, Any]:
     """Return the answer as lines of the terminal: name and text, or a list of texts.
 
@@ -279,18 +297,18 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         The lines in order.
     """
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
-    lines["dead zone"] = HEADS[answer.verdict] + _describe_certainty(answer)
+    lines["found"] = headline(answer) + _describe_certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_probabilities(answer)
-    unit = _unit_suffix(answer.case.grid.output_unit)
+    unit = unit_suffix(answer.case.grid.output_unit)
     lines |= _describe_widths(answer)
     if answer.found.valve is not None:
         lines |= _describe_valve(answer, answer.found.valve)
     if answer.found.friction is not None:
-        of_input = _unit_suffix(answer.case.grid.input_unit)
-        lines["friction"] = f"{_describe_interval(answer.found.friction, of_input)}, of the motor"
+        of_input = unit_suffix(answer.case.grid.input_unit)
+        lines["friction"] = f"{describe_interval(answer.found.friction, of_input)}, of the motor"
     crossings = describe_crossings(answer, unit)
     if crossings:
         lines["crossings"] = crossings
@@ -304,13 +322,13 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
 def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
-    letter, unit = "d", _unit_suffix(grid.output_unit)
+    letter, unit = "d", unit_suffix(grid.output_unit)
     if answer.verdict in VALVE:
-        letter, unit = "c", _unit_suffix(grid.input_unit)
+        letter, unit = "c", unit_suffix(grid.input_unit)
     if element is not None and element.kind != "two_zones":
         letter = "c"
         if element.kind == "input_zone":
-            letter, unit = "b", _unit_suffix(grid.input_unit)
+            letter, unit = "b", unit_suffix(grid.input_unit)
     lines = {}
     for place, name in enumerate(DIRECTIONS):
         interval: Interval | None = getattr(answer, name)
@@ -319,16 +337,16 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         title = _width_title(letter, name).removeprefix("d ")
         if answer.found.valve is not None:
             title = "S"
-        lines[title] = _describe_interval(interval, unit)
+        lines[title] = describe_interval(interval, unit)
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
         if name == "centre" and letter != "b" and np.isfinite(interval.high):
             lines[title] += AT_ZERO
     for name, interval in ({} if element is None else element.input).items():
-        lines[_width_title("b", name)] = _describe_interval(interval, _unit_suffix(grid.input_unit))
+        lines[_width_title("b", name)] = describe_interval(interval, unit_suffix(grid.input_unit))
     if element is not None and element.zone is not None:
-        lines["d width"] = _describe_interval(element.zone, unit)
+        lines["d width"] = describe_interval(element.zone, unit)
     if element is not None and answer.found.offsets is not None:
         lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
@@ -336,9 +354,9 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
 
 def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
     """Describe S and J of a valve, and the shape of PV over OP."""
-    unit, lines = _unit_suffix(answer.case.grid.input_unit), {}
+    unit, lines = unit_suffix(answer.case.grid.input_unit), {}
     if answer.verdict == "stiction":
-        lines["J"] = _describe_interval(valve.jump, unit)
+        lines["J"] = describe_interval(valve.jump, unit)
     return lines | {"loop": shape_in_words(valve, answer.case.grid)}
 
 
@@ -347,13 +365,22 @@ def _width_title(letter: str, name: str) -> str:
     return f"{letter}_{name}" if name in ("right", "left") else f"{letter} {name}"
 
 
-def _unit_suffix(unit: str) -> str:
-    """Return a unit behind a number."""
+def unit_suffix(unit: str) -> str:
+    """Return a unit behind a number.
+
+    Args:
+        unit: "1" for none.
+    """
     return "" if unit == "1" else f" {unit}"
 
 
-def _describe_interval(interval: Interval, unit: str) -> str:
-    """Describe a value with its interval, with significant digits only."""
+def describe_interval(interval: Interval, unit: str) -> str:
+    """Describe a value with its interval, with significant digits only.
+
+    Args:
+        interval: the value, its low and its high end.
+        unit: behind the numbers, with a blank ahead.
+    """
     value, low, high = interval
     if not np.isfinite(high):
         if not np.isfinite(low):
@@ -420,8 +447,17 @@ def describe_p_value(chance: float) -> str:
 
 def describe_probabilities(answer: Answer) -> str:
     """Describe the classes by posterior probability: sensor 97 %, friction 3 %."""
+    return describe_shares(answer.found.odds)
+
+
+def describe_shares(odds: dict[str, float]) -> str:
+    """Describe probabilities of classes, those that are worth a word.
+
+    Args:
+        odds: by class [1].
+    """
     shown = []
-    for word, share in answer.found.odds.items():
+    for word, share in odds.items():
         if share >= LEAST_SHOWN:
             percent = "> 99" if share > 1 - LEAST_SHOWN else f"{100 * share:.0f}"
             shown.append(f"{SHORT.get(word, word)} {percent} %")

@@ -40,10 +40,11 @@ RARE = 3  # numbers that a cause costs besides which is rare in a control loop
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
+TIGHTENED = {"none": "tight_tuning"}  # the word of a loop that swings by its own tuning
 
 
 class ValveFindings(NamedTuple):
-    """What a loop says of its valve.
+    """Findings on the valve of a loop.
 
     Attributes:
         fit: the valve that explains the loop best.
@@ -87,7 +88,7 @@ class LoopAnswer(NamedTuple):
         verdict: by the odds.
         odds: by word, largest first.
         family: the models, all of the same readings.
-        valve: what the loop says of its valve.
+        valve: findings on the valve.
     """
 
     verdict: Verdict
@@ -162,12 +163,12 @@ def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str
 
     Args:
         family: the models, all of the same readings.
-        valve: what the loop says of its valve.
+        valve: findings on the valve.
         excluded: words that are out of the question.
     """
     odds = _weigh_by_shape(model_probabilities([family], excluded), valve.shape)
     if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
-        odds = {("tight_tuning" if word == "none" else word): p for word, p in odds.items()}
+        odds = {TIGHTENED.get(word, word): p for word, p in odds.items()}
     return LoopAnswer(_verdict_of(odds, valve), odds, family, valve)
 
 
@@ -189,8 +190,11 @@ def _weigh_by_shape(odds: dict[str, float], shape: float) -> dict[str, float]:
 
     Its weight is that of loops of known cause (`python -m benchmarks valves`).
     """
-    told = math.exp(SHAPE * (shape - USUAL))
-    weighed = {word: p * (told if word in VALVE else 1.0) for word, p in odds.items()}
+    evidence = math.exp(SHAPE * (shape - USUAL))
+    weighed = dict(odds)
+    for word in VALVE:
+        if word in odds:
+            weighed[word] *= evidence
     total = sum(weighed.values())
     return {word: weighed[word] / total for word in sorted(weighed, key=lambda one: -weighed[one])}
 
@@ -203,7 +207,7 @@ def _comparable_family(
     family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
     there = np.flatnonzero(data.ok)
     rows = np.searchsorted(there, fits.regression.rows + part.start)
-    for word in {word for one in models for word in one} - set(VALVE):
+    for word in set().union(*models) - set(VALVE):
         best = best_model_of(word, models)
         if best.value.size == there.size:
             rare = RARE * (word not in OWN)

@@ -115,7 +115,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
 
 
 class Listener(NamedTuple):
-    """What hears the strikes of an arm's links.
+    """Listener to the strikes of an arm's links.
 
     Attributes:
         groups: joints that one filter holds; the others are noise to it.
@@ -179,7 +179,7 @@ def strike_response(
         inertia: of the motor [kg m^2].
         torque: rms of its unknown torque [N m].
         noise: rms of a reading [rad].
-        told: what hears it.
+        told: the listener.
         Ts: sample time [s].
     """
     fade = np.exp(-Ts / told.lasting)
@@ -214,7 +214,7 @@ def gap_identifiability(
         x: states along the run (N x 4 joints).
         path: positions, speeds and accelerations of its joints (N x 3 x joints).
         step: between two rows [s].
-        told: what hears the strikes.
+        told: the listener.
     """
     body, links = gears.arm, gears.link_params(params)
     tau, inertia = (

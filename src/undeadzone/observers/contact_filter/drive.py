@@ -141,7 +141,7 @@ def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
     size, here = len(group), list(group)
 
     def entries(p: Any, name: str, columns: int) -> Any:
-        """Return what stands for the rest of the arm (size x columns)."""
+        """Return the entries that replace the rest of the arm (size x columns)."""
         names = _rest_names(size)
         return ca.reshape(ca.vertcat(*(p[each] for each in names[name])), size, columns)
 
@@ -572,7 +572,7 @@ def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
 
 
 class Uncertain(NamedTuple):
-    """Variances of what the joints do to each other.
+    """Variances of the coupling between joints.
 
     Attributes:
         torque: through the gears (N) [N^2 m^2].
@@ -599,7 +599,7 @@ def _coupling_variance(
         moved: the acceleration of each link by torques (N x N).
         answers: the acceleration of each link by the angle of another (N x N).
         apart: 1 where two joints are of different groups (N x N).
-        of: what is uncertain.
+        of: the uncertain entry.
         Ts: sample time [s].
     """
     N = apart.shape[0]

@@ -177,9 +177,9 @@ class Posterior(NamedTuple):
     Attributes:
         chances: of the modes (K).
         beliefs: about x in each mode.
-        whole: the belief about x whatever the mode.
+        whole: the belief about x over all modes.
         news: by how much the readings moved its mean (entries).
-        e, std: innovations and their deviations, whatever the mode (p).
+        e, std: innovations and their deviations, over all modes (p).
         log: log of how well the modes foretold the readings.
     """
 

@@ -1,0 +1,167 @@
+"""Result of `identify` for two positions: how much motion is lost between them."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from undeadzone.errors import InputError
+from undeadzone.util import shown
+from undeadzone.util.arrays import to_json_value
+from undeadzone.util.shown import Block
+from undeadzone.util.text import HALF_95, bracket_interval
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.results.result import save_numbers
+from undeadzone_identify.results.words import describe_interval, describe_shares, unit_suffix
+from undeadzone_identify.selection.lost_motion import LostMotionAnswer
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class IdentifiedMotion:
+    """Motion that is lost between two positions, with its interval.
+
+    Attributes:
+        answer: every value; the properties below are its most used ones.
+
+    See Also:
+        identify
+    """
+
+    answer: LostMotionAnswer
+
+    @property
+    def verdict(self) -> str:
+        """Return play, none or unclear."""
+        return self.answer.verdict
+
+    @property
+    def zone(self) -> bool:
+        """Return False: the sensor has no dead zone."""
+        return False
+
+    @property
+    def gap(self) -> Interval:
+        """Return the motion that is lost at a reversal, in units of the input."""
+        return self.answer.gap
+
+    @property
+    def width(self) -> Interval | None:
+        """Return the same in units of the output; None where nothing is lost."""
+        lost = self.answer.gap.scale_by(abs(self.answer.found.gain))
+        return lost if self.verdict == "play" else None
+
+    @property
+    def right(self) -> Interval | None:
+        """Return None: of a gap only the width is known."""
+        return None
+
+    @property
+    def left(self) -> Interval | None:
+        """Return None: of a gap only the width is known."""
+        return None
+
+    def scenario(self, title: str = "Identified log") -> str:
+        """Raise InputError: two positions have no plant between them."""
+        raise InputError("scenario: two positions have no plant. `export --to snippet` compensates")
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all numbers of the answer, as `--json` prints."""
+        one, found, width = self.answer, self.answer.found, self.width
+        half = HALF_95 * one.gain_error
+        parts = one.parts
+        return dict(
+            to_json_value(
+                {
+                    "zone": False,
+                    "verdict": one.verdict,
+                    "found": self.headline(),
+                    "reasons": one.reasons,
+                    "right": None,
+                    "left": None,
+                    "width": None if width is None else list(width),
+                    "odds": one.odds,
+                    "lost_motion": {
+                        "gap": list(one.gap),
+                        "gain": [found.gain, found.gain - half, found.gain + half],
+                        "level": found.level,
+                        "delay": found.delay,
+                        "lag": found.lag * found.structure.lags,
+                        "reversals": one.reversals,
+                        "rms": found.rms,
+                        "with_friction": one.is_told and parts is None,
+                        "parts": None if parts is None else parts._asdict(),
+                    },
+                    "record": {
+                        "samples": int(one.log.t.size),
+                        "readings": int(one.data.t.size),
+                        "quantum": one.quantum,
+                    },
+                    "units": {"input": one.log.input_unit, "output": one.log.output_units[0]},
+                    "remarks": one.remarks,
+                }
+            )
+        )
+
+    def headline(self) -> str:
+        """Return what was found, in one line."""
+        one = self.answer
+        unit = unit_suffix(one.log.input_unit)
+        if one.verdict == "none":
+            return f"No lost motion: a gap above {one.gap.high:.4g}{unit} is excluded"
+        if one.verdict != "play":
+            return "Nothing can be said"
+        if one.parts is not None:
+            return f"Backlash: {describe_interval(one.parts.gap, unit)}"
+        lost = describe_interval(one.gap, unit)
+        if one.is_told:
+            return f"Lost motion: {lost}, gap and friction of the servo together"
+        return f"Backlash: {lost}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return the answer in words, as the command prints."""
+        one, found = self.answer, self.answer.found
+        of_input, of_output = unit_suffix(one.log.input_unit), unit_suffix(one.log.output_units[0])
+        names = f"{one.log.inputs[0]}{_bracketed(one.log.input_unit)}, {one.log.outputs[0]}"
+        steps = np.diff(one.data.t)
+        lines: dict[str, Any] = {
+            "record": f"{one.data.t.size} samples, {np.median(steps):.4g} s"
+            f" ({steps.min():.4g} to {steps.max():.4g}), {names}"
+            f"{_bracketed(one.log.output_units[0])}",
+            "found": self.headline(),
+            "why": one.reasons,
+            "odds": describe_shares(one.odds),
+        }
+        if one.parts is not None:
+            lines["gap"] = describe_interval(one.parts.gap, of_input)
+            lines["friction 2 f/kp"] = describe_interval(one.parts.friction, of_input)
+            lines["lost in all"] = describe_interval(one.gap, of_input)
+        half = HALF_95 * one.gain_error
+        lines["gain"] = bracket_interval(found.gain, found.gain - half, found.gain + half, ".5g")
+        if found.delay or found.lag:
+            lag = f", lag {found.structure.lags} x {found.lag:.3g} s" if found.lag else ""
+            lines["late"] = f"{found.delay:.3g} s{lag}"
+        white = "white" if found.colour <= 1.1 else f"{found.colour:.2g} times their changes"
+        lines["left"] = f"rms {found.rms:.3g}{of_output}, {white}"
+        if one.remarks:
+            lines["note"] = one.remarks
+        return lines
+
+    def blocks(self) -> list[Block]:
+        """Return the table that `undeadzone identify` prints."""
+        return [self.summary()]
+
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
+
+    drawn = ("undeadzone_identify.figures", "lost_motion", "both_flanks")
+    plot = shown.plot
+    """Draw it."""
+
+    save = save_numbers
+
+
+def _bracketed(unit: str) -> str:
+    """Return a unit in brackets behind a name."""
+    return f" [{unit}]"
