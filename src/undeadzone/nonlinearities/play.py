@@ -33,7 +33,7 @@ def apply_backlash(ops: Any, z: Any, before: Any, right: Any, left: Any) -> Any:
 
 
 def contact(level: Any, before: Any) -> Any:
-    """Return the contact in which a level moved: +1 right, -1 left, 0 where it held."""
+    """Return the contact in which a level moved: +1 right, -1 left, 0 if it held."""
     return 1.0 * (level > before) - 1.0 * (level < before)
 
 
