@@ -359,17 +359,17 @@ class Traits(NamedTuple):
         adapts: whether it estimates the widths.
         told: whether it begins with the sensor's true widths.
         uncertain: names of the model's parameters that it estimates, as theta.
-        start_std: standard deviation of x(0) about the claimed start (n); None: no start is
-            claimed.
-        centre_std: standard deviation of each claimed (d_r - d_l)/2 (p), infinite where none is
-            claimed; None: nowhere.
-        ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z]; None: only that they are
-            not negative.
-        halves: of an arm with gears, declared [lo, hi] of half the gap at each output (p x 2);
-            None: the method estimates no gaps.
-        groups: of an arm with gears, joints that one filter holds; empty: all of them.
-        unknown: of an arm with gears, rms of the unknown torque of its motors (N) [N m]; None: the
-            method claims none.
+        start_std: standard deviation of x(0) about the assumed start (n) (None: no start is
+            assumed).
+        centre_std: standard deviation of each assumed (d_r - d_l)/2 (p), infinite without an
+            assumption (None: none).
+        ranges: declared [lo, hi] of all d_r, then of all d_l (2p x 2) [z] (None: only that they are
+            not negative).
+        halves: of an arm with gears, declared [lo, hi] of half the gap at each output (p x 2)
+            (None: the method estimates no gaps).
+        groups: of an arm with gears, joints that one filter holds (empty: all of them).
+        unknown: of an arm with gears, rms of the unknown torque of its motors (N) [N m] (None: the
+            method has no assumption).
     """
 
     L: Floats | None = None

@@ -13,7 +13,7 @@ import casadi as ca
 
 from undeadzone.numerics.gaussian import Gaussian
 
-ROUNDING = 1e-14  # of a variance: what is left of it after elimination is taken for 0
+ROUNDING = 1e-14  # of a variance: a smaller rest after elimination counts as 0
 
 
 class SigmaWeights(NamedTuple):

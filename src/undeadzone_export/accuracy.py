@@ -23,7 +23,7 @@ CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
 EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
-SHARE_OF_WIDTH = 1e-3  # the same relative to the width, where no deviation is estimated
+SHARE_OF_WIDTH = 1e-3  # the same relative to the width, if no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
 
 Options = tuple[str, ...]  # for the compiler
@@ -155,7 +155,7 @@ def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accur
     for field, place in places.items():
         error, most = float(gap[:, place].max()), float(size[:, place].max())
         table[field] = {"error": error, "size": most}
-    least = np.min(np.array(pairs, float), axis=0)  # NaN where there is no covariance
+    least = np.min(np.array(pairs, float), axis=0)  # NaN without a covariance
     refusals = _width_refusals(places, gap, size)
     for eigenvalue, real, bar in zip(least, ("double", "float"), (SMALLEST, 0.0), strict=True):
         if eigenvalue < bar:

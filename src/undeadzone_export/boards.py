@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 SPARED: Final = 0.75  # share of a board that an observer may take
 STACK: Final = 0.3  # bytes of stack an operation that is written down, in single precision
-LIBRARY: Final = 4_000  # [bytes] of functions, and of arithmetic where the chip has none
+LIBRARY: Final = 4_000  # [bytes] of functions, and of arithmetic that the chip lacks
 WIDER: Final = 2.0  # bytes in double for one in single
 
 

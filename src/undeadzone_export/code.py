@@ -21,7 +21,7 @@ _COUNTED: Final = {
     **{"lt": "compare", "le": "compare", "eq": "compare", "ne": "compare"},
 }
 
-_WIDE: Final = 2**20  # capacity of what no cut can pass
+_WIDE: Final = 2**20  # capacity of an edge that no cut can contain
 
 
 class Phases(NamedTuple):

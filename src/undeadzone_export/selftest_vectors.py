@@ -20,7 +20,7 @@ from undeadzone_export.code import Code
 from undeadzone_export.exported_step import ExportedStep, member_entries, name_entries
 from undeadzone_export.template import call_words, fill_template
 
-DIVERGED = 1e6  # size of a signal beyond which a run has nothing to say
+DIVERGED = 1e6  # size of a signal beyond which a run is not used
 SAMPLES = 96  # of a run, in the self-test
 NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
 OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits

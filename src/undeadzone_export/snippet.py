@@ -19,7 +19,7 @@ from undeadzone.util.files import read_text
 from undeadzone.util.text import escape_controls, to_one_line
 from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_folder
 
-SURE: Final = 0.8  # probability below which a verdict is no ground for a snippet
+SURE: Final = 0.8  # probability below which a verdict does not justify a snippet
 RAMP: Final = 0.05  # of the narrower width: over so much the jump of an actuator fades in
 KINDS: Final = {"dead_zone": "sensor", "input_zone": "actuator", "play": "backlash"}
 NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}

@@ -19,7 +19,7 @@ from undeadzone.plants.system import System
 from undeadzone.signals.exosystem import Exosystem
 from undeadzone.util.arrays import Floats
 
-ROUNDING = 1e-12  # of a signal's size: nearer to a level than this it neither crosses nor leaves it
+ROUNDING = 1e-12  # of a signal's size: nearer to a level than this, it does not cross or leave it
 PERIODS = 50  # after which a sampled reference must repeat to count as periodic
 BISECTIONS = 54  # halve an interval down to the rounding of its ends
 MEAN = 4096  # points of the mean over a period: exact for sines below that many cycles

@@ -290,7 +290,7 @@ class DefinitenessCheck(NamedTuple):
     rounding: float
 
 
-NO_PROOF = DefinitenessCheck(False, np.inf, -np.inf, 0.0)  # what is no proof at all
+NO_PROOF = DefinitenessCheck(False, np.inf, -np.inf, 0.0)  # result without any proof
 
 
 def check_inequality(inequality: Inequality, P: Floats) -> DefinitenessCheck:

@@ -119,7 +119,7 @@ def _survey_to_text(found: Survey, robot: Path) -> dict[str, Any]:
 def _joint_rows(found: Survey) -> list[list[str]]:
     """Return a row for each joint."""
     rows = []
-    least = 1e-9 * max(abs(found.holding), default=0.0)  # what is left of 0 by rounding
+    least = 1e-9 * max(abs(found.holding), default=0.0)  # a zero after rounding
     for joint, mass, torque in zip(found.joints, found.masses, found.holding, strict=True):
         holding = 0.0 if abs(torque) <= least else torque
         slides = joint.kind == "prismatic"

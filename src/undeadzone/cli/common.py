@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 COLOURS = {"yes": "green", "OPEN LOOP": "yellow"}  # of verdicts; of others red
-# Where a cell begins, or after what is judged: right yes, left NO.
+# At the start of a cell, or behind the judged quantity: right yes, left NO.
 VERDICT = re.compile(
     r"(?:(?<=  )|(?<=: )|(?<=right )|(?<=left )|(?<=width )|(?<=centre ))"
     r"(?:yes|NO|OPEN LOOP|LEFT|never settles|at the end of its range)\b"

@@ -109,7 +109,7 @@ def design(
     if folder is not None and output.figures:
         from undeadzone.report.gains_page import write_gains
 
-        assessment = judged.assessment._replace(listens=())  # `check` tells these
+        assessment = judged.assessment._replace(listens=())  # `check` prints these
         attempts = attack_gains(assessment, seed)
         written += write_gains(assessment, attempts, folder, result, build_origin(scenario, seed))
     output.print_result(

@@ -63,7 +63,7 @@ def run_to_exit_code(command: Callable[[], Any]) -> int:
         if hindrance:
             return _report_refusal(hindrance)
         with _signals_raised(), warnings.catch_warnings():
-            if not os.environ.get(DEBUG):  # NumPy's remarks are no message to a user
+            if not os.environ.get(DEBUG):  # NumPy's remarks are not for users
                 warnings.simplefilter("ignore")
                 for told in (EarlierMeaning, DamagedPackage):
                     warnings.simplefilter("default", told)
@@ -118,7 +118,7 @@ def _open_closed_streams() -> bool:
     if sys.stderr is None:
         sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show ± is no error
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show ± is not an error
             stream.reconfigure(errors="backslashreplace")
     return closed
 

@@ -31,7 +31,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.text import HALF_95, append_unit
 
-WIDE: Final = 0.2  # half of an interval, in widths: what narrows it is said
+WIDE: Final = 0.2  # half of an interval, in widths: above it the remedy is printed
 CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 

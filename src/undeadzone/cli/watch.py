@@ -240,7 +240,7 @@ def _estimate_stream(log: LiveLog, follower: Follower, kept: SavedWatch, as_json
 
 def _wait_for_input(stdin: Any) -> None:
     """Wait until something can be read, if the system can wait. A signal ends this at once."""
-    with suppress(OSError, ValueError):  # no descriptor, or none of a socket on Windows
+    with suppress(OSError, ValueError):  # without a descriptor, or not a socket on Windows
         select.select([stdin], [], [])
 
 

@@ -32,14 +32,14 @@ class State(NamedTuple):
 
 
 class PlayInverse(Options, frozen=True, kw_only=True, tag="play_inverse"):
-    """Inverse u = v + c_r to push right, v - c_l to push left; sampled time only.
+    """Inverse u = v + c_r to push right, v - c_l to push left, sampled time only.
 
     What enters the plant is known, as the gaps are. While v stays within `hold` of it, the command
     rests, since each turn crosses the whole gap at once.
 
     Attributes:
-        hold: change of v that does not turn the command, one or one per input [u]; default a tenth
-            of half the gap.
+        hold: change of v that does not turn the command, one or one per input [u] (default a tenth
+            of half the gap).
     """
 
     hold: Array | None = None

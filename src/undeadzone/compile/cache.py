@@ -40,9 +40,9 @@ LESS: Final = 1  # LLVM's effort without them
 FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
-# What other jobs take is not counted, but on Windows, which counts it in 64ths of a second.
+# Time of other jobs is not counted, except on Windows, where it is coarse (1/64 s).
 clock: Final = perf_counter if sys.platform == "win32" else thread_time
-SHORT: Final = 2e-5  # [s] of a call that tells nothing
+SHORT: Final = 2e-5  # [s] of a call too short to be timed
 FASTER: Final = 0.95  # below this share of its time a code takes the place of the assumed one
 
 
@@ -159,7 +159,7 @@ class Trial:
             self.rates[block].append(seconds / max(1, steps * lanes))
         self._seconds += seconds
         if self._seconds > START and self._begun.acquire(blocking=False):
-            with suppress(RuntimeError):  # where no thread can be had, nothing is measured
+            with suppress(RuntimeError):  # without a thread nothing is measured
                 threading.Thread(target=self._compile_alternatives, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
             best = min(self.codes, key=self._weighted_time)
@@ -254,7 +254,7 @@ def _read_cached(key: str, kinds: tuple[str, ...]) -> tuple[str, MachineCode] | 
     """Return the note and the machine code of a key if both are on disk, else None."""
     folder = cache_folder.cache_directory()
     if folder is None or not any(folder.glob(f"{_text_digest(key, kinds)}-*")):
-        return None  # without asking LLVM for the processor
+        return None  # before LLVM looks up the processor
     return _parse_cached(cache_folder.read_kernel_file(folder, _cache_file_name(key, kinds)))
 
 

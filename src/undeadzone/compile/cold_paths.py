@@ -144,7 +144,7 @@ class ColdPaths:
             chosen = text.print_select(flagged, vector, names(node), usual)
             text.store(chosen, address, vector=True)
         if part + 1 < len(self._results):
-            # Of a lane that asked for this part.
+            # Of a lane that needs this part.
             flag = text.print_select(flagged, vector, names(results[-1]), text.zero())
             text.store(flag, "%flag", vector=True)
             again = text.any_lane(text.add(f"fcmp une {vector} {flag}, {text.zero()}"))

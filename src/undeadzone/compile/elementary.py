@@ -97,7 +97,7 @@ def reduce_angle(m: Maths, x: Any) -> Any:
     z = r * r
     sine = r + m.fma(z * r, m.polynomial(z, c.sin), rest)
     half = 0.5 * z
-    most = 1.0 - half  # of the cosine; what it lost by rounding comes with the smaller terms
+    most = 1.0 - half  # of the cosine; its rounding error comes with the smaller terms
     cosine = most + m.fma(z * z, m.polynomial(z, c.cos), ((1.0 - most) - half) - r * rest)
     return sine, cosine, n if m.bitless else m.bits(shifted)
 

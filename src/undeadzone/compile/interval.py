@@ -215,7 +215,7 @@ cos = partial(_bound_wave, np.cos, 0.0)
 """cos a."""
 
 
-# Conditions (1 where they hold, 0 where they do not) and kinks
+# Conditions (1 if they hold, else 0) and kinks
 
 
 def _decide_condition(yes: np.ndarray, no: np.ndarray) -> Interval:

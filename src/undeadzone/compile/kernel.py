@@ -48,7 +48,7 @@ from undeadzone.compile.schedule import (
 
 _ARGUMENTS: Final = ("work", "exogenous", "params", "own", "outputs")
 _PAGE: Final = 4096  # bytes
-_APART: Final = 256  # numbers between the tables and what else stands on the stack
+_APART: Final = 256  # numbers between the tables and the rest of the stack
 _TABLE: Final = 2048  # numbers of a table of a chunk of steps: 16 KB
 _STEPS: Final = 64  # of a chunk, at most
 _FEWEST: Final = 4

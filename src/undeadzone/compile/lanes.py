@@ -28,12 +28,12 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.arrays import Floats, Integers, describe_shape
 
 WIDTH = 128
-WIDE = 1024  # lanes of a block that neither records nor has inputs of its own
+WIDE = 1024  # lanes of a block without records and inputs of its own
 MEASURED = 4000  # instructions, at most, of a step and its rare parts whose form is measured
 # Numbers of recorded outputs and lane inputs between two calls of a kernel: 1 MB stays in L2.
 BUFFER = 2**17
 
-UNRECORDED = 1 / 8  # what a step counts for that neither records nor has inputs of its own
+UNRECORDED = 1 / 8  # weight of a step without records and inputs of its own
 LINE = 8  # numbers in a line of the cache
 
 
@@ -377,7 +377,7 @@ def _allocate_aligned(numbers: int) -> Floats:
     return raw[start : start + numbers]
 
 
-# (first step, steps), asked for in order -> steps x own inputs x lanes
+# (first step, steps), called in order -> steps x own inputs x lanes
 Source = Callable[[int, int], Floats]
 Supply = Callable[[Integers], Source]  # lane numbers -> their source
 

@@ -14,7 +14,7 @@ import numpy as np
 # Of a word of 64 bits: its lower half, and how far the upper one is shifted.
 LOW, HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
 
-# Philox: factors of a round, and what a round adds to the key.
+# Philox: factors of a round, and its increment of the key.
 ROUNDS = 10
 MULTIPLY_A, MULTIPLY_C = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 RAISE_LOW, RAISE_HIGH = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
@@ -24,8 +24,8 @@ HALVE = np.float32(0.5)
 ONE = np.float32(1.0)
 UPPER = np.uint32(0xC0000000)  # words from 3/4 on
 THREE_QUARTERS = np.int32(0x3F400000)  # the bits of 0.75
-EXPONENT = np.int32(-0x800000)  # where an exponent is in a float
-DOUBLING = np.float32(-1.3862943611198906 * 2.0**-23)  # -2 log 2, of an exponent where it is
+EXPONENT = np.int32(-0x800000)  # bits of the exponent in a float
+DOUBLING = np.float32(-1.3862943611198906 * 2.0**-23)  # -2 log 2, for an exponent at its place
 SIGN, SWAP = np.uint32(0x80000000), np.uint32(0x40000000)  # bits of a word that choose an axis
 
 # Polynomials of least relative error (Remez): -2 log(1 + f) / f for f in [-1/4, 1/2], 1.7e-7.
@@ -72,7 +72,7 @@ def box_muller(a: Any, b: Any, m: Any = np) -> Any:
         a, b: two random words (uint32).
         m: where functions come from: NumPy, or `trace.Numpy`.
     """
-    # u = 2^e (1 + f), e = 0 where u is 1 - v.
+    # u = 2^e (1 + f), e = 0 if u is 1 - v.
     upper = a >= UPPER
     x = m.float32((m.float32(m.where(upper, m.uint32(~a), a)) + HALVE) * UNIT)
     exponent = m.where(upper, np.int32(0), m.int32(x.view(m.int32) - THREE_QUARTERS) & EXPONENT)

@@ -320,7 +320,7 @@ def find_locals(results: Results, expressions: Expressions, labels: dict[Node, s
         order = order_depth_first(order, list(itertools.chain(*results)))
     found: list[Local] = []
     for node in order:
-        if node.op == "input" or node in expressions.names:  # what a call gave
+        if node.op == "input" or node in expressions.names:  # result of a call
             continue
         often = node.op == "apply" or (bool(node.args) and counts[node] > 1)
         if often or node in apart or len(expressions.write_node(node).text) > LONGEST:

@@ -344,7 +344,7 @@ def _print_branch(text: Text, branch: Branch, have: dict[Node, str], name: Names
             have[node] = text.print_node(node, name)
         values = [have[node] for node in branch.leaving]
     have.clear()
-    have.update(before)  # what was loaded in the branch is not there beyond it
+    have.update(before)  # values loaded in the branch do not exist beyond it
     for node, value in zip(branch.leaving, values, strict=True):
         kind = text.type(TYPES[node.kind])
         sources = f"[{value}, %{label}.do], [zeroinitializer, %{came}]"

@@ -20,7 +20,7 @@ USERS: Final = 64  # of a value, beyond which none is followed
 ENOUGH: Final = 0.4  # share of all instructions saved at which no other part is looked for
 WEIGHT: Final = 2  # instructions that pass an argument or a result
 _COMMUTES: Final = ("add", "mul", "and", "or")
-_LARGE: Final = 1e30  # constants from which on stay what they are
+_LARGE: Final = 1e30  # constants from here on stay constants
 
 Row = tuple[Node, ...]  # the same instruction of each copy
 

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.compile.graph import LANES, Node, required_nodes
 
-# Cycles until a result is there, by instruction or function; 4 where nothing stands.
+# Cycles until a result is there, by instruction or function (4 if missing).
 _LATENCY: Final = {
     **{"div": 13, "sqrt": 20, "neg": 0, "and": 1, "or": 1, "xor": 1, "not": 1, "select": 2},
 }

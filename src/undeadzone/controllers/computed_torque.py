@@ -219,7 +219,7 @@ def build_gear_controller(
         place, turning = q - gears.gear_number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
         correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
         links = inverse_dynamics(gears.arm, gears.link_params(p.model), q, v, a + correction)
-        known = reject and estimate.w.shape[0] > 0  # what the model leaves out
+        known = reject and estimate.w.shape[0] > 0  # effects that the model leaves out
         spinning = a + push.T + correction - (estimate.w[2 * N : 3 * N] if known else 0.0)
         motors = gears.gear_number(p.model, "inertia") * spinning + gears.motor_friction_torque(
             p.model, turning

@@ -23,7 +23,7 @@ from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_array, require_matrix, require_number
 
 CHOICES = ("K", "poles", "alpha", "speed")
-SPEED = 5.0  # of the closed loop, in mean poles of the plant, where nothing is chosen
+SPEED = 5.0  # default speed of the closed loop, in mean poles of the plant
 
 
 class Robust(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -378,7 +378,7 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
     channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
     wear = slice(channels - losses - edges, channels - losses)
     lost = slice(channels - losses, channels)
-    walk = np.zeros((edges, runs.size))  # of each edge, in logarithms, up to the steps asked for
+    walk = np.zeros((edges, runs.size))  # of each edge, in logarithms, up to the requested steps
 
     def source(first: int, count: int) -> Floats:
         """Return the noise, drift and lost readings of the next `count` steps."""

@@ -112,7 +112,7 @@ async def _reach(cluster: str) -> None:
     try:
         hands = connect(cluster, timeout=REACH, **options)
         comm = await asyncio.wait_for(hands, 2 * REACH)
-    except Exception as error:  # whatever a server that is no scheduler makes of it
+    except Exception as error:  # any error of a server that is not a scheduler
         raise ClusterError(
             f"{cluster}: no Dask scheduler answers there: {str(error) or 'silence'}"
         ) from None

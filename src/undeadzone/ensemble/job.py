@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 from undeadzone.util.arrays import Floats
 
 LONGEST = 1.5  # [s] of a batch
-SHORTEST = 0.1  # [s] of a batch: below it, the few ms that sharing out takes are no longer few
+SHORTEST = 0.1  # [s] of a batch: below it, the few ms for sharing out matter
 LARGEST = 2**24  # [bytes] of a batch's rows
 AHEAD = 2  # batches for each thread: one at work, one waiting
 PATIENCE = 20.0  # [s] without a result until it matters whether anybody is at work

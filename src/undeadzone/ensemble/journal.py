@@ -26,7 +26,7 @@ from undeadzone.util.files import convert_write_errors, lock_file, write_all_byt
 from undeadzone.util.versions import package_versions
 
 PAGE = 4096  # [bytes] the columns begin at a multiple of it
-SECTOR = 512  # [bytes] in which a system counts what a file takes
+SECTOR = 512  # [bytes] unit in which a system counts the size of a file on disk
 NUMBER = 8  # [bytes] of a float64 and of a checksum
 OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
 WORDS = ("is not an unfinished ensemble", "an unfinished ensemble is there")

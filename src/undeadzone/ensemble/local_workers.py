@@ -27,7 +27,7 @@ from undeadzone.util.arrays import Floats
 
 STOPPED: Final = "local workers: stopped"
 DEATHS: Final = 4  # workers that may die at the same blocks before these are given up
-# What a worker is started with. -P: it does not import from the folder that it is started in,
+# Command of a worker. -P: it does not import from the folder that it is started in,
 # but from where this process imports.
 BEGIN: Final = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
@@ -128,7 +128,7 @@ def _add_worker(crew: _Crew) -> None:
             raise ClusterError(STOPPED)
         worker = _start_worker()
         crew.every.append(worker)
-    with suppress(OSError):  # one that died already is noticed when it is asked
+    with suppress(OSError):  # a dead worker is noticed at its next request
         _send_parts(worker, sys.path, crew.payload)  # where to import from, and its job
     crew.idle.put(worker)
 

@@ -87,7 +87,7 @@ def run_ensemble(
         path = saved.require_ensemble_path(path)
     scenario = anchor_files(scenario, Path.cwd())  # for workers, and for replays from elsewhere
     batch = prepare_batch(scenario)
-    is_here = workers is None and cluster is None  # where it need not be prepared again
+    is_here = workers is None and cluster is None  # then it need not be prepared again
     make = (lambda: batch) if is_here else functools.partial(prepare_batch, scenario)
     with notebook_progress(progress, "running", batch.layout.runs, "runs") as advance:
         compute = functools.partial(

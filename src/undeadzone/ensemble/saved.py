@@ -27,7 +27,7 @@ COLUMNS: Final = "columns/"  # what names of arrays in an `.npz` begin with
 ATTACHED: Final = "attached/"
 CHECKSUM: Final = "digest"  # of names and metadata of a `.parquet`, whose pages have their own
 CHUNK: Final = 2**20  # rows in a row group of Parquet
-ZIP_SIZES: Final = 26  # where a zip file's local header holds the lengths of name and extra field
+ZIP_SIZES: Final = 26  # offset of the lengths of name and extra field in a zip file's local header
 IN_OUTPUT_UNIT: Final = (
     *("rms_", "peak_", "d_", "sensor.right", "sensor.left", "sensor.noise", "reference.amplitude"),
 )

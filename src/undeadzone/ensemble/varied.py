@@ -35,7 +35,7 @@ from undeadzone.util.arrays import Floats
 
 FIXED: Final = (
     *("h", "controller.tau", "controller.rate"),  # set by the clock, never varied
-    *("sensor.limits.low", "sensor.limits.high"),  # sensor.range, where they exist
+    *("sensor.limits.low", "sensor.limits.high"),  # sensor.range, if they exist
 )
 AHEAD: Final = "controller.ahead."  # of the model that a controller moves on over a delay
 PARAMETRIC: Final = ("plant", "observer.model", "controller.model")  # hold NAME of parameters
@@ -220,7 +220,7 @@ def channel_amplitudes(signal: Signal | Random | None, channels: int) -> Floats:
     """Return the amplitude (or rms) of each channel that a signal is proportional to, or no
     numbers.
     """
-    rest: npt.ArrayLike = 0.0  # what the signal has besides the part proportional to its size
+    rest: npt.ArrayLike = 0.0  # part of the signal that is not proportional to its size
     match signal:
         case Sine(amplitude=size, offset=rest) | Step(amplitude=size, before=rest):
             pass

@@ -18,7 +18,7 @@ from undeadzone.signals.exosystem import Exosystem, build_exosystem, piecewise_e
 from undeadzone.signals.paths import Quintic, Swing
 from undeadzone.util.arrays import Floats, list_numbers, require_matrix, require_series
 
-JUMP = 0.3  # [rad] from where the speed leads within one step: another solution
+JUMP = 0.3  # [rad] from the position predicted by the speed: another solution
 SHORT = 1e-6  # of the arm's reach: a tip farther than this from its goal does not get there
 OTHER_START = "move the path, or let the arm start from another configuration (plant.x0)"
 REACHED = 1e-9  # of the arm's reach: largest residual of a position that counts as found

@@ -1,12 +1,12 @@
 """The actuator ahead of the plant: limit, rate limit, dead zone (docs/actuator.md).
 
-u is the command of the controller, and the input of the plant is
+u is the controller's command, and the plant's input is
 
     m_r (u - b_r) for u > b_r,   m_l (u + b_l) for u < -b_l,   0 between,
 
-after a limit on u and on its rate. Of a play it is what the limited command drags along: u - c_r
-while it moves right in contact, u + c_l while it moves left. Functions take NumPy arrays or CasADi
-expressions alike.
+after a limit on u and on its rate. For a play it is the level that the limited command drags along:
+u - c_r while it moves right in contact, u + c_l while it moves left. Functions take NumPy arrays or
+CasADi expressions alike.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Pairs = list[float | list[float]]
 
 
 class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Element between the command u and the plant's m inputs: one number, or one per input.
+    """Actuator between the command u and the plant's m inputs: one number, or one per input.
 
     Example:
         >>> uz.Actuator(right=0.3, left=0.2).right
@@ -36,14 +36,14 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Sensor, Scenario, ZoneInverse
 
     Attributes:
-        kind: "deadzone"; "play" (sampled time): what enters the plant follows the command once it
+        kind: "deadzone", or "play" (sampled time): the plant's input follows the command once it
             has crossed a gap, as behind a linkage or in a valve that turns.
-        right, left: widths b_r, b_l of the dead zone, or gaps c_r, c_l of a play (m) [u]; of a play
-            only c_r + c_l matters once it has moved.
+        right, left: widths b_r, b_l of the dead zone, or gaps c_r, c_l of a play (m) [u] (of a play
+            only c_r + c_l matters once it has moved).
         slope: [m_r, m_l], input of the plant per command beyond the zone, one pair, or one per
             input (m x 2); default 1; a play has none.
-        limit: [lo, hi], between which the command stays [u], one pair, or one per input; default
-            none.
+        limit: [lo, hi], between which the command stays [u], one pair, or one per input (default
+            none).
         rate: [falling, rising], largest rates of the command [u/s], one pair, or one per input;
             sampled time only; default none; a play has none.
     """
@@ -57,12 +57,12 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class ActuatorModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The actuator as observer and compensator know it; absent keys are the actuator's own.
+    """The actuator as observer and compensator know it. Absent keys are the actuator's own.
 
     Attributes:
         kind: as in [actuator].
-        right, left: widths b_r, b_l (m) [u]; where the observer shall estimate them, a range
-            [lo, hi], or a list of one range per input. Gaps of a play are numbers.
+        right, left: widths b_r, b_l (m) [u] (if the observer shall estimate them, a range [lo, hi],
+            or a list of one range per input). Gaps of a play are numbers.
         slope: as in [actuator].
         limit: as in [actuator].
         rate: as in [actuator].
@@ -82,9 +82,9 @@ class Drive(NamedTuple):
     Attributes:
         right, left: widths b_r, b_l (m) [u].
         slope_right, slope_left: m_r, m_l (m).
-        low, high: limits of the command (m) [u]; `LARGEST` is none.
-        fall, rise: largest rates of the command (m) [u/s]; `LARGEST` is none.
-        gap_right, gap_left: c_r, c_l of a play (m) [u]; empty: there is none.
+        low, high: limits of the command (m) [u] (`LARGEST`: no limit).
+        fall, rise: largest rates of the command (m) [u/s] (`LARGEST`: no limit).
+        gap_right, gap_left: c_r, c_l of a play (m) [u] (empty: there is none).
     """
 
     right: Any
@@ -110,11 +110,11 @@ class Drive(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """Known numbers of an actuator.
+    """Knowledge about an actuator.
 
     Attributes:
-        drive: its numbers; of widths that are not known the middle of their range.
-        ranges: [lo, hi] of all b_r, then of all b_l (2m x 2) [u]; None: the widths are known.
+        drive: its numbers (of widths that are not known the middle of their range).
+        ranges: [lo, hi] of all b_r, then of all b_l (2m x 2) [u] (None: the widths are known).
     """
 
     drive: Drive
@@ -125,7 +125,7 @@ def through_line(line: Any, u: Any) -> tuple[Any, Any]:
     """Return (the line of delays after a command u (m), the command that leaves it), in CasADi.
 
     Args:
-        line: commands under way, the oldest first (delay m); empty: a command leaves at once.
+        line: commands under way, the oldest first (delay m) (empty: a command leaves at once).
         u: the command (m).
     """
     commands = ca.vertcat(line, u)
@@ -151,12 +151,12 @@ def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
 
 
 def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[Any, Any]:
-    """Return the state for the next sample, and the command after limits, rate and play.
+    """Return (the next state, the command after limits, rate and play) for a command.
 
     Args:
         ops: the module of fmax and fmin, NumPy or CasADi.
         u: command (m) [u].
-        last: the state: the command before of a limited rate, the level of a play (m); empty.
+        last: previous command of a limited rate, or level of a play (m), else empty.
         drive: the actuator.
         step: time since the command before [s].
     """
@@ -187,7 +187,7 @@ def input_range(drive: Drive) -> tuple[Floats, Floats]:
 
 
 def through_zone(ops: Any, u: Any, drive: Drive) -> Any:
-    """What enters the plant of a command that passed limits, rate and play (m)."""
+    """Return the plant's input (m) for a command that passed limits, rate and play."""
     if drive.is_play:
         return u
     over = drive.slope_right * ops.fmax(u - drive.right, 0.0)
@@ -232,7 +232,7 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
 
 
 def believe_actuator(told: ActuatorModel | None, m: int) -> Belief | None:
-    """Known numbers of the actuator; None without an actuator.
+    """Return the knowledge about the actuator, or None without one.
 
     Args:
         told: as a user tells it; an absent width is 0.
@@ -272,12 +272,12 @@ SIDES = ("right", "left")
 
 
 def _width_or_zero(width: Any) -> Any:
-    """Return a width; 0 where none is given."""
+    """Return a width, or 0 where none is given."""
     return 0.0 if width is None else width
 
 
 def _range(key: str, value: Any, m: int) -> Floats | None:
-    """Ranges of one side (m x 2); None where the widths are numbers. Raises InputError."""
+    """Ranges of one side (m x 2), or None if the widths are numbers. Raises InputError."""
     given = require_array(key, value)
     if given.shape not in ((2,), (m, 2)) or (given.ndim == 1 and m == 2):
         return None

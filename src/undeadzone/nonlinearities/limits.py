@@ -28,23 +28,19 @@ class Limits(NamedTuple):
 
 
 def at_limit(y: Any, limits: Limits) -> Any:
-    """Return +1 where a reading is at its upper limit, -1 where at its lower one, else 0 (NaN
-    too).
-    """
+    """Return +1 if a reading is at its upper limit, -1 if at its lower one, else 0 (NaN too)."""
     low, high = (1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high
     return 1.0 * (y >= high) - 1.0 * (y <= low)
 
 
 def is_beyond_range(y: Any, limits: Limits) -> Any:
-    """Return 1 where a finite number lies beyond its range by more than rounding: no reading
-    does.
-    """
+    """Return 1 if a finite number lies beyond its range by more than rounding: no reading does."""
     low, high = (1 + ROUNDING) * limits.low, (1 + ROUNDING) * limits.high
     return 1.0 * (y > high) * (y < np.inf) + 1.0 * (y < low) * (y > -np.inf)
 
 
 def require_range(key: str, value: Any, p: int) -> tuple[Floats, Floats]:
-    """Return (least, largest) readings (p each), -inf and inf where there is no limit.
+    """Return (least, largest) readings (p each), -inf and inf if there is no limit.
 
     Args:
         key: named in errors.
@@ -109,7 +105,7 @@ def require_pairs(key: str, given: Floats, count: int, what: str, each: str) -> 
 
 
 def limits_of(low: Floats, high: Floats) -> Limits | None:
-    """Return the limits with finite numbers (p each); None where no output has any."""
+    """Return the limits with finite numbers (p each), or None if no output has any."""
     if not np.isfinite([low, high]).any():
         return None
     return Limits(np.maximum(low, -LARGEST), np.minimum(high, LARGEST))

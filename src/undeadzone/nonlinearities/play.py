@@ -21,7 +21,7 @@ FALSE_ALARMS = 1e-6  # rate at which noise may pass for motion by default, in po
 
 
 def apply_backlash(ops: Any, z: Any, before: Any, right: Any, left: Any) -> Any:
-    """What is read of z, in units of z: the level before, moved as little as the gap allows.
+    """Return the reading in units of z: the level before, moved as little as the gap allows.
 
     Args:
         ops: the module of fmax and fmin, NumPy or CasADi.
@@ -33,12 +33,12 @@ def apply_backlash(ops: Any, z: Any, before: Any, right: Any, left: Any) -> Any:
 
 
 def contact(level: Any, before: Any) -> Any:
-    """Return the contact in which a level moved: +1 right, -1 left, 0 where it held."""
+    """Return the contact in which a level moved: +1 right, -1 left, 0 if it held."""
     return 1.0 * (level > before) - 1.0 * (level < before)
 
 
 def levels(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
-    """What is behind a play along a record of outputs (N x p) [z].
+    """Return the level of a play along a record of outputs (N x p) [z].
 
     Args:
         z: true outputs (N x p).
@@ -66,7 +66,7 @@ def contacts(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
 
 
 def detect_tick(ops: Any, y: Any, side: Any, moved: Any, quantum: Any) -> tuple[Any, Any]:
-    """Where z was, in units of y, when an encoder's tick came, and its variance.
+    """Return z, in units of y, at the time of an encoder's tick, and its variance.
 
     z has just passed the boundary between two multiples of the quantum, by at most how far it moves
     in a sample.
@@ -83,7 +83,7 @@ def detect_tick(ops: Any, y: Any, side: Any, moved: Any, quantum: Any) -> tuple[
 
 
 def readings_of_motion(step: float, pace: float) -> int:
-    """How many readings motion is judged over by default.
+    """Return the default number of readings over which motion is judged.
 
     Args:
         step: time between readings [s].
@@ -100,7 +100,7 @@ class Ahead(NamedTuple):
 
     Attributes:
         right, left: gaps c_r, c_l, of a range its middle (p) [z].
-        ranges: of all c_r, then of all c_l (2p x 2) [z]; None: the gaps are known.
+        ranges: of all c_r, then of all c_l (2p x 2) [z] (None: the gaps are known).
         threshold: change of y over the window that counts as motion (p) [y].
     """
 
@@ -111,7 +111,7 @@ class Ahead(NamedTuple):
 
 
 def largest_gap(play: Ahead | None) -> float:
-    """Return the largest gap that a play may have [z]; 0 without one."""
+    """Return the largest gap that a play may have [z], or 0 without one."""
     if play is None:
         return 0.0
     ends = np.stack([play.right, play.left]) if play.ranges is None else play.ranges
@@ -119,15 +119,15 @@ def largest_gap(play: Ahead | None) -> float:
 
 
 def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
-    """Return the gaps (2 x p) and, where they are not known, their ranges (2p x 2) [z].
+    """Return the gaps (2 x p) and, if they are not known, their ranges (2p x 2) [z].
 
     Args:
-        given: [c_r, c_l], or one such pair per output; a range [lo, hi] in place of each number.
+        given: [c_r, c_l], or one such pair per output (a range [lo, hi] in place of each number).
         p: number of outputs.
         key: named in errors.
 
     Raises:
-        InputError: a gap below 0, a range that is none.
+        InputError: a gap below 0, an invalid range.
         ShapeError: another shape.
     """
     value = require_array(key, given)

@@ -71,7 +71,7 @@ def deadzone(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
 
 
 def zone(z: Any, right: Any, left: Any) -> Any:
-    """Where the true output is: +1 beyond d_r, -1 below -d_l, 0 inside."""
+    """Return the place of the true output: +1 beyond d_r, -1 below -d_l, 0 inside."""
     return 1.0 * (z > right) - 1.0 * (z < -left)
 
 
@@ -81,7 +81,7 @@ def jump(z: Any, right: Any, left: Any, slope: Any = 1.0) -> Any:
 
 
 def present(y: Any) -> Any:
-    """Return 1 where a reading is a finite number, 0 where it is missing (NaN, infinite).
+    """Return 1 if a reading is a finite number, 0 if it is missing (NaN, infinite).
 
     CasADi takes y == y for true, so the reading is compared with large numbers.
     """
@@ -89,7 +89,7 @@ def present(y: Any) -> Any:
 
 
 def side(y: Any, threshold: Any = 0.0, limits: Limits | None = None) -> Any:
-    """Return the measured side: +1 where y > threshold, -1 where y < -threshold, else 0.
+    """Return the measured side: +1 if y > threshold, -1 if y < -threshold, else 0.
 
     0 is silent, also for NaN. +2 and -2 are at the limits of the range, if there are any: there z
     is at least, or at most, the reading.
@@ -146,7 +146,7 @@ def inverse(
 ) -> Any:
     """Return the deadzone inverse (26): y / m + chi_bar d on the measured side.
 
-    It is y / m where the sensor is silent, of the jump kind or an encoder beside gears.
+    It is y / m inside the zone, for the jump kind and for an encoder beside gears.
 
     Args:
         y: reading.
@@ -262,8 +262,8 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             one input and one output; a pair is a range, which observers estimate [u].
         load_inertia: input that what is behind a play takes per acceleration; it tells whether the
             load rests in its gap (p) [u s^2/z].
-        rounding: how far about an edge observers take the characteristic for round, 0 where its
-            edges are sharp (p) [z]; default 7 % of the smaller middle of the declared ranges. A
+        rounding: how far about an edge observers take the characteristic for round, 0 if its edges
+            are sharp (p) [z] (default 7 % of the smaller middle of the declared ranges). A
             simulated sensor has sharp edges.
         slope_std: relative standard deviation of the slope to observers, alike on both sides; 0:
             it is known (p) [1]; default 0.06. A simulated sensor has `slope` itself.
@@ -355,7 +355,7 @@ class Zone(msgspec.Struct, frozen=True):
 
     @property
     def limits(self) -> Limits | None:
-        """Return the limits of the readings; None where no output has any."""
+        """Return the limits of the readings, or None if no output has any."""
         return limits_of(self.low, self.high)
 
     @property
@@ -453,7 +453,7 @@ def _motion(noise: Floats, quantum: Floats, window: int, step: float, rate: floa
 
 
 def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
-    """Return the play ahead of the dead zone; None where there is none. Raises InputError."""
+    """Return the play ahead of the dead zone, or None if there is none. Raises InputError."""
     if sensor.play is None:
         return None
     if sensor.kind != "deadzone":

@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.util.arrays import Floats
 
-TINY = 1e-12  # relative eigenvalues below which a covariance tells nothing of a direction
+TINY = 1e-12  # relative eigenvalues below which a covariance has no information on a direction
 EXACT = 1e-8  # standard deviations within which a reading moved a belief along its rows alone
 
 

@@ -59,7 +59,7 @@ def build_rk4_arcs(
     point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
     along = ca.jtimes(output(point), point, direction)
     slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
-    # As functions: Python takes long over each operation, and they are asked for often.
+    # As functions: Python takes long over each operation, and they are called often.
     names = ("x0", "dx0", "x1", "dx1", "h", "c")
     given = [ca.SX.sym(name, along.shape[0]) for name in names]
     cubic, tangent = (ca.Function("z", given, [f(*given)]) for f in (hermite, hermite_slope))

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 CLIP = 30.0  # standard deviations beyond which all readings are alike: all of them are wrong
-DEEP = 5.0  # standard deviations below which chances are told by their asymptotes
+DEEP = 5.0  # standard deviations below which probabilities follow their asymptotes
 NARROW = 1e-6  # least chance of an interval, over that of its nearer end
-UNLIKELY = 0.01  # chance of a claimed range below which it is not believed
+UNLIKELY = 0.01  # probability of an assumed range below which the range is not used
 TAIL = 10.0  # standard deviations over which a glitch is spread, besides its reach
 
 

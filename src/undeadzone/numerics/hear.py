@@ -16,9 +16,9 @@ from undeadzone.errors import InputError, ShapeError
 from undeadzone.util.arrays import Array, Flags, Floats
 
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
-DOUBT = 1.6448536269514722  # an edge inside of which z is with 95 % anyway is not heard
-UNSURE = 0.05  # the chance of being beyond an edge where it is heard beside the other one
-DEEP = 5.0  # standard deviations beyond an edge from which chances are told by a series
+DOUBT = 1.6448536269514722  # an edge inside which z lies with 95 % already is not used
+UNSURE = 0.05  # least probability beyond an edge for its use beside the other one
+DEEP = 5.0  # standard deviations beyond an edge from which probabilities follow a series
 NARROW = 1e-6  # least chance of silence, over that of being inside of the nearer edge
 CLIP = 30.0  # standard deviations off an edge from which all is alike
 PARALLEL = 1e-12  # 1 - correlation^2 of two edges below which they are one

@@ -28,7 +28,7 @@ from undeadzone.observers.filtering.unknown_inputs import (
 from undeadzone.plants.system import System, scale_states
 from undeadzone.util.arrays import require_number
 
-WEAR = 0.0025  # drift, in extents of the range per 1 / sqrt(|pole|), unless it is claimed
+WEAR = 0.0025  # default drift, in extents of the range per 1 / sqrt(|pole|)
 
 
 class Censored(Assumptions, frozen=True, kw_only=True, tag_field="method", tag="censored"):

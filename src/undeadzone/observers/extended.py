@@ -43,7 +43,7 @@ from undeadzone.plants.system import System, scale_states
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats
 
-LEVELS = 3  # of a disturbance that is not claimed
+LEVELS = 3  # of a disturbance without an assumption
 
 
 class Extended(Options, frozen=True, kw_only=True, tag="extended"):

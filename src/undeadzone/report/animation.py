@@ -31,7 +31,7 @@ DPI = 80  # of a file
 COLOURS = 32  # of a GIF
 SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
-SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from an arm's path to what lies right in the drawing
+SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from an arm's path to the right of the drawing
 TRAIL = 2.0  # [s] of the tip's way that a file shows
 
 _STYLE = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"

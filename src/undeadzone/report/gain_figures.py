@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FACTORS: Final = np.linspace(0.0, 3.0, 1501)  # times the gains
-CHOSEN: Final = 500  # where the factor is 1
+CHOSEN: Final = 500  # index of the factor 1
 EVERY: Final = 25  # of the factors: where rates are shown
 NAMES: Final = {"gamma": r"$\gamma$", "L": "$L$"}
 ELLIPSE: Final = 2.447747  # of a 95 % ellipse

@@ -12,4 +12,4 @@ REFERENCE: Final = "#009e73"
 PRINTED: Final = "#d55e00"
 OTHER: Final = "#cc79a7"
 ZONE: Final = "#8a8f98"
-FORBIDDEN: Final = "#f3d9cc"  # where a pole is unstable, or 1 + G not positive real
+FORBIDDEN: Final = "#f3d9cc"  # region of unstable poles, or of 1 + G not positive real

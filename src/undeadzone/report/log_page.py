@@ -50,7 +50,7 @@ VERDICTS: Final = {
     None: ("that cannot be tested", "mid"),
 }
 POINTS = 20_000  # samples that a line shows at most
-MOST_GAPS = 100  # that are shaded: more could not be told apart
+MOST_GAPS = 100  # that are shaded: more could not be distinguished
 
 
 def write_estimation(

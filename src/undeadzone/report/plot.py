@@ -29,7 +29,7 @@ KINDS = (
 )
 
 
-# By class: the module that draws it, its first figure, the panel that says most.
+# By class: the module that draws it, its first figure, its most informative panel.
 DRAWN: Final = {
     "results.run.Run": (".run_figures", "overview", "output"),
     "results.estimation.Estimation": (".log_page", "log_overview", "output"),

@@ -30,7 +30,7 @@ CAPTIONS: Final = {
     "posture is grey.",
     "figure": "Output, reading and estimate; errors; widths with 95 % bands against the truth",
 }
-# What else the figure shows, where a run has this signal.
+# Further contents of the figure, if a run has this signal.
 FURTHER: Final = {
     "b_hat": "command and widths of the actuator",
     "c_hat": "reading over output, and gaps of the play",

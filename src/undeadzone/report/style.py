@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SUFFIXES: Final = (".png", ".pdf", ".svg")
 DPI: Final = 110
-FINE: Final = 200  # of what is no curve in an SVG: thousands of dots
+FINE: Final = 200  # resolution of objects other than curves in an SVG: thousands of dots
 FLOOR: Final = 1e-16  # least value on a logarithmic axis
 SPANS: Final = 120  # of time, in each of which the largest sample is shown
 DECADES: Final = 100.0  # beyond this ratio an axis has ticks at decades alone

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-LARGER: Final = 0.05  # by which the true z is larger than the model says
+LARGER: Final = 0.05  # by which the true z is larger than the model's
 NOTHING: Final = 0.005  # share that rounds to 0
 LOUD: Final = 0.5  # share of it that z^ must follow, not to be taken on trust
 

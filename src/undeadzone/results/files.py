@@ -26,7 +26,7 @@ CHECKSUM: Final = '"sha256":"'  # the last key of the info in a `.csv`
 DIGITS: Final = 20  # bytes of a number in a `.csv`, about
 NO_SUM: Final = 64 * "0"
 
-# What NumPy, msgspec and the zip file around them raise of a file that is no run.
+# Exceptions of NumPy, msgspec and the zip file around them for a file that is not a run.
 NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 

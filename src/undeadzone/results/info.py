@@ -46,9 +46,9 @@ class Info(msgspec.Struct, frozen=True, kw_only=True):
         uncertain: the parameters that the observer estimates, and their true values.
         label: name that distinguishes its observer from the compared one (empty: the method).
         adapts: whether the observer estimates the widths.
-        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z]; empty: none.
-        halves: declared [lo, hi] of half the gap of gears at each output; empty: none.
-        scenario: what was run, as TOML; empty where no text can hold it.
+        ranges: declared [lo, hi] of d_r and d_l of each output in turn [z] (empty: none).
+        halves: declared [lo, hi] of half the gap of gears at each output (empty: none).
+        scenario: scenario that was run, as TOML (empty if no text can hold it).
         version: of undeadzone.
         schema: number of the meanings that the names in it have (docs/json.md) (None: at most 2).
         seed: of every random number.

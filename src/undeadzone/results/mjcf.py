@@ -28,12 +28,12 @@ class Joint(NamedTuple):
 
     Attributes:
         name: of the joint.
-        words: what is known of its gap.
+        words: description of its gap.
         behind, ahead: how far the link may be behind its motor and ahead of it [rad].
         inertia: of the motor as felt at the joint [kg m^2].
         friction, viscous: of the motor [N m], [N m s/rad].
         link: the same two of the link.
-        contact: natural frequency [rad/s] and damping ratio of the ends; None: as MuJoCo has them.
+        contact: natural frequency [rad/s] and damping ratio of the ends (None: as MuJoCo has them).
     """
 
     name: str
@@ -48,7 +48,7 @@ class Joint(NamedTuple):
 
 
 def joints_from_run(run: Run) -> list[Joint]:
-    """Return the gears estimated in a run, the rest from its model; empty without an estimate.
+    """Return the gears estimated in a run, the rest from its model, or empty without an estimate.
 
     Args:
         run: with its scenario.
@@ -78,7 +78,7 @@ def joints_from_run(run: Run) -> list[Joint]:
 
 
 def write_gears(joints: list[Joint], folder: Path) -> list[Path]:
-    """Write joints to a folder, as MuJoCo's default classes and tendons; nothing for no
+    """Write joints to a folder, as MuJoCo's default classes and tendons, nothing for no
     joints.
 
     Args:
@@ -86,7 +86,7 @@ def write_gears(joints: list[Joint], folder: Path) -> list[Path]:
         folder: where to.
 
     Returns:
-        What was written.
+        Paths of the written files.
 
     Raises:
         FileError: the file cannot be written.

@@ -36,7 +36,7 @@ from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
 FRAMES: Final = 25  # per second, of an arm's poses
-ERRORS: Final = {  # over the end of a run: what they are called in a terminal, and on a page
+ERRORS: Final = {  # over the end of a run: names on a terminal, and on a page
     "rms_tracking": ("rms z - r", "rms of z − r"),
     "rms_estimation": ("rms z - z^", "rms of z − z^"),
     "rms_behind_play": ("rms y/m - r", "rms of y / m − r"),
@@ -337,7 +337,7 @@ def _root_mean_square(values: Floats) -> float:
 
 
 def _gap_intervals(run: Run) -> dict[str, Any]:
-    """Return the 95 % interval of each gap of gears for JSON; nothing without such gaps.
+    """Return the 95 % interval of each gap of gears for JSON, or nothing without such gaps.
 
     It is the declared range where the gap cannot be known.
     """
@@ -376,7 +376,7 @@ def final_parameter_rows(run: Run) -> list[Row]:
 
 
 def final_width_rows(run: Run) -> list[list[Row]]:
-    """Return the widths of each output; of gears their gap and its centre."""
+    """Return the widths of each output, of gears their gap and its centre."""
     info, rows = run.info, final_side_rows(run)
     if info.sensor != "gears":
         return rows
@@ -428,7 +428,7 @@ def blocks_from_run(run: Run) -> list[Block]:
     if info.sensor != "gears":  # whose encoders are never silent
         quiet = "holding" if info.sensor == "play" else "silent"
         shown[quiet] = f"{100 * run.silent_fraction:.1f} % of the time"
-    if run.divergence_time is not None:  # what readings would tell is no use of these
+    if run.divergence_time is not None:  # identifiability is of no use then
         shown["DIVERGED"] = f"at {run.divergence_time:g} s"
         return [shown] if single else [shown, _final_output_rows(run)]
     if refuted := final_rejections(run.signals.arrays).get("claims"):
@@ -471,7 +471,7 @@ def _final_output_rows(run: Run) -> Rows:
 
 
 def _describe_verdict(verdict: Mapping[str, Any]) -> str:
-    """Return the identifiability of an output's widths as text; of gears that of their gap."""
+    """Return the identifiability of an output's widths as text, of gears that of their gap."""
     crossings = verdict.get("crossings")
     if crossings is not None:
         return f"yes, {count_noun(crossings, 'strike')} heard" if verdict["width"] else "NO"

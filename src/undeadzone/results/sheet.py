@@ -48,7 +48,7 @@ class Row(NamedTuple):
 
     @property
     def value_with_interval(self) -> str:
-        """Return the value as text, with its 95 % interval if known; nan if missing."""
+        """Return the value as text, with its 95 % interval if known, nan if missing."""
         if self.withheld:
             return f"[{self.least:.4g}, {self.most:.4g}] as declared"
         if self.std is None:
@@ -180,9 +180,9 @@ def build_gear_rows(
 
     Args:
         widths: rows of right and left, at each output.
-        deviations: of right + left; None: not known.
-        halves: declared [lo, hi] of half the gap; empty: none.
-        known: whether the gap can be known; else it is only as it was declared.
+        deviations: of right + left (None: not known).
+        halves: declared [lo, hi] of half the gap (empty: none).
+        known: whether the gap can be known. Else it is only as it was declared.
     """
     rows = []
     for i, (right, left) in enumerate(widths):
@@ -206,5 +206,5 @@ def build_gear_rows(
 def _add(
     right: float | None, left: float | None, sign: float = 1.0, share: float = 1.0
 ) -> float | None:
-    """Return a share of right + sign left; None without them."""
+    """Return a share of right + sign left, or None without them."""
     return None if right is None or left is None else share * (right + sign * left)

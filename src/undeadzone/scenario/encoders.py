@@ -81,7 +81,7 @@ def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
 
     Args:
         options: of the observer.
-        system: what it is for.
+        system: plant of the method.
         postures: angles of the links that the motion visits (K x N).
     """
     gears = system.gears

@@ -15,7 +15,7 @@ import msgspec
 from undeadzone.errors import InputError
 from undeadzone.registry import REGISTRIES
 
-_CURES = {  # what may stand for a part, where its type does not say it
+_CURES = {  # admissible values of a part, if its type does not show them
     "plant": "uz.Plant(A=..., B=..., C=...), or uz.from_control(system)",
     "reference": "a signal such as uz.Sine(amplitude=..., frequency=...)",
     "observer": "options such as uz.Auto(right=[0.0, 2.0])",
@@ -34,7 +34,7 @@ _WORDS = {
     "bool": "true or false",
     "null": "nothing",
 }
-_SYNONYMS = {  # words of other tools, and what stands for them here
+_SYNONYMS = {  # words of other tools, and their names here
     "dt": "The sample time is simulation.step",
     "Ts": "The sample time is simulation.step",
     "sample_time": "The sample time is simulation.step",

@@ -124,12 +124,12 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     return data
 
 
-# What stands for tables that a scenario for logs leaves out.
+# Defaults for tables that a scenario for logs leaves out.
 _STAND_INS: Final = {
     "reference": {"kind": "sine", "amplitude": 0.0, "frequency": 1.0},
     "controller": {"method": "pd"},
 }
-_OTHER_FILES: Final = {  # what is given in place of a scenario, and where it should go
+_OTHER_FILES: Final = {  # files given in place of a scenario, and their right command
     ".csv": "; a log goes to undeadzone identify, or, behind the scenario, to estimate",
     ".npz": "; a run of an ensemble is shown by --replay NUMBER",
     ".py": "; run a program with python",

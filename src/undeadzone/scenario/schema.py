@@ -37,8 +37,8 @@ from undeadzone.util.arrays import Array, require_array
 from undeadzone.util.earlier import ASSUMPTION_TABLES, SCHEMA
 from undeadzone.util.files import write_text
 
-VAGUE: Final = 3.0  # in largest widths: where the widths lie if nothing is declared
-SMALL: Final = 0.01  # half of a gap of gears, at least, where its range is not declared [rad]
+VAGUE: Final = 3.0  # in largest widths: upper end of the default range of the widths
+SMALL: Final = 0.01  # least half of a gap of gears, if its range is not declared [rad]
 BANDWIDTH: Final = 10.0  # of a rigid arm [rad/s]
 UNNAMED: Final[Any] = None  # stands for an observer or a controller until the usual one does
 

@@ -23,7 +23,7 @@ SHARE = 0.8  # of the way to a limit, and of the greatest speed
 PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
-GAP, WIDER = 0.2, 0.6  # of a width: half a gap that nobody measured, and where it surely ends
+GAP, WIDER = 0.2, 0.6  # of a width: guess of half an unmeasured gap, and its upper bound
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 FRICTION_SHARE = 0.1  # of the largest torque of the motion, above which it is no guess
 STEP = 0.001  # [s] of a sample of an arm with gears
@@ -71,9 +71,9 @@ def starting_scenario(found: Survey, path: str, gears: bool = False) -> str:
 
 
 def _gears(found: Survey, swing: Floats, widths: Floats) -> dict[str, Any]:
-    """Return gears that might be the arm's, and what a filter and a simulation of them need.
+    """Return gears that might be the arm's, with the numbers that a filter and a simulation need.
 
-    Motors are as heavy as what they move.
+    Motors are as heavy as the links that they move.
     """
     most = FRICTION_SHARE * np.max(_torques(found, swing))  # limits of files may be anything
     friction = np.fmin(FRICTION * found.body.chain.torque, most)

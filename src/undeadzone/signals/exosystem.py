@@ -278,7 +278,7 @@ def _tones_exosystem(
         gains.append(constant)
     rates = np.array(omegas)
     S = np.zeros((len(gains), len(gains)))
-    waves = 2 * np.arange(rates.size)  # where the two states of each sine begin
+    waves = 2 * np.arange(rates.size)  # first index of the two states of each sine
     S[waves, waves + 1], S[waves + 1, waves] = rates, -rates
 
     def state(t: Floats) -> Floats:

@@ -168,7 +168,7 @@ class Wiring(NamedTuple):
         )
 
     def _actuate(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
-        """Return (what the actuator keeps, what enters the plant) of a command u (m)."""
+        """Return (the actuator's next state, the plant's input) for a command u (m)."""
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u
@@ -184,7 +184,7 @@ class Wiring(NamedTuple):
             y = sensor.slope * level + w.after
         else:
             y = branch(z, mode.zone, *self.widths(w), sensor.slope, self.kind) + w.after
-        if limits is not None and self.plant.Ts is None:  # the branch says when it is at a limit
+        if limits is not None and self.plant.Ts is None:  # the branch shows when it is at a limit
             y = ca.if_else(read > 1, limits.high, y)
             return Reading(ca.if_else(read < -1, limits.low, y), read, s.plant)
         rounded = sensor.quantum.numel() > 0
@@ -251,7 +251,7 @@ def close(problem: Problem) -> loop.Loop:
     else:
         attempts = _located_attempts(step, simulation.order)
         following = _first_that_suffices(attempts)
-    # At once: to look for what is computed twice takes longest of all.
+    # At once: the search for common subexpressions takes longest.
     following, out, *ends = ca.cse([following, out, *itertools.chain(*attempts)])
     parts = _in_parts(ends, inputs, out) if attempts else None
     shapes = tree.map_leaves(lambda leaf: np.zeros(leaf.shape[0]), outputs)

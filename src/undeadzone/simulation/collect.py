@@ -73,7 +73,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
 
 
 def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]:
-    """What the readings tell of the gears of each joint; of encoders at motors besides, nothing."""
+    """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
     from undeadzone.analysis.identifiability.flanks import Listener, gap_identifiability
 
     plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
@@ -101,7 +101,7 @@ def withhold_gaps(
     anywhere in the widest one that is declared.
 
     Args:
-        problem: what was simulated.
+        problem: the simulated problem.
         verdicts: of each output.
         estimate: a row per sample.
     """

@@ -25,10 +25,12 @@ from undeadzone.observers.filtering.consistency import FAR, Sums, accumulate_inn
 from undeadzone.observers.filtering.prior import CHANCE, HISTORY, SPAN
 from undeadzone.util.arrays import Floats
 
-MOST_REFUSED: Final = 0.05  # share of the readings, or silences, that may contradict the claims
+MOST_REFUSED: Final = (
+    0.05  # share of readings, or censored samples, that may contradict the assumptions
+)
 MOST_SQUARE: Final = 1.5  # mean square of the normalised innovations that were not refused
 FEWEST: Final = 30  # readings that a test needs
-MOST_OF_THE_TIME: Final = 0.5  # share of the record during which the claims may not fit
+MOST_OF_THE_TIME: Final = 0.5  # share of the record during which the assumptions may not hold
 ROUNDING: Final = 1e-6  # of the size of z, by which z^ may be off without any noise
 
 
@@ -165,7 +167,9 @@ class Own:
     KEPT: Final = ("refused", "_last", "_samples", "_unfit", "_before", "_suspected")
 
     def __init__(self) -> None:
-        self._last = np.zeros(2)  # bits of claims, and the likeliest, at the last sample
+        self._last = np.zeros(
+            2
+        )  # bits of assumptions, and the most suspect one, at the last sample
         self._suspected = np.zeros(
             len(ASSUMPTION_CHECKS), int
         )  # samples at which each was the likeliest

@@ -322,7 +322,7 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     records, worst = _records(graphs, states, ahead.worst)
     rows = np.hstack([*beliefs, *wide, shares, records])
     shown = interpret.map_rows(graphs.shown, rows, numbers)
-    # Where no belief can be smoothed, the filter itself shows.
+    # If the estimate cannot be smoothed, that of the filter is shown.
     lost = ~np.isfinite(shown).all(axis=1)
     shown[lost] = np.hstack([estimates[lost, part] for part in graphs.causal])
     return shown, _Ahead(before, odds, worst)

@@ -21,7 +21,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import Progress, Start, prepare, signals_of, simulate_scenario
 from undeadzone.util.arrays import Floats, to_json_value
 
-STILL: Final = 1e-6  # of the largest |z|: an output that moves less says nothing
+STILL: Final = 1e-6  # of the largest |z|: an output that moves less is not used
 
 
 def measure_feedback(scenario: Scenario, progress: Progress | None = None) -> Run:

@@ -42,7 +42,7 @@ from undeadzone.simulation.loop import Outputs
 from undeadzone.util.arrays import Floats, shift_rows
 
 NEGLIGIBLE = 1e-6  # share of the motion's range: a smaller deviation is known, also of width 0
-ROUNDING: Final = 1e-9  # share of a gap by which one that is told may miss it
+ROUNDING: Final = 1e-9  # share of a gap by which an assumed one may miss it
 NONE: Final[dict[str, Any]] = dict.fromkeys(DIRECTIONS, False)  # no width is known
 
 
@@ -297,7 +297,7 @@ def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> Wid
 
 
 def _gaps_or_widths(drive: Drive) -> Floats:
-    """Return widths and gaps of an actuator (4 x m); it has the ones or the others."""
+    """Return widths and gaps of an actuator (4 x m). It has the ones or the others."""
     gaps = [drive.gap_right, drive.gap_left] if drive.is_play else [0 * drive.right] * 2
     return np.stack([drive.right, drive.left, *gaps])
 

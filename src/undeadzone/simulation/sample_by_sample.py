@@ -57,7 +57,7 @@ def run_sample_by_sample(
     for k, row in enumerate(exogenous):
         stepper.w[:] = row
         before = stepper.state.copy()
-        stepper()  # for its reading and estimate, which do not depend on what follows
+        stepper()  # for its reading and estimate, which do not depend on the input
         estimate = Estimate(*(stepper.out[part].copy() for part in where.estimate))
         if numeric is not None:
             reading = Reading(stepper.out[where.y].copy(), stepper.out[where.side].copy())

@@ -103,12 +103,12 @@ def simulate_scenario(
     with notebook_progress(progress, "simulating", steps(scenario, check_step)) as advance:
         if controller is not None:
             problem = _under(controller, problem, engine)
-        # As lanes an observer in Python is refused where the loop is closed.
+        # As lanes an observer in Python is refused when the loop is closed.
         in_python = problem.observer.python is not None and engine != "lanes"
         start = None if in_python or controller is not None else prepare(problem)
         signal, error = signals_of(problem, start, advance, check_step, engine, controller)
     run = collect(problem, signal, error, began)
-    if controller is not None:  # no text says what the function is
+    if controller is not None:  # the function has no text
         run = _with_info(run, scenario="")
     return Simulated(run, problem, start)
 

@@ -12,7 +12,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
-# Added to the seed, which is below 2^63: these numbers are none of those of the noise.
+# Added to the seed, which is below 2^63: these numbers differ from those of the noise.
 STREAM: Final = 1 << 64
 NUMBERS, KEYS = 0, 1  # kinds of random words of a column
 ROUNDS: Final = 10  # of the cipher that permutes runs

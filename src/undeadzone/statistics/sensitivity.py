@@ -23,7 +23,7 @@ from undeadzone.statistics.intervals import (
 )
 from undeadzone.util.arrays import Floats, Integers
 
-LEAST: Final = 2 * GROUPS  # runs, below which nothing is said
+LEAST: Final = 2 * GROUPS  # runs, below which there is no result
 PERMUTATIONS: Final = 200
 
 

@@ -186,11 +186,11 @@ class Check:
         return check, (self.scenario,)
 
 
-REFUSED: Final = "not certified: "  # what the reason begins with
+REFUSED: Final = "not certified: "  # first words of the reason
 PROOF: Final = (
     *("certified", "margin", "frequency", "l2_gain", "rate", "time_constant", "left_region"),
     *("never", "states"),
-)  # what `check` says of the gains, None where it cannot
+)  # verdict of `check` on the gains, None without one
 
 
 def check(scenario: Scenario) -> Check:

@@ -36,7 +36,7 @@ from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats, require_number, require_seed, require_series
 from undeadzone.util.progress import notebook_progress
 
-PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are no accident
+PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are not accidental
 # To either side, as a share of a range: wide enough that a reading which changes its side makes no
 # jump of the slope.
 REACH: Final = 1 / 256
@@ -136,7 +136,7 @@ def _open_answers(
     if keep is None:
         yield None
         return
-    problem = {  # everything that the cost of a candidate depends on; the budget is none of it
+    problem = {  # all data that the cost of a candidate depends on, without the budget
         "scenarios": [toml.to_toml(scenario) for scenario in on.scenarios],
         "files": [digests(scenario) for scenario in on.scenarios],
         "tune": msgspec.to_builtins(msgspec.structs.replace(on.what, budget=0, held_out=0)),

@@ -22,7 +22,7 @@ ASSUMPTION_TABLES: Final = (
     "observer",
     "compare",
     "declared",
-)  # tables that may claim a centre of the zone
+)  # tables that may contain a centre of the zone
 
 
 def translate_scenario(data: dict[str, Any]) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def read_bytes(path: Name, largest: int = LARGEST_TEXT) -> bytes:
         OSError, ValueError: with the `reason`, also if it is not a plain file.
     """
     with open_plain(path, largest) as file:
-        most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # memory asked for
+        most = min(largest, os.fstat(file.fileno()).st_size + LARGEST_TEXT)  # size of the memory
         content = file.read(most + 1)
     if len(content) > most:  # it grows, or the system does not know its size
         raise OSError(_describe_excess_size(len(content), most))

@@ -38,7 +38,7 @@ def _find_entry_points(group: str, searched: tuple[tuple[str, int], ...]) -> dic
 
     try:
         return {point.name: point.value for point in entry_points(group=group)}
-    except Exception:  # whatever the reader of one damaged file raises
+    except Exception:  # any error of the reader of one damaged file
         return {point.name: point.value for point in _readable_entry_points(group)}
 
 

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 Advance = Callable[[int], None]  # called with the number of steps just done
 PATIENCE: Final = 2.0  # [s] before a bar appears
-SETTING_UP: Final = "setting up"  # what a bar says before the first step
+SETTING_UP: Final = "setting up"  # text of a bar before the first step
 PAUSE: Final = 0.2  # [s] at least between two updates of a notebook
-OF_KERNEL: Final = "JPY_PARENT_PID"  # what a kernel's own commands inherit
+OF_KERNEL: Final = "JPY_PARENT_PID"  # variable that a kernel's own commands inherit
 
 
 def ignore_progress(done: int) -> None:

@@ -80,7 +80,7 @@ def enter_method(method: Method, ground: Setting, numbers: Knobs = NOTHING) -> S
     if method.compensator:
         parts["compensator"] = _part_options(method.compensator, "compensator", prior, options)
     if method.informed:
-        # A known disturbance of the input is cancelled there: what is left is a run without it.
+        # A known disturbance of the input is cancelled there, which leaves a run without it.
         parts |= {"model": None, "disturbance": None}
     return msgspec.structs.replace(scenario, **parts)
 

@@ -13,7 +13,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.metric import Result, RunMetrics
 
 ZERO: Final = "informed"  # the line of regret 0
-NAIVE: Final = "luenberger"  # what is left where a method is not applicable
+NAIVE: Final = "luenberger"  # used if a method is not applicable
 FRAME: Final = (ZERO, "full_state", NAIVE)  # lines that are always there
 CAP: Final = 10.0  # regret of a run that diverged, above that of any other
 RESAMPLES: Final = 2000

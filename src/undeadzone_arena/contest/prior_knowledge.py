@@ -24,9 +24,9 @@ from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
 
-# In largest widths of the scenario's own sensor: where its widths lie if nothing is declared.
+# In largest widths of the scenario's own sensor: upper end of the default range of its widths.
 VAGUE: Final = 3.0
-MARGIN: Final = 1.2  # beyond what the reference asks for
+MARGIN: Final = 1.2  # factor on the needs of the reference
 # In largest widths: the rms by which a disturbance of which nothing is declared moves z in a
 # quarter period.
 SWING: Final = 0.5

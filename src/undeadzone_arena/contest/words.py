@@ -10,7 +10,7 @@ from undeadzone.util.shown import Block
 from undeadzone.util.text import count_noun
 from undeadzone_arena.contest.leaderboard import Row, select_contestants
 
-FEW: Final = 3  # methods whose refusal is told in full
+FEW: Final = 3  # methods whose refusal is printed in full
 HEAD: Final = (
     "",
     "method",

@@ -101,7 +101,7 @@ def barrier_backstepping(p: BarrierParams, z: Any, reference: Any) -> Any:
     """
     r = z.shape[0]
     at, below = ca.SX.sym("z", r), ca.SX.sym("ref", r + 1)
-    moved = ca.vertcat(at[1:], 0.0)  # what follows depends on no derivative that u makes
+    moved = ca.vertcat(at[1:], 0.0)  # the rest does not depend on a derivative that contains u
     reference_moved = ca.vertcat(below[1:], 0.0)
     error, pull, wanted = at[0] - below[0], ca.SX(0.0), below[1]
     for i in range(r):

@@ -137,7 +137,7 @@ def sliding_surface(model: System, poles: Array) -> Floats:
             f"B has rank {rank}, not {m}"
         )
     Q = np.linalg.qr(B, mode="complete")[0]
-    moved, free = Q[:, :m], Q[:, m:]  # what inputs move, and what they do not
+    moved, free = Q[:, :m], Q[:, m:]  # directions that inputs move, and the others
     M: Floats = np.zeros((m, 0))
     if n > m or np.size(poles):
         reduced = Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m)))

@@ -24,7 +24,7 @@ from undeadzone_arena.observers.parts.joint_claims import (
 )
 from undeadzone_arena.observers.parts.joint_filter import OutputSample, build_joint_filter
 
-# With less, points astride an edge soon pin the widths where they are not.
+# With less, points astride an edge soon pin the widths at wrong values.
 DEFAULTS = JointDefaults(noise=0.15, drift=0.1, x_std=0.5)
 
 

@@ -67,7 +67,7 @@ def round_up_nicely(value: float, factors: tuple[float, ...] = ROUND) -> float:
 
 RESOLVED = 40  # steps of the run in a period, at least
 EXACT = 1e-9  # relative error of the polynomial at a further value
-HALVINGS = 4  # of a slider's range, where its end is refused
+HALVINGS = 4  # of a slider's range, if its end is refused
 
 Change = Callable[[float], Scenario]  # value of a key -> the scenario with that value
 Moves = list[tuple[int, float, float]]  # as of `Slider`

@@ -39,7 +39,7 @@ CEILING = 1e6  # the largest
 LOWEST, HIGHEST = 1e-12, 1e12  # the units of a multiplier, at least and at most
 ROUNDS = 6  # of finding these units, at most
 NEAR = 100.0  # factor within which a multiplier suits its unit
-LARGER = 1e4  # factor on the units where nothing is feasible below the ceiling
+LARGER = 1e4  # factor on the units if nothing is feasible below the ceiling
 EXCESSES = (0.01, 0.1, 1.0)  # of the least cost that being inside may cost more, relatively
 SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0)  # of the way inside that a proof may go
 

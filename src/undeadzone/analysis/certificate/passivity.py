@@ -171,7 +171,7 @@ def passive_gain(linear: Matrices, Ts: float | None) -> Floats:
     if Ts is None:
         return np.linalg.solve(P, C.T)
     L = np.linalg.solve(Ts * P, C.T)
-    # What is left of the LMI after PL = C' and a Schur complement must stay below 1; half is taken.
+    # The rest of the LMI after PL = C' and a Schur complement must stay below 1. Half is taken.
     rest = Ts * C @ L + Ts**2 * C @ A @ A.T @ C.T / q
     return np.asarray(L / max(1.0, 2 * float(np.linalg.eigvalsh((rest + rest.T) / 2)[-1])))
 
@@ -198,7 +198,7 @@ def instability_reason(errors: Dynamics) -> str:
     seen = Matrices(errors.A[k], errors.L, errors.C)
     A = change_state_units(
         seen.A, state_units(seen)
-    )  # what is small must not depend on the unit of time
+    )  # the definition of small must not depend on the unit of time
     size = float(np.linalg.norm(A, 2))
     where = "" if len(errors.A) == 1 else f" (vertex {k})"
     if fastest > 1e-9 * size:

@@ -418,7 +418,7 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         some = ca.vec(A)[varying.tolist()]
         whole = [Interval(numbers, numbers), Interval(box.low[:, None], box.high[:, None])]
         try:
-            build_enclosure(everything)(whole)  # raises where the model is not smooth
+            build_enclosure(everything)(whole)  # raises if the model is not smooth
             bends = ca.densify(ca.jacobian(some, w))
             return _bounds_over_boxes(function(some), numbers), _bounds_over_boxes(
                 function(bends), numbers

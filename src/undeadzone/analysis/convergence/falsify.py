@@ -28,7 +28,7 @@ ROUNDING = 1e-9  # of V: what V may rise by in one switch before it counts
 GROUPS = 200  # of trajectories, which share their modes; one in 20 takes the worst mode on offer
 OFFERED = 24  # modes that such a group chooses from
 TINY = 1e-300
-LARGEST_LOG = 700.0  # beyond it e^x is no number
+LARGEST_LOG = 700.0  # beyond it e^x overflows
 
 
 class SwitchMode(NamedTuple):

@@ -18,7 +18,7 @@ from undeadzone.analysis.identifiability.linear import Unobservable, unobservabl
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 
-NEUTRAL = 1e-9  # a multiplier whose logarithm is smaller neither grows nor decays
+NEUTRAL = 1e-9  # a multiplier with a smaller logarithm counts as constant
 EXPONENTIAL_TERMS = 10  # of the exponential series, exact to rounding for arguments of norm 1/8
 TINY = 1e-300
 TERMS = 12  # of Taylor series whose terms shrink by 1/4 or more
@@ -124,7 +124,7 @@ def _multipliers_and_modes(
     """
     count = hidden.basis.shape[1]
     U, V = np.split(np.linalg.svd(hidden.basis[part])[0], [count], axis=1)
-    # M maps what is hidden (U) into itself, so that its multipliers are those of both blocks.
+    # M maps the hidden subspace (U) into itself, so that its multipliers are those of both blocks.
     multipliers, kept = np.linalg.eig(U.T @ M @ U)
     stays = np.abs(np.log(np.maximum(np.abs(multipliers), TINY)) + size) < NEUTRAL
     never: tuple[str, ...] = ()
@@ -293,7 +293,7 @@ def mean_squares(
     means = []
     spreads = integrate_spans(
         _transpose_last(F), sources, schedule
-    ).G  # what one span adds to the covariance
+    ).G  # contribution of one span to the covariance
     for source, spread in zip(sources, spreads, strict=True):
         covariance = _stationary_covariance(over.Phi, spread)
         total = (over.GG[0] * source).sum(axis=(-3, -2, -1))
@@ -343,7 +343,7 @@ def mean_square_of_forced_error(
         x: Floats = np.zeros((*F.shape[:-3], N))
         for span, w in enumerate(starts):
             x = _state_after_span(x, w, over.Phi[..., span, :, :])
-        # x is now what one pass adds; in the steady state x = (what is left of x) + that.
+        # x is now the contribution of one pass. In the steady state x = (remainder of x) + that.
         once = np.eye(N) - _total_transition(over.Phi[..., :N, :N])
         x = (np.linalg.pinv(once, rcond=1e-12) @ x[..., None])[..., 0]
         for span, w in enumerate(starts):

@@ -118,7 +118,7 @@ def unknown_constants(
     """
     constant = _has_constant(disturbance, m, duration)
     rms = np.sqrt((_varying_part(disturbance, constant, duration) ** 2).mean(axis=0))
-    if isinstance(disturbance, Random):  # of which the mean over the run is what is like a constant
+    if isinstance(disturbance, Random):  # its mean over the run acts like a constant
         share = min(1.0, 2 * disturbance.correlation_time / duration)
         rms = np.sqrt(share) * np.broadcast_to(disturbance.rms, m)
     rms = np.where(constant, np.inf, rms)

@@ -17,8 +17,8 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
 
-NEAR: Final = 0.05  # of the larger width: truths less far apart are not told
-PART: Final = 0.25  # of the larger width, by which one moves that nothing tells
+NEAR: Final = 0.05  # of the larger width: closer truths are not reported
+PART: Final = 0.25  # of the larger width: shift of a width that is not identifiable
 
 
 def least_known_change(hidden: Unobservable, covariance: Floats, i: int, widths: Floats) -> Floats:

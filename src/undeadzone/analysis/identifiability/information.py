@@ -110,7 +110,9 @@ def optimal_deviations(
         fisher[: n + 2 * p, : n + 2 * p] += rows.T @ rows
         hidden = hidden.exclude_known(rows)
     units = np.outer(hidden.scale, hidden.scale)
-    seen = np.linalg.svd(hidden.basis)[0][:, hidden.basis.shape[1] :]  # a basis of what is known
+    seen = np.linalg.svd(hidden.basis)[0][
+        :, hidden.basis.shape[1] :
+    ]  # a basis of the known directions
     covariance = units * (seen @ _invert_semidefinite(seen.T @ (fisher * units) @ seen) @ seen.T)
     widths = [hidden.std_of_widths(i, covariance) for i in range(p)]
     states = np.full(n, np.inf)

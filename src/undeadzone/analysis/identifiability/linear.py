@@ -19,7 +19,7 @@ from undeadzone.linalg.matrices import Matrices, delta_form, state_response_size
 from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
 from undeadzone.util.arrays import Floats
 
-RARE = 0.1  # share of exact readings beyond the edges, below which a verdict says so
+RARE = 0.1  # share of exact readings beyond the edges, below which a verdict reports it
 MARGIN = 0.05  # by which a cure passes an edge, relative to the edge
 
 
@@ -150,7 +150,7 @@ def remedy_to_reach_edges(schedule: Schedule, i: int) -> Remedy:
     return Remedy(i, factor, None, text)
 
 
-# --- What readings tell
+# --- Information in the readings
 
 # Of singular values of balanced, normalised matrices; a sampled model's rounding comes on top.
 TOLERANCE = 1e-11

@@ -62,7 +62,7 @@ def prior_rows(
     return np.array(rows).reshape(len(rows), n + 2 * p)
 
 
-# --- What the readings along a run tell
+# --- Information in the readings along a run
 
 LIMIT = 1e9  # beyond this a state has diverged
 SHARE = 1e-3  # of the largest change: less is not named
@@ -70,7 +70,7 @@ CURES = "a known start, an absolute reference pulse, a spring or gravity would t
 ROUNDING = 1e-12  # singular value, of columns of length 1, of a state that no reading feels
 BLOCK = 64  # steps whose readings are compressed at once, unless
 GROWTH = 5.0  # they may grow more than e^5-fold
-CAP = 1e6  # times what readings weigh in blocks: nothing need be known better, nor may it overflow
+CAP = 1e6  # cap on information, relative to that of readings in blocks, against overflow
 
 
 def width_identifiability_along(
@@ -313,7 +313,7 @@ def observability_along(
     states, constants = np.split(R * scale, [n], axis=1)
     U, s, V = np.linalg.svd(states, full_matrices=False)
     felt = s > ROUNDING
-    # What changes of x(0) explain of the constants' readings; the rest tells the constants.
+    # Part of the constants' effect that changes of x(0) explain. The rest determines them.
     U, explained = U[:, felt], U[:, felt].T @ constants
     _, singular, W = np.linalg.svd(constants - U @ explained)
     known = singular > run.tolerance

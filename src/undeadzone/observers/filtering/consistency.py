@@ -19,11 +19,11 @@ from undeadzone.observers.filtering import innovation_tests
 from undeadzone.observers.filtering.gaussian_filter import Params
 from undeadzone.plants.system import System
 
-FAR = 4.5  # standard deviations beyond which an innovation says nothing of a constant
+FAR = 4.5  # standard deviations beyond which an innovation is no evidence for a constant
 NO_TRAITS = Traits()
-REFUTED = 3.0  # of what is taken for chance: beyond it, a claim that knows no constant is false
-BEYOND = 1.01  # by how much a width outside its range refutes that: other claims go before it
-DOUBTFUL = 0.7  # of what is taken for chance, from which deviations are shown larger
+REFUTED = 3.0  # of the chance level: beyond it, an assumption without constants is rejected
+BEYOND = 1.01  # score of a width outside its range: other assumptions go before it
+DOUBTFUL = 0.7  # of the chance level, from which deviations are shown larger
 LOST = 0.5  # share of refused readings beyond which nothing is known any more
 
 

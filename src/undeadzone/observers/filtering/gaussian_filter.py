@@ -258,14 +258,14 @@ def white_disturbance(model: System, variance: Floats) -> Augmentation:
     return Augmentation(variance, np.zeros((0, 0)), change, noise)
 
 
-# --- What is shown of a belief
+# --- Displayed estimates
 
 
 ROUNDING = 1e-12  # of a variance
-FAR = 2.3  # standard deviations beyond its range from which a width refutes its claims
-BEYOND = 1.6  # the same of what readings alone say, whose range is no prior of theirs
+FAR = 2.3  # standard deviations beyond its range from which a width contradicts the assumptions
+BEYOND = 1.6  # the same for estimates from readings alone, without the range as prior
 LEAST = 1e-30  # chance of a range that a belief leaves out; a float holds it
-INSIDE = 6.0  # standard deviations beyond which an end of a range says nothing, to 1e-8 of one
+INSIDE = 6.0  # standard deviations beyond which an end of a range has no effect, to 1e-8 of one
 
 
 class Setup(NamedTuple):

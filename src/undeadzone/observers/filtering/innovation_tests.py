@@ -18,20 +18,20 @@ from undeadzone.interfaces import ASSUMPTION_CHECKS, Reading
 from undeadzone.nonlinearities.sensor import present
 
 NOISY = 7.0  # square of the score of the size of innovations over `Doubt.most`, to refute the noise
-HELD = 0.01  # share of readings that stay where z^ moves on, likewise
+HELD = 0.01  # share of readings that stay while z^ moves on, likewise
 FEWEST = 4.0  # how many of these there must be of late
 ENOUGH = 10.0  # innovations from which a score is a normal number, however far one of them is
 AGREE = 1 / 8  # share of an innovation within which two readings that are refused agree
 ROW = 3.0  # readings in a row that are refused and agree, no silence: no glitches
 OFTEN = 1.7  # such rows of late, from which readings and model do not go together
-SPAN = 8.0  # for how much longer a row counts than what a score holds
-FORETOLD = 3.0  # deviations beyond which a reading is not what was foretold
-NOTHING_KNOWN = 1e6  # by how much what is no number refutes a claim
+SPAN = 8.0  # ratio of the memory of a row to that of a score
+FORETOLD = 3.0  # deviations beyond which a reading is unlike its prediction
+NOTHING_KNOWN = 1e6  # score of a value that is not a number
 MOST = 1e15  # of what an input shows in z [z]: a float holds its square
-# By how much a claim that is refuted goes before others: innovations are large whatever is false.
+# Factor on a rejected assumption against others: any error makes innovations large.
 SHARP = {"noise": 1 / 6, "sensor": 1.7, "dynamics": 1.2}
 
-# Share of the square of a score that multiplies variances: what is missed is absorbed in part.
+# Share of a score's square that multiplies variances: errors are absorbed in part.
 WIDER = {"slope": 1.0, "dynamics": 1 / 9, "noise": 1 / 64}
 
 

@@ -429,7 +429,7 @@ def choose_branch(setup: Setup, q: Params, s: State, reading: Reading, y: Any, s
     if setup.has_limits:
         exact = is_surely_exact(setup, q, y, s.last, s.previous, reading.side)
         side = ca.if_else(exact, side, 0.0)
-    if setup.has_backlash_ahead:  # what holds tells no contact
+    if setup.has_backlash_ahead:  # a held reading shows no contact
         side = ca.if_else(reading.motion != 0, side, 0.0)
     if not setup.doubts:
         return side

@@ -38,7 +38,7 @@ from undeadzone.observers.filtering.sensor_shape import (
 from undeadzone.plants.system import System, plant_pace, time_scale
 from undeadzone.util.arrays import Floats
 
-# A silent sensor counts where the belief contradicts it by more than 5 %.
+# A censored sample counts if the estimate contradicts it by more than 5 %.
 DOUBT = 1.6448536269514722
 BEYOND = 0.5  # share of the wrong readings that lie beyond the range and read as its limit
 

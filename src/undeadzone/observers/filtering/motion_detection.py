@@ -27,7 +27,7 @@ from undeadzone.util.arrays import Floats
 
 FEWEST = 1e-6  # of known^3 - known, which is 0 for one reading: its line has no slope
 ROUNDING = 1e-12  # share of a reading by which it may change without motion
-# Methods that form their innovation on a side and take silence for a bound, or do not ask.
+# Methods that form their innovation on a side and use censored samples as bounds or not at all.
 BRANCH_OBSERVERS = (
     "adaptive_inverse",
     "auto",

@@ -23,9 +23,9 @@ from undeadzone.util.arrays import Floats
 Result = TypeVar("Result")
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
-FALL = 4.0  # from one level of the disturbance to the next, if it is claimed
-DOUBTED = 3  # levels from which on one lies above the claim
-# Deviations, and what it is that has them: a sum of fields.
+FALL = 4.0  # from one level of the disturbance to the next, if it is assumed
+DOUBTED = 3  # number of levels from which one lies above the assumption
+# Deviations, and the quantity that has them: a sum of fields.
 EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left")
 GAPS = ("gap_right", "gap_left")
 SPREAD: dict[str, tuple[str, ...]] = {f"{name}_std": (name,) for name in (*EACH, *GAPS)}

@@ -23,10 +23,10 @@ from undeadzone.util.arrays import (
     require_vector,
 )
 
-FLOOR = 1e-3  # least noise that is assumed, in claimed ranges of the widths
+FLOOR = 1e-3  # least noise, in assumed ranges of the widths
 SILENT = 4.0  # noise, in its rms, that is surely not beyond it
-HELD = 6.0  # the same of what a play holds, which is met by many readings, hold after hold
-REACH = 5.0  # standard deviation of x(0) as it shows in z, in largest widths, unless it is claimed
+HELD = 6.0  # the same for a held play, which affects many readings, hold after hold
+REACH = 5.0  # default standard deviation of x(0) as it appears in z, in largest widths
 
 
 class Prior(NamedTuple):
@@ -246,17 +246,17 @@ def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
     return ranges
 
 
-# --- What a user claims
+# --- Assumptions of a user
 
 
-GLITCHES = 0.05  # share of the readings that are wrong, unless it is claimed
-GLITCH_REACH = 10.0  # largest claimed widths over which a glitch is spread
+GLITCHES = 0.05  # default share of wrong readings
+GLITCH_REACH = 10.0  # in largest assumed widths, over which a glitch is spread
 FAKE = 0.02  # share of the glitches that are a silence
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
 PATIENCE = 0.54  # quarter periods over which the share of refused readings is averaged
 FEWEST = 6.0  # readings over which it is averaged at least
-# Mean square of the sums of innovations that is taken for chance: where the disturbance is claimed,
-# and where it is a default, whose colour is not that of the true one.
+# Mean square of the sums of innovations that counts as chance: for an assumed disturbance,
+# and for a default, whose colour is not that of the true one.
 CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
 SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
 STAYS = 3.0  # rms of its noise within which a reading stays

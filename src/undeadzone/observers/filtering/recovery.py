@@ -16,7 +16,7 @@ from undeadzone.plants.system import System
 from undeadzone.util.arrays import Flags
 
 TOO_MANY = 0.75  # share of refused readings of late from which the belief is wrong, not they
-RECENT = 0.1  # what is left of `Patience.opened` while it counts
+RECENT = 0.1  # least `RejectionRate.opened` that counts
 LIMIT = 1e100  # of all numbers of a belief: beyond it, it is lost
 
 
@@ -106,7 +106,7 @@ def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple
     """
     cov = to_upper_entries(belief.cov, entries)
     every = ca.densify(ca.diag(belief.cov))
-    # Covariances are not larger than variances; one that is no number shows in their sum.
+    # Covariances are not larger than variances. One that is not a number shows in their sum.
     size = ca.sum1(ca.fabs(ca.vertcat(belief.mean, every))) + ca.fabs(ca.sum1(cov))
     fine = ca.logic_and(size < LIMIT, ca.mmin(every >= 0.0))
     mean = ca.if_else(fine, belief.mean, q.mean)

@@ -22,10 +22,10 @@ from undeadzone.observers.filtering.gaussian_filter import Augmentation, Params
 from undeadzone.plants.system import System, hold_integral, scale_states, state_units, time_scale
 from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
-OFFSET = 0.25  # bias, in disturbances, unless it is claimed
+OFFSET = 0.25  # default bias, in disturbances
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
 
-BRIEF = 0.25  # correlation time, in quarter periods of the plant, unless it is claimed
+BRIEF = 0.25  # default correlation time, in quarter periods of the plant
 
 
 class Colour(NamedTuple):

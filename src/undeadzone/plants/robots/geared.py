@@ -179,11 +179,11 @@ class Geared(NamedTuple):
 
 
 class Coupling(NamedTuple):
-    """How strongly a joint is coupled to joints of other groups.
+    """Coupling of a joint to the joints of other groups.
 
     Attributes:
-        ratio: how many times heavier its group's links are with the others held than free; 1: they
-            know nothing of each other.
+        ratio: factor by which its group's links are heavier with the others held than free (1: no
+            coupling).
         partner: the joint outside of its group that it is coupled to most.
     """
 

@@ -62,7 +62,7 @@ def cut_box(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[
     """
     row = (c @ frame).T
     size, z = ca.fabs(row), c @ x
-    # what the other entries may add to z: all of them, less the entry's own share
+    # contribution of the other entries to z: all of them, less the entry's own share
     others = size.T @ radius - 2 * size * radius
     # how far the lower and the upper end of an entry move
     up = ca.fmax(lo - z - others, 0.0) / ca.fmax(size, 1 / FAR)

@@ -280,7 +280,7 @@ def reading_bounds(
     """Return the bounds of z given those of the widths and a reading (p) [z]."""
     if setup.is_jump:
         off = Bounds(0.0, 0.0)
-    else:  # what the sensor takes off z
+    else:  # offset that the sensor subtracts from z
         least = ca.if_else(on.right, right.lo, -left.hi)
         most = ca.if_else(on.right, right.hi, -left.lo)
         off = Bounds(least, most)
