@@ -36,7 +36,7 @@ class Actuator(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Sensor, Scenario, ZoneInverse
 
     Attributes:
-        kind: "deadzone"; "play" (sampled time): what enters the plant follows the command once it
+        kind: "deadzone"; "play" (sampled time): the input of the plant follows the command once it
             has crossed a gap, as behind a linkage or in a valve that turns.
         right, left: widths b_r, b_l of the dead zone, or gaps c_r, c_l of a play (m) [u]; of a play
             only c_r + c_l matters once it has moved.
@@ -100,7 +100,7 @@ class Drive(NamedTuple):
 
     @property
     def is_play(self) -> bool:
-        """Return whether what enters the plant depends on how the command moved."""
+        """Return whether the input of the plant depends on past commands."""
         return bool(self.gap_right.shape[0])
 
     @property
@@ -151,12 +151,12 @@ def within_rate(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> Any:
 
 
 def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[Any, Any]:
-    """Return (what is kept to the next sample, what passes limits, rate and play) of a command.
+    """Return (memory for the next sample, passed command) behind limits, rate and play.
 
     Args:
         ops: the module of fmax and fmin, NumPy or CasADi.
         u: command (m) [u].
-        last: what was kept: the command before of a limited rate, the level of a play (m); empty.
+        last: the memory: the command before of a limited rate, the level of a play (m); empty.
         drive: the actuator.
         step: time since the command before [s].
     """
@@ -169,7 +169,7 @@ def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[
 
 
 def command_memory(drive: Drive, m: int, sampled: bool) -> Floats:
-    """Return what an actuator keeps before its first command: zeros (m), or nothing.
+    """Return the memory of an actuator before its first command: zeros (m), or empty.
 
     Args:
         drive: the actuator.

@@ -168,7 +168,7 @@ class Wiring(NamedTuple):
         )
 
     def _actuate(self, s: State, u: ca.SX) -> tuple[Any, ca.SX]:
-        """Return (what the actuator keeps, what enters the plant) of a command u (m)."""
+        """Return (memory of the actuator, input of the plant) of a command u (m)."""
         drive = self.p.actuator
         if drive is None:
             return s.actuator, u

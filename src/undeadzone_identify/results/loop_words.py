@@ -14,12 +14,12 @@ from undeadzone_identify.selection.valve import BUMP, TIGHT, ValveFindings
 
 
 def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
-    """Return what a loop suffers from, and what to do; empty where nothing is named.
+    """Return the cause and the remedy in words; empty without a name.
 
     Args:
         case: the log.
         verdict: the word.
-        valve: what the loop says.
+        valve: the findings.
     """
     grid = case.grid
     stick, jump = (_percent(one, grid) for one in (valve.stick, valve.jump))
@@ -102,7 +102,7 @@ def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
     """Return how the loop swings, and how wide PV lies over OP.
 
     Args:
-        valve: what the loop says.
+        valve: the findings.
         grid: the log.
     """
     how = "swings regularly" if valve.swings else "does not swing regularly"
@@ -114,10 +114,10 @@ def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
 
 
 def loop_numbers(valve: ValveFindings, step: float, scale: float) -> dict[str, Any]:
-    """Return what a loop says of its valve, for JSON.
+    """Return the findings on a valve, for JSON.
 
     Args:
-        valve: what the loop says.
+        valve: the findings.
         step: of the log [s].
         scale: rms of the readings [y].
     """

@@ -43,7 +43,7 @@ TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tigh
 
 
 class ValveFindings(NamedTuple):
-    """What a loop says of its valve.
+    """Findings of a loop on its valve.
 
     Attributes:
         fit: the valve that explains the loop best.
@@ -87,7 +87,7 @@ class LoopAnswer(NamedTuple):
         verdict: by the odds.
         odds: by word, largest first.
         family: the models, all of the same readings.
-        valve: what the loop says of its valve.
+        valve: the findings on its valve.
     """
 
     verdict: Verdict
@@ -125,7 +125,7 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
 
 
 def is_control_loop(case: Case) -> bool:
-    """Return whether the log is of a control loop: by its readings, or by what u is called.
+    """Return whether the log is of a control loop: by its readings, or by the name of u.
 
     Args:
         case: the log.
@@ -162,12 +162,13 @@ def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str
 
     Args:
         family: the models, all of the same readings.
-        valve: what the loop says of its valve.
+        valve: the findings on its valve.
         excluded: words that are out of the question.
     """
     odds = _weigh_by_shape(model_probabilities([family], excluded), valve.shape)
     if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
-        odds = {("tight_tuning" if word == "none" else word): p for word, p in odds.items()}
+        names = dict.fromkeys(odds) | {"none": "tight_tuning"}
+        odds = {names[word] or word: p for word, p in odds.items()}
     return LoopAnswer(_verdict_of(odds, valve), odds, family, valve)
 
 
@@ -190,7 +191,7 @@ def _weigh_by_shape(odds: dict[str, float], shape: float) -> dict[str, float]:
     Its weight is that of loops of known cause (`python -m benchmarks valves`).
     """
     told = math.exp(SHAPE * (shape - USUAL))
-    weighed = {word: p * (told if word in VALVE else 1.0) for word, p in odds.items()}
+    weighed = {word: p * told ** (word in VALVE) for word, p in odds.items()}
     total = sum(weighed.values())
     return {word: weighed[word] / total for word in sorted(weighed, key=lambda one: -weighed[one])}
 
@@ -203,7 +204,7 @@ def _comparable_family(
     family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
     there = np.flatnonzero(data.ok)
     rows = np.searchsorted(there, fits.regression.rows + part.start)
-    for word in {word for one in models for word in one} - set(VALVE):
+    for word in set().union(*models) - set(VALVE):
         best = best_model_of(word, models)
         if best.value.size == there.size:
             rare = RARE * (word not in OWN)

@@ -25,7 +25,7 @@ ESTIMATORS = ("auto", "censored", "kalman")  # of an actuator's widths, of a loa
 
 
 class State(NamedTuple):
-    """State of the observer, and what the actuator keeps: of a rate limit, or of a play (m)."""
+    """State of the observer, and the memory of the actuator: of a rate limit, or of a play (m)."""
 
     observer: Any
     command: Any
