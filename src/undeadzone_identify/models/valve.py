@@ -10,7 +10,7 @@ References:
     M. Kano and others (2004), IFAC World Congress
     Q. P. He and others (2007), doi:10.1021/ie061219a
     M. A. A. S. Choudhury, N. F. Thornhill, S. L. Shah (2005), doi:10.1016/j.conengprac.2004.05.005
-    N. F. Thornhill, B. Huang, H. Zhang (2003), doi:10.1016/S0959-1524(02)00029-7
+    N. F. Thornhill, B. Huang, H. Zhang (2003), Journal of Process Control 13
 """
 
 from __future__ import annotations
