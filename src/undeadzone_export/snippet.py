@@ -363,7 +363,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     elif actuator is not None and any(_numbers(actuator.right) + _numbers(actuator.left)):
         sides = [_single(_numbers(side), path) for side in (actuator.right, actuator.left)]
         right, left = (_with_range(side, None) for side in sides)
-        kind, unit = "actuator", units.input
+        kind, unit = "backlash" if actuator.kind == "play" else "actuator", units.input
     else:
         raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]

@@ -34,7 +34,7 @@ class State(NamedTuple):
 class PlayInverse(Options, frozen=True, kw_only=True, tag="play_inverse"):
     """Inverse u = v + c_r to push right, v - c_l to push left, sampled time only.
 
-    What enters the plant is known, as the gaps are. While v stays within `hold` of it, the command
+    The input of the plant is known, as the gaps are. While v stays within `hold` of it, the command
     rests, since each turn crosses the whole gap at once.
 
     Attributes:

@@ -100,7 +100,7 @@ class Drive(NamedTuple):
 
     @property
     def is_play(self) -> bool:
-        """Return whether what enters the plant depends on how the command moved."""
+        """Return whether the input of the plant depends on past commands."""
         return bool(self.gap_right.shape[0])
 
     @property
@@ -169,7 +169,7 @@ def pass_command(ops: Any, u: Any, last: Any, drive: Drive, step: Any) -> tuple[
 
 
 def command_memory(drive: Drive, m: int, sampled: bool) -> Floats:
-    """Return what an actuator keeps before its first command: zeros (m), or nothing.
+    """Return the memory of an actuator before its first command: zeros (m), or empty.
 
     Args:
         drive: the actuator.

@@ -3,14 +3,14 @@
 The valve's position v follows the controller's output u through a dead band and stick band S and a
 slip jump J; J = 0 is a play of width S. In a loop u answers to y, so that simulation errors favour
 whatever resembles the disturbance. Errors of prediction one step ahead do not, as long as the plant
-is late by a sample: y is regressed on its own past and on past positions. What an oscillation from
-outside leaves, and a linear loop near its limit, look alike and are asked beside it.
+is late by a sample: y is regressed on its own past and on past positions. An oscillation from
+outside and a linear loop near its limit look alike and are asked beside it.
 
 References:
     M. Kano and others (2004), IFAC World Congress
     Q. P. He and others (2007), doi:10.1021/ie061219a
     M. A. A. S. Choudhury, N. F. Thornhill, S. L. Shah (2005), doi:10.1016/j.conengprac.2004.05.005
-    N. F. Thornhill, B. Huang, H. Zhang (2003), doi:10.1016/S0959-1524(02)00029-7
+    N. F. Thornhill, B. Huang, H. Zhang (2003), Journal of Process Control 13
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class Regression:
         self._left = self._without_past(self.y)
 
     def _without_past(self, columns: Floats) -> Floats:
-        """Return what the constant and the past leave of columns."""
+        """Return columns without the part that the constant and the past explain."""
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
     def lagged(self, v: Floats, lags: range) -> Floats:
@@ -509,7 +509,7 @@ def _weighted_range(values: Floats, weight: Floats, more: float) -> Interval:
 
 
 def fit_loop(log: LoopLog) -> LoopFits:
-    """Fit a loop: first what decides its structure, then all behind that.
+    """Fit a loop: first its structure, then all models behind that.
 
     Args:
         log: its record.

@@ -34,8 +34,9 @@ from undeadzone_identify.selection.orders import HeldOutScore, is_white, trainin
 
 LEAST, MOST = 200, 8000  # samples of a record that is asked
 SUSPECTS = ("friction", "play", "jump", "input_zone", "input_play", "zone_and_friction")
+SENSOR = ("dead_zone", "jump", "two_zones", "filtered_zone")  # words of a zone of the sensor
 OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
-CONTROLLER = ("op", "co", "mv", "controller output")  # names of what a controller puts out
+CONTROLLER = ("op", "co", "mv", "controller output")  # names of a controller's output
 RARE = 3  # numbers that a cause costs besides which is rare in a control loop
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
@@ -118,6 +119,9 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     asked = options.kind == "auto" and options.place == "auto" and case.jump_edges is None
     if not asked or data.u.shape[1] > 1 or data.silent_zeros:
         return False
+    top = next(iter(odds), "")
+    if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case):
+        return False
     part = _longest_record(data)
     u, y = data.u[part, 0], data.y[part][data.ok[part]]
     if y.size < LEAST or np.ptp(u) == 0 or np.ptp(y) == 0:
@@ -125,13 +129,22 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
 
 
-def is_control_loop(case: Case) -> bool:
-    """Return whether the log is of a control loop: by its readings, or by what u is called.
+def is_named_loop(case: Case) -> bool:
+    """Return whether the input has the name of a controller's output.
 
     Args:
         case: the log.
     """
-    return case.grid.inputs[0].strip().lower() in CONTROLLER or detect_feedback(case).is_closed
+    return case.grid.inputs[0].strip().lower() in CONTROLLER
+
+
+def is_control_loop(case: Case) -> bool:
+    """Return whether the log is of a control loop: by its readings, or by the name of u.
+
+    Args:
+        case: the log.
+    """
+    return is_named_loop(case) or detect_feedback(case).is_closed
 
 
 def _longest_record(data: RecordData) -> slice:
