@@ -12,6 +12,7 @@ import numpy as np
 
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.files import write_text
 from undeadzone.util.text import append_unit
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def run_snippet_chain(answer: IdentifiedMotion, source: Path, folder: Path) -> F
         main = Path(scratch) / "axis.c"
         called = f"float call(float x);\nfloat call(float x) {{ return {name}(x); }}\n"
         snippet = (folder / "snippet" / "snippet.h").read_text(encoding="utf-8")
-        main.write_text(snippet + called, encoding="utf-8")
+        write_text(snippet + called, main)
         call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
         call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
         told = np.array([call(float(one)) for one in u])

@@ -52,7 +52,7 @@ WORDS = {
     "design": "proof P",
     "tuned": "held-out runs",
     "estimation": "consistent",
-    "identified": "dead zone",
+    "identified": "Dead zone",
     "contest": "median regret",
 }
 

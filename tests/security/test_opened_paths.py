@@ -114,6 +114,7 @@ OPENERS = {
     "undeadzone_export/compiler.py": 2,
     "undeadzone_export/fmu/package.py": 1,
     "undeadzone_export/template.py": 1,
+    "undeadzone_identify/chain.py": 1,  # the snippet that it wrote itself
     "undeadzone_identify/command.py": 1,
     "undeadzone_identify/results/to_scenario.py": 1,
 }

@@ -398,11 +398,11 @@ def test_the_widths_of_an_actuator_are_found() -> None:
         found, truth = valve(30 + seed, **more)
         assert found.verdict == "input_zone"
         assert not found.zone
-        assert found.width.half < 0.15
+        assert found.width.half_width < 0.15
         assert any("of the input" in remark for remark in found.answer.remarks)
         for interval, width in zip((found.right, found.left), truth, strict=True):
             held.append(interval.low <= width <= interval.high)
-            assert abs(interval.value - width) < 2 * interval.half
+            assert abs(interval.value - width) < 2 * interval.half_width
     assert sum(held) >= len(held) - 1  # of eight 95 % intervals
 
 

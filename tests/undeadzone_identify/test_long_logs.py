@@ -109,7 +109,7 @@ def test_an_answer_from_a_part_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -
     assert found.order == whole.order
     for name in ("right", "left", "width"):
         one, other = getattr(found, name), getattr(whole, name)
-        assert tuple(one) == pytest.approx(tuple(other), abs=0.05 * other.half)
+        assert tuple(one) == pytest.approx(tuple(other), abs=0.05 * other.half_width)
 
 
 def test_friction_in_one_of_two_records_is_asked_for(tmp_path) -> None:

@@ -315,7 +315,7 @@ def test_what_is_recorded_next_narrows_the_widest_interval_as_was_said(tmp_path:
     write("second.csv", table[:, 1])
     logs = [str(tmp_path / name) for name in ("first.csv", "second.csv")]
     before, after = (uz.identify(one, order=1, delay=0) for one in (logs[0], logs))
-    narrowed = getattr(after, said[1]).half / getattr(before, said[1]).half
+    narrowed = getattr(after, said[1]).half_width / getattr(before, said[1]).half_width
     assert 0.5 < narrowed / (float(said[2]) / 100) < 2
 
 

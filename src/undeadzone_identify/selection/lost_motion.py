@@ -1,8 +1,8 @@
 """Two positions: is motion lost between them, how much, and of what.
 
-Asked before any plant is fitted, at the times of the readings. The answer stands where both
-positions share a unit or one is told to the other (a goal, pulses), or where a gap is certain, and
-what is left is noise. All else is left to plants with dynamics.
+Asked before any plant is fitted, at the times of the readings. The answer stands if names or units
+say that both columns are positions, or that one is a goal or pulses. All else is left to plants
+with dynamics.
 """
 
 from __future__ import annotations
@@ -143,7 +143,9 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not fits or not sure:
         word = "unclear"
     positions = alike or is_told or is_summed
-    stands = word != "unclear" and (positions or (is_gap and white))
+    steps = np.diff(data.t)
+    is_irregular = np.ptp(steps) > 0.1 * np.median(steps)  # no plant is fitted at such times
+    stands = word != "unclear" and (positions or bool(is_gap and white and is_irregular))
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
@@ -183,6 +185,10 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     there = np.isfinite(u) & np.isfinite(y)
     there[np.cumsum(there) > MOST] = False
     if there.sum() < FEWEST:
+        return None, False
+    with np.errstate(over="ignore", under="ignore"):  # squares must be numbers, and not 0
+        squares = [float(np.ptp(column[there])) ** 2 for column in (u, y)]
+    if not all(np.finfo(float).tiny < square < np.inf for square in squares):
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
     data = Positions(t[there], u[there], y[there], *steps, _is_told(log))

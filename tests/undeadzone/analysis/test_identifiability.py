@@ -481,7 +481,16 @@ def test_a_run_says_what_its_constant_disturbance_hides() -> None:
         (verdict,) = simulate(
             scene(disturbance=disturbance, simulation={"duration": 4.0})
         ).info.identifiable
-        assert set(verdict) == {"right", "left", "width", "centre", "reasons", "std", "second"}
+        assert set(verdict) == {
+            "right",
+            "left",
+            "width",
+            "centre",
+            "reasons",
+            "std",
+            "second",
+            "crossings",
+        }
         assert (verdict["width"], verdict["centre"]) == (True, not hides)
 
 

@@ -123,7 +123,7 @@ def test_homing_tells_the_centre_of_a_linear_plant(x_std: list[float], tells: bo
     ("claimed", "error", "words"),
     [
         ([0.2, 0.1], InputError, "lo <= hi"),
-        (0.35, InputError, "the ranges of d_r and d_l allow"),
+        (0.35, InputError, "overlap the range of those of d_r and d_l"),
         ([0.0, 0.1, 0.2], ShapeError, r"the range .lo, hi. of \(d_r - d_l\)/2"),
     ],
 )
