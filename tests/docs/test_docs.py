@@ -9,7 +9,6 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from benchmarks.markdown import parted
 from PIL import Image
 
 import once
@@ -161,6 +160,8 @@ def test_every_doi_of_the_code_is_in_the_references() -> None:
 
 def test_the_summary_of_the_results_quotes_their_tables() -> None:
     """A table that is written anew needs its row of the summary read again."""
+    from benchmarks.markdown import parted  # the copies of other tests have no benchmarks
+
     sections = parted((ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8"))
     by_anchor = {slugify(title.removeprefix("## ")): text for title, text in sections.items()}
     rows = [line for line in sections[SUMMARY].splitlines() if "](#" in line]

@@ -52,7 +52,7 @@ WORDS = {
     "design": "proof P",
     "tuned": "held-out runs",
     "estimation": "consistent",
-    "identified": "Dead zone",
+    "identified": "found",
     "contest": "median regret",
 }
 

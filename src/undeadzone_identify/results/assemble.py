@@ -354,7 +354,7 @@ def _add_edges(answer: Answer) -> Answer:
 def _doubt_of_zero(shown: dict[str, Any]) -> str:
     """Return the remark that a width may be 0; empty if it is not or is missing."""
     width = shown.get("width")
-    if width is None or not width.low <= 0 < width.half:
+    if width is None or not width.low <= 0 < width.half_width:
         return ""
     return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
 
