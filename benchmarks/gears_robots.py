@@ -77,7 +77,7 @@ ROBOTS = {
 
 
 class Outcome(NamedTuple):
-    """What became of a run.
+    """Result of a run.
 
     Attributes:
         diverged: whether it did.
@@ -97,7 +97,7 @@ class Outcome(NamedTuple):
 
 
 def folder() -> Path:
-    """Where the package has its files."""
+    """Return the folder of the package's robot files."""
     return Path(sysconfig.get_path("purelib"), "cmeel.prefix/share/example-robot-data/robots")
 
 
@@ -120,8 +120,8 @@ def motion(found: Survey, rng: np.random.Generator, span: float, part: float) ->
     }
 
 
-def drawn(robot: Robot, seed: int) -> uz.Scenario:
-    """A random arm on a random path, with the filter that `arm --gears` writes."""
+def draw_scenario(robot: Robot, seed: int) -> uz.Scenario:
+    """Draw an arm and a path; the filter is that which `arm --gears` writes."""
     path = folder() / robot.path
     found = survey_urdf(path, robot.joints, robot.tip, robot.at)
     rng, N = np.random.default_rng(seed), len(found.joints)
@@ -164,11 +164,11 @@ def drawn(robot: Robot, seed: int) -> uz.Scenario:
 
 
 def outcome(robot: Robot, seed: int) -> Outcome:
-    """What becomes of one run."""
-    scenario = drawn(robot, seed)
+    """Run one arm, and the same with the true state, and return the result."""
+    scenario = draw_scenario(robot, seed)
+    exact = scenario.replace("observer", {"method": "full_state"})
     run = uz.simulate(scenario)
-    known = uz.simulate(scenario.replace("observer", {"method": "full_state"}))
-    plant = resolve_scenario(scenario.replace("observer", {"method": "full_state"})).plant
+    known, plant = uz.simulate(exact), resolve_scenario(exact).plant
     assert plant.gears is not None
     assert run.width_std is not None
     gap, true = run.d_hat[-1].reshape(-1, 2).sum(axis=1), 2 * np.array(run.info.widths[::2])
@@ -206,8 +206,8 @@ def line(label: str, results: list[Outcome]) -> str:
     )
 
 
-NOTE = """Gaps of 8 to 40 mrad, friction of the motors 0.5 to 1.5 times what the filter is told,
-contacts of 300 to 600 rad/s where it is told 400, readings of 0.3 mrad, 8 s on random paths of 0.3
+NOTE = """Gaps of 8 to 40 mrad, friction of the motors 0.5 to 1.5 times the prior mean,
+contacts of 300 to 600 rad/s (model: 400), readings of 0.3 mrad, 8 s on random paths of 0.3
 and of 1 rad in turn. The filter is that of `undeadzone arm --gears`. Known: as the run says.
 """
 HEAD = head(

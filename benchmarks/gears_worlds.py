@@ -24,7 +24,7 @@ STRIBECK = 0.05  # speed at which friction has fallen from rest [rad/s]
 
 
 class World(NamedTuple):
-    """What differs from the model.
+    """Differences between machine and model.
 
     Attributes:
         offset: largest error of the encoder's zero [rad].
@@ -116,7 +116,7 @@ def driven(made: Bench, machine: Machine, seed: int) -> Floats:
 
 
 def outcome(made: Bench, world: World, seed: int) -> Outcome:
-    """What becomes of one loop."""
+    """Run one loop and return its result."""
     machine = draw(world, np.random.default_rng(seed))
     outputs = driven(made, machine, seed)
     return judged(made, machine.arm, outputs) if np.isfinite(outputs[-1]).all() else Outcome(True)

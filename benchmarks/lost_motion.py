@@ -23,7 +23,7 @@ NORMAL = 1.96
 
 
 class Outcome(NamedTuple):
-    """What became of a log.
+    """Result of a log.
 
     Attributes:
         word: right, withheld or wrong.

@@ -89,7 +89,7 @@ def pulses_and_star(rng: np.random.Generator) -> MotionLog:
     return MotionLog({"t [s]": t, "pulses [ms]": u, "star [arcsec]": y}, ("play",), gap)
 
 
-def held_on_one_flank(rng: np.random.Generator) -> MotionLog:
+def axis_on_one_flank(rng: np.random.Generator) -> MotionLog:
     """An axis that its weight holds on one flank, whose gap nothing shows."""
     t = 0.05 * np.arange(600)
     u = 10 * np.sin(0.5 * t + rng.uniform(0, 6))
@@ -204,7 +204,7 @@ KINDS: dict[str, Callable[[np.random.Generator], MotionLog]] = {
     "two encoders, jittered times": jittered,
     "wrong ratio, no gap": wrong_ratio,
     "pulses and star": pulses_and_star,
-    "held on one flank": held_on_one_flank,
+    "held on one flank": axis_on_one_flank,
     "dial gauge": dial_gauge,
     "goal and position": goal_servo,
     "goal, position and current": goal_and_current,

@@ -204,7 +204,7 @@ def _process(rng: np.random.Generator, cause: str) -> tuple[Process, float, bool
 def _oscillation(
     rng: np.random.Generator, cause: str, process: Process, total: int, range_pv: float
 ) -> np.ndarray:
-    """What swings from outside on PV (N)."""
+    """Return the external oscillation of PV (N)."""
     phase = 2 * np.pi * np.arange(total) / (rng.uniform(4.0, 12.0) * (process.delay + 3))
     bent = 0.3 * np.sin(2 * phase + 1) + 0.2 * np.sin(3 * phase) if rng.random() < 0.5 else 0.0
     size = range_pv * rng.uniform(0.05, 0.3) * (cause == "external")

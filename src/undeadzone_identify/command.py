@@ -168,7 +168,8 @@ def identify(
     is_written = path in written
     driven = is_written and "[reference]" in path.read_text(encoding="utf-8")
     follow = {"next": _next_commands(path, logs, options, driven)} if is_written else {}
-    lines = compensating_lines(answer.numbers(), first.name)
+    numbers = answer.numbers()
+    lines = compensating_lines(numbers, first.name)
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
@@ -190,7 +191,7 @@ def identify(
         is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
     shown = [{"in C": lines["snippet.h"].splitlines()}] if lines else []
     output.print_result(
-        lambda: answer.numbers() | more,
+        lambda: numbers | more,
         lambda: [*answer.blocks(), *shown],
         written,
         why | files_line(written) | follow,

@@ -109,10 +109,9 @@ def build_identified_page(
     )
     first: list[tuple[str, str]] = []
     rest: list[tuple[str, str]] = []
-    for name, value in found_log.summary().items():
-        for text in value if isinstance(value, list) else [value]:
-            room = name != "note" or len(first) < html.MOST
-            (first if room and FIRST.fullmatch(name) else rest).append((name, text))
+    for name, text in _summary_rows(found_log.summary()):
+        room = name != "note" or len(first) < html.MOST
+        (first if room and FIRST.fullmatch(name) else rest).append((name, text))
     captions = CAPTIONS if answer.element is None else CAPTIONS | OF_ELEMENT
     shown = html.encode_pictures(images, captions)
     return html.build_page(
@@ -138,6 +137,15 @@ def build_identified_page(
         *_few_lines_section(found_log.numbers(), source),
         origin=origin,
     )
+
+
+def _summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the rows of a summary: a row for each entry of a list."""
+    rows: list[tuple[str, str]] = []
+    for name, value in summary.items():
+        for text in value if isinstance(value, list) else [value]:
+            rows.append((name, text))
+    return rows
 
 
 def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
@@ -177,10 +185,6 @@ def _build_motion_page(
     origin: html.Origin | None = None,
 ) -> str:
     """Build the HTML page of two positions."""
-    rows = []
-    for name, value in found.summary().items():
-        for text in value if isinstance(value, list) else [value]:
-            rows.append((name, text))
     head = html.build_tag("span", found.headline(), "no" if found.verdict in OPEN else "yes")
     shown = html.encode_pictures(images, CAPTIONS | OF_POSITIONS)
     return html.build_page(
@@ -188,7 +192,7 @@ def _build_motion_page(
         html.build_paragraph(head),
         html.build_section(
             "The answer",
-            html.build_table(("what", "value"), rows),
+            html.build_table(("what", "value"), _summary_rows(found.summary())),
             *html.pick_pictures(shown, "overview"),
         ),
         *_few_lines_section(found.numbers(), source),

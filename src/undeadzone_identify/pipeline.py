@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from undeadzone.errors import FileError, InputError
+from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
@@ -59,7 +59,11 @@ from undeadzone_identify.selection.decision import (
 )
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_zone_locations
-from undeadzone_identify.selection.lost_motion import find_lost_motion, without_drive
+from undeadzone_identify.selection.lost_motion import (
+    find_lost_motion,
+    needs_motion_test,
+    without_drive,
+)
 from undeadzone_identify.selection.servo import (
     add_servo,
     add_servo_element,
@@ -218,7 +222,7 @@ def _identify_logs(
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
     motion, stands = (None, False)
-    if len(logs) == len(names) == 1:
+    if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
         motion, stands = find_lost_motion(logs[0], options)
         advance(1)
     if motion is not None and stands:
@@ -228,9 +232,7 @@ def _identify_logs(
     try:
         grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
         answers = [identify_output(grid, options, advance) for grid in grids]
-    except FileError as error:  # an irregular step, which two positions may have
-        refused: InputError = error
-    except InputError as error:  # no plant fits
+    except InputError as error:  # no plant fits, or an irregular step, which positions may have
         refused = error
     else:
         return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))

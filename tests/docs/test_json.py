@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 
 import once
 import undeadzone_paper
 from undeadzone.cli import group
 from undeadzone.cli.common import SCHEMA
+from undeadzone.nonlinearities.play import levels
 from undeadzone_export import exporting
 
 ROOT = Path(__file__).parents[2]
@@ -49,7 +51,10 @@ COMMANDS: dict[str, list[list[str]]] = {
         ["arena", "examples/load_cell_limited.toml", "--methods", "kalman", "--seeds", "1",
          "--json"],
     ],
-    "identify": [["identify", LOG, "--order", "3", "--delay", "0", "--chain", "chain", *COMMON]],
+    "identify": [
+        ["identify", LOG, "--order", "3", "--delay", "0", "--chain", "chain", *COMMON],
+        ["identify", "axis.csv", *COMMON],
+    ],
     "estimate": [
         ["estimate", "examples/asymmetric_noise.toml", LOG, *COMMON],
         ["estimate", "examples/load_cell_limited.toml", LOG, "--columns", "t=t,y=y,u=u", *COMMON],
@@ -129,6 +134,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             assert old in text
             text = text.replace(old, new)
         (made / name).write_text(text)
+    goal = np.random.default_rng(0).uniform(-20.0, 20.0, 120)  # of an axis with a gap of 0.2
+    at = levels(goal[:, None], np.array([0.1]), np.array([0.1]), goal[:1])[:, 0]
+    rows = [f"{5 * k},{u:.3f},{y:.3f}" for k, (u, y) in enumerate(zip(goal, at, strict=True))]
+    (made / "axis.csv").write_text("\n".join(["t [s],goal [mm],position [mm]", *rows, ""]))
     return made
 
 

@@ -147,6 +147,27 @@ def test_the_command_takes_a_scenario_or_an_answer(tmp_path: Path) -> None:
     assert all("M425 X0.18 F1" in text for text in texts.values())
 
 
+def test_a_play_of_the_actuator_is_compensated_by_its_gap(tmp_path: Path) -> None:
+    """Not as a dead zone: the whole gap is added while the command rises, in units of the input."""
+    scenario = tmp_path / "valve.toml"
+    scenario.write_text(
+        """
+        plant = {A = [[-1.0]], B = [[1.0]], C = [[1.0]]}
+        sensor = {right = 0.0, left = 0.0, noise = 0.01}
+        actuator = {kind = "play", right = 0.3, left = 0.2}
+        reference = {kind = "sine", amplitude = 1.0, frequency = 0.2}
+        observer = {method = "kalman", right = [0.0, 0.1]}
+        simulation = {time = "sampled", step = 0.05, duration = 2.0}
+        units = {input = "%"}
+        """
+    )
+    report = json.loads(run_export(scenario, tmp_path / "few", "--json"))
+    assert report["kind"] == "backlash"
+    assert report["width"][0] == pytest.approx(0.5)
+    assert report["unit"] == "%"
+    assert "if (wanted > before) lead = 0.5f;" in (tmp_path / "few" / "snippet.h").read_text()
+
+
 @pytest.mark.parametrize(
     ("found", "says"),
     [

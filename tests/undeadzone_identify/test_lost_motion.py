@@ -16,9 +16,9 @@ from benchmarks.lost_motion_logs import (
     KINDS,
     MotionLog,
     axis_at_rest,
+    axis_on_one_flank,
     follow,
     goal_and_current,
-    held_on_one_flank,
     jittered,
     noisy_and_late,
     pulses_and_star,
@@ -65,7 +65,7 @@ def test_a_gap_is_found_and_its_interval_holds(make: Any) -> None:
     assert held >= FEW
 
 
-@pytest.mark.parametrize("make", [wrong_ratio, held_on_one_flank])
+@pytest.mark.parametrize("make", [wrong_ratio, axis_on_one_flank])
 def test_no_gap_is_said_with_a_bound(make: Any) -> None:
     for seed in range(5):
         found = identified(make(np.random.default_rng(seed)))

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from undeadzone.util.arrays import to_json_value
-from undeadzone.util.text import bracket_interval
+from undeadzone.util.text import append_unit, bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.selection.decision import Case
@@ -58,10 +58,10 @@ def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
 
 def _percent(interval: Interval, grid: Grid) -> str:
     """Return an interval in the unit of the controller's output: % of OP."""
-    unit = "" if grid.input_unit == "1" else f" {grid.input_unit}"
     width = max(interval.high - interval.low, 1e-12)
     digits = min(max(0, math.ceil(-math.log10(width)) + 1), 9)
-    return f"{bracket_interval(*interval, f'.{digits}f')}{unit} of {grid.inputs[0]}"
+    shown = append_unit(bracket_interval(*interval, f".{digits}f"), grid.input_unit)
+    return f"{shown} of {grid.inputs[0]}"
 
 
 def _period(valve: ValveFindings, grid: Grid) -> str:
@@ -89,12 +89,10 @@ def _rest(case: Case, valve: ValveFindings) -> str:
     band = (
         gain * valve.jump.value * case.record_data.y_scale / float(case.record_data.u_scale[0]) / 2
     )
-    unit = "" if case.grid.output_unit == "1" else f" {case.grid.output_unit}"
     if not 0 < band < case.record_data.y_scale:
         return ""
-    held = (
-        f"stop the integral part while the error is within {band:.2g}{unit} of {case.grid.output}"
-    )
+    within = append_unit(f"{band:.2g}", case.grid.output_unit)
+    held = f"stop the integral part while the error is within {within} of {case.grid.output}"
     return f"; meanwhile {held} (half of what a jump moves it)"
 
 

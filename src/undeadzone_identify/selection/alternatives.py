@@ -483,12 +483,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
     fit, model, numbers = zoned.fit, zoned.fit.model, zoned.fit.theta
     whole, data, layout = case.record_data, model.simulator.data, model.simulator.layout
     passed = dead_zone(whole.u, *numbers[layout.input_widths])
-    simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n)
-    theta = np.zeros(simulator.layout.parameter_count)
-    known = (
-        layout.x0.stop if data.y.size == whole.y.size else layout.numerators.stop
-    )  # else at rest
-    theta[:known] = numbers[:known]
+    simulator, theta = _plant_along(model.simulator, numbers, whole._replace(u=passed))
     z = simulator.simulate_z(theta)
     both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
     widths, degrees = _zone_intervals(zoned, (), float(whole.u_scale[0]), 0.0)
@@ -519,6 +514,24 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         remarks=remarks,
         input=at_both,
     )
+
+
+def _plant_along(
+    fitted: plant.PlantSimulator, numbers: Floats, whole: plant.RecordData
+) -> tuple[plant.PlantSimulator, Floats]:
+    """Return the plant of a fit along all records, and its parameters.
+
+    Args:
+        fitted: plant as fitted, to the longest or all records.
+        numbers: its parameters, and what follows them.
+        whole: all records, with the inputs behind their element. Others begin at rest.
+    """
+    layout = fitted.layout
+    simulator = plant.PlantSimulator(whole, layout.n, layout.integrators)
+    known = layout.x0 if fitted.data.y.size == whole.y.size else layout.numerators
+    theta = np.zeros(simulator.layout.parameter_count)
+    theta[: known.stop] = numbers[: known.stop]
+    return simulator, theta
 
 
 def _zone_intervals(
@@ -587,11 +600,7 @@ def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -
     passed = np.vstack(
         [levels(whole.u[part], half, half, whole.u[part][0]) for part in whole.record_slices()]
     )
-    simulator = plant.PlantSimulator(whole._replace(u=passed), layout.n, layout.integrators)
-    theta = np.zeros(simulator.layout.parameter_count)
-    same = fit.model.simulator.data.y.size == whole.y.size
-    known = layout.x0.stop if same else layout.numerators.stop  # else at rest
-    theta[:known] = numbers[:known]
+    simulator, theta = _plant_along(fit.model.simulator, numbers, whole._replace(u=passed))
     z = simulator.simulate_z(theta)
     level = float((whole.y - z)[whole.ok].mean())
     e = np.where(whole.ok, whole.y - z - level, 0.0)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from undeadzone.errors import FileError
 from undeadzone.util.arrays import Flags, Floats
-from undeadzone_identify.logs.grid import printed_step
+from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.least_squares import Density
@@ -100,6 +101,24 @@ class LostMotionAnswer(NamedTuple):
     remarks: list[str]
 
 
+def needs_motion_test(log: Log) -> bool:
+    """Return whether the motion lost between two positions may be the answer to a log.
+
+    Args:
+        log: with one output.
+    """
+    return _is_alike(log) or _is_told(log) or _is_summed(log) or not _has_grid(log)
+
+
+def _has_grid(log: Log) -> bool:
+    """Return whether times are multiples of one step, without which no plant is fitted."""
+    try:
+        find_sample_time(log)
+    except FileError:
+        return False
+    return True
+
+
 def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | None, bool]:
     """Fit lost motion to two positions of a log.
 
@@ -143,9 +162,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not fits or not sure:
         word = "unclear"
     positions = alike or is_told or is_summed
-    steps = np.diff(data.t)
-    is_irregular = np.ptp(steps) > 0.1 * np.median(steps)  # no plant is fitted at such times
-    stands = word != "unclear" and (positions or bool(is_gap and white and is_irregular))
+    stands = word != "unclear" and (positions or (is_gap and white and not _has_grid(log)))
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
@@ -179,7 +196,7 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     if not plain or asked or inputs > 2 or (inputs == 2 and drive_of(log) is None):
         return None, False
     t, u, y = log.t, log.u[:, 0], log.y[:, 0]
-    is_summed = _is_named(log.inputs[0], PULSES) and _alternates(u)
+    is_summed = _is_summed(log)
     if is_summed:  # what was told after a reading moves the next one
         u = np.append(0.0, np.cumsum(u)[:-1])
     there = np.isfinite(u) & np.isfinite(y)
@@ -187,19 +204,18 @@ def positions_of(log: Log, options: Options) -> tuple[Positions | None, bool]:
     if there.sum() < FEWEST:
         return None, False
     with np.errstate(over="ignore", under="ignore"):  # squares must be numbers, and not 0
-        squares = [float(np.ptp(column[there])) ** 2 for column in (u, y)]
-    if not all(np.finfo(float).tiny < square < np.inf for square in squares):
+        squares = np.ptp(u[there]) ** 2, np.ptp(y[there]) ** 2
+    if not np.finfo(float).tiny < min(squares) <= max(squares) < np.inf:
         return None, False
     steps = printed_step(u[there]), printed_step(y[there])
-    data = Positions(t[there], u[there], y[there], *steps, _is_told(log))
-    if not np.ptp(data.u) > 0 or not np.ptp(data.y) > 0:
-        return None, False
-    return data, bool(is_summed)
+    return Positions(t[there], u[there], y[there], *steps, _is_told(log)), is_summed
 
 
-def _alternates(u: Floats) -> bool:
-    """Return whether values lie about 0 without a run, as single pulses do and sums do not."""
-    return float(np.mean(u[1:] * u[:-1])) < 0.8 * float(np.mean(u**2))
+def _is_summed(log: Log) -> bool:
+    """Return whether the input is single pulses, whose sum is the position: no runs about 0."""
+    u = log.u[:, 0]
+    alternates = float(np.mean(u[1:] * u[:-1])) < 0.8 * float(np.mean(u**2))
+    return _is_named(log.inputs[0], PULSES) and alternates
 
 
 def drive_of(log: Log) -> Floats | None:

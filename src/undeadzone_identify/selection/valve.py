@@ -167,8 +167,9 @@ def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) 
     log = LoopLog(data.u[part, 0], data.y[part], data.ok[part], reference)
     fits = fit_loop(log)
     family = _comparable_family(fits, log, models, data, part)
-    odds = _weigh_by_shape(model_probabilities([family], excluded), ellipse_width(log))
-    return answer_by_odds(family, _measure(case, fits, part, odds), excluded)
+    shape = ellipse_width(log)
+    odds = _weigh_by_shape(model_probabilities([family], excluded), shape)
+    return answer_by_odds(family, _measure(case, fits, part, odds, shape), excluded)
 
 
 def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str]) -> LoopAnswer:
@@ -229,7 +230,9 @@ def _comparable_family(
     return family
 
 
-def _measure(case: Case, fits: LoopFits, part: slice, odds: dict[str, float]) -> ValveFindings:
+def _measure(
+    case: Case, fits: LoopFits, part: slice, odds: dict[str, float], shape: float
+) -> ValveFindings:
     """Measure the valve of a loop, whatever the odds are."""
     log, data = fits.log, case.recorded
     words = ("stiction", "input_play")
@@ -254,7 +257,7 @@ def _measure(case: Case, fits: LoopFits, part: slice, odds: dict[str, float]) ->
         regularity=log.regularity,
         period=log.period,
         sensitivity=fits.sensitivity(acting),
-        shape=ellipse_width(log),
+        shape=shape,
     )
 
 

@@ -6,17 +6,58 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.contact_filter.drive import (
+    _link_mobility,
+    _link_variances,
     build_drive,
+    join_posteriors,
+    mean_posture,
 )
-from undeadzone.observers.contact_filter.modes import Layout, condition_on_impact
+from undeadzone.observers.contact_filter.modes import Layout, Posterior, condition_on_impact
 from undeadzone.plants.robots.build import build_two_link
 from undeadzone.plants.robots.geared import Gears, build_geared_arm
 
 GEARS = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
+ALONE = ((0,), (1,))  # a filter for each joint
+
+
+@pytest.mark.parametrize("groups", [ALONE, ((0, 1),)])
+def test_a_link_moves_the_motors_that_joints_of_other_filters_touch(groups: Any) -> None:
+    mean = ca.DM([0.3, 0.8, 0.3, 0.8, *[0.0] * 17])
+    arm = mean_posture(GEARS, GEARS.values, mean, ca.DM.zeros(2))
+    moved = np.asarray(ca.evalf(_link_mobility(arm, groups, ca.SX([0.5, 1.0]))))
+    mass = np.asarray(ca.evalf(ca.SX(arm.mass)))
+    turned = [np.diag([0.0, 0.03]), np.diag([0.5 * 0.08, 0.0])]
+    if groups != ALONE:  # contacts of both are in the filter itself
+        turned = [np.zeros((2, 2))] * 2
+    rows = [np.linalg.inv(mass + turned[k])[k] for k in range(2)]
+    assert moved == pytest.approx(np.vstack(rows))
+
+
+def test_payloads_of_joints_count_by_their_variance_and_err_alike() -> None:
+    stds, payloads, told = np.array([0.1, 0.3]), np.array([0.4, 0.8]), []
+    for std, payload in zip(stds, payloads, strict=True):
+        mean, cov = ca.SX(Layout(1).entry_count, 1), ca.SX.eye(Layout(1).entry_count)
+        mean[-1], cov[-1, -1] = payload, std**2
+        news, e, one = ca.SX(mean.shape[0], 1), ca.SX(0.0), ca.SX(1.0)
+        told.append(Posterior((), (), Gaussian(mean, cov), news, e, one))
+    whole = join_posteriors(Layout(2), ALONE, told).whole
+    weights = stds**-2.0 / np.sum(stds**-2.0)
+    assert float(whole.mean[-1]) == pytest.approx(weights @ payloads)
+    assert float(whole.cov[-1, -1]) == pytest.approx((weights @ stds) ** 2)
+
+
+def test_a_link_is_not_beyond_its_flanks_for_long() -> None:
+    layout = Layout(1)
+    motor, link, half = (layout.slice_of(name).start for name in ("motor", "link", "half"))
+    mean, cov = ca.SX(layout.entry_count, 1), ca.SX.eye(layout.entry_count)
+    mean[half], cov[half, half], cov[motor, motor], cov[link, link] = 0.3, 0.01, 0.02, 5.0
+    bounded = _link_variances(Gaussian(mean, cov), 1)
+    assert float(bounded) == pytest.approx(0.09 + 0.01 + 0.02)
 
 
 @pytest.mark.parametrize("joint", [0, 1])
