@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from undeadzone.analysis.identifiability.flanks import COUPLED, PLACES
+from undeadzone.analysis.identifiability.flanks import COUPLED
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import SHAPE, Sensor, Zone, resolve
 from undeadzone.plants.robots.geared import largest_couplings
@@ -87,11 +87,10 @@ def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
     gears = system.gears
     if gears is None or getattr(options, "joints", "") != "separate" or options.groups is not None:
         return options
-    few = postures[np.unique(np.linspace(0, len(postures) - 1, PLACES).astype(int))]
     alone = [(joint,) for joint in range(gears.joint_count)]
     links = gears.link_params(np.ravel(system.params))
     partners: dict[int, set[int]] = {joint: set() for joint in range(gears.joint_count)}
-    for joint, found in enumerate(largest_couplings(gears.arm, links, few, alone)):
+    for joint, found in enumerate(largest_couplings(gears.arm, links, postures, alone)):
         if found.ratio > COUPLED:
             partners[joint].add(found.partner)
             partners[found.partner].add(joint)

@@ -28,7 +28,6 @@ COUPLED = 8.0  # coupling above which joint by joint a gap cannot be known
 HEARD = 3.0  # deviations of the innovations by which a strike shows
 WINDOW = 0.15  # [s] for which a strike is looked for
 SETTLED = 1e-6  # change of a variance by a sample, relative, below which it no longer changes
-PLACES = 50  # of the motion at which masses are looked at
 
 
 class FlankVisits(NamedTuple):
@@ -222,8 +221,7 @@ def gap_identifiability(
         np.ravel(gears.gear_number(params, "inertia")),
     )
     half = np.ravel(gears.gear_number(params, "half"))
-    few = np.unique(np.linspace(0, len(path) - 1, PLACES).astype(int))
-    coupling = largest_couplings(body, links, path[few, 0], told.groups)
+    coupling = largest_couplings(body, links, path[:, 0], told.groups)
     visits, verdicts = flank_visits(tau, step), []
     for i, found in enumerate(list_crossings(gears, params, x)):
         planned = 2 * half[i] * told.crossing / np.e

@@ -34,6 +34,7 @@ from undeadzone.util.arrays import (
     require_vector,
 )
 
+PLACES = 50  # of a motion at which masses are looked at
 TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
@@ -199,12 +200,13 @@ def largest_couplings(
     Args:
         body: the links.
         links: their parameters.
-        postures: angles of the joints (K x N).
+        postures: angles of the joints along a motion (K x N), of which at most `PLACES` count.
         groups: joints that belong together.
     """
-    masses = [np.asarray(body.mass(links, q)) for q in postures]
+    few = np.unique(np.linspace(0, len(postures) - 1, PLACES).astype(int))
     found = [Coupling(1.0, joint) for joint in range(body.joint_count)]
-    for M in masses:
+    for q in postures[few]:
+        M = np.asarray(body.mass(links, q))
         inverse = np.linalg.inv(M)
         shares = np.abs(inverse) / np.sqrt(np.outer(np.diag(inverse), np.diag(inverse)))
         for group in map(list, groups):
