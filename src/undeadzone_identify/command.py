@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
 NOISES = click.Choice(["auto", "before", "after"])
-PLACES = click.Choice(["auto", "sensor"])
+PLACES = click.Choice(["auto", "sensor", "actuator", "plant"])
 
 
 SUBJECTS = {
@@ -79,7 +79,7 @@ SUBJECTS = {
 @value_option(
     "--place",
     None,
-    "sensor: assume that the dead zone is in the sensor.",
+    "Where the zone is: sensor, actuator, plant (friction).",
     type=PLACES,
     default="auto",
 )

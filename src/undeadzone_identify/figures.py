@@ -16,6 +16,7 @@ from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
+from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.orders import (
     known_autocorrelation,
     one_step_residuals,
@@ -38,8 +39,14 @@ POINTS = 9  # of a profile
 MOST = 4000  # samples of a figure over time; of a longer log the last ones are drawn
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
-SIDES = {"input_zone": "Side of the input", "two_zones": "Side of the reading"}
-MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
+SIDES = {
+    "play": "Contact",
+    "both": "Contact",
+    "input_zone": "Side of the input",
+    "two_zones": "Side of the reading",
+    "filtered_zone": "Side of the reading",
+}
+MIDDLES = {"play": "holds", "both": "holds"}
 
 
 def build_figures(found_log: Identified, further: NextLog | None = None) -> dict[str, Figure]:
@@ -314,12 +321,17 @@ def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     _plot_readings(axes, found_log, part)
     if element.kind != "input_zone":
         expected = (element.readings * found_log.answer.scale)[part]
-        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
+        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
-    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
-    title = SIDES.get(element.kind, "Contact")
+    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "silent"))
+    title = SIDES.get(element.kind, "Sign of the reading")
     finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
+
+
+def _name_of(element: Element) -> str:
+    """Return what an element is called in a legend."""
+    return NAMES.get(element.kind, MODELS[element.kind])
 
 
 def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
@@ -332,7 +344,7 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
-        path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
+        path, name = (element.readings * scale)[part], f"path of {_name_of(element)}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
     finish_panel(axes, title, label_with_unit("y", unit), x_label)
     axes, title = panels["left"], "What is left"

@@ -34,7 +34,7 @@ CAPTIONS = {
 }
 
 # Lines that stand on the first screen; the others say how it was decided.
-FIRST = re.compile(r"[bcd]_(right|left)|([bcd] )?width|odds|plant|note")
+FIRST = re.compile(r"[bcdf]_(right|left)|([bcd] )?width|friction|possible|odds|plant|note")
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"

@@ -38,15 +38,17 @@ from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
     Findings,
+    add_named_element,
     add_play,
     add_play_gap,
     build_input_element,
     has_a_model,
+    holds_more,
+    needs_an_element,
     with_adequacy,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
-    LARGER,
     MEMORY,
     Case,
     add_unmodelled,
@@ -107,7 +109,8 @@ def identify(
         offset: rms of a constant offset of the output [y], or "free".
         held_out: share of the log, in blocks over it, that checks the fit.
         noise: "before" the zone, "after" it, or "auto".
-        place: "sensor" where the user knows that the zone is there, or "auto".
+        place: where the user knows that the zone is: "sensor", "actuator" or "plant" (friction);
+            or "auto".
         kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
         delay: samples by which the recording makes the input late, or "auto" to find how late it
             acts.
@@ -390,11 +393,6 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
     return found.add_models(case, best_of_each(rows))
 
 
-def _holds_more(case: Case, found: Findings) -> bool:
-    """Return whether a model is named that holds that of a sensor's zone, and more."""
-    return found.verdict.word in LARGER["dead_zone"]
-
-
 def _has_play_verdict(case: Case, found: Findings) -> bool:
     """Return whether the verdict is a play, or a play with a dead zone."""
     return found.element is None and found.verdict.word in MEMORY and found.plays is not None
@@ -424,10 +422,11 @@ QUESTIONS = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", needs_servo_test, add_servo),
-    Hypothesis("if a larger model simulates better", _holds_more, without_needless),
+    Hypothesis("if a larger model simulates better", holds_more, without_needless),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

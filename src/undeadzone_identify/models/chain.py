@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import best_of_each
-from undeadzone_identify.models.estimates import Interval, cache_latest, weight_row
+from undeadzone_identify.models.estimates import cache_latest
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.place import PlaceFit, PlaceStarts
@@ -31,7 +31,6 @@ TAPS = 4  # of a filter behind the zone, beside the first
 WIDEST = 6.0  # rms of z, that an edge is away at most
 VANISHING = 0.01  # rms of its signal, below which an element counts for none
 STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts for none
-FINEST = 2e-4  # rms of u: no interval of a gap is narrower
 STEP = 1e-5  # of a number, for differences
 
 
@@ -74,6 +73,20 @@ def play_of_input(u: Floats, p: Floats) -> Floats:
     return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
 
 
+def rate_of_input(u: Floats, p: Floats) -> Floats:
+    """Return what follows u by at most p a sample."""
+    return limit_rate(u, float(p[0]))
+
+
+def limit_rate(u: Floats, most: float) -> Floats:
+    """Return what follows u (N) by at most so much a sample."""
+    out, at = np.empty(u.size), float(u[0])
+    for k, value in enumerate(u.tolist()):
+        at = min(max(value, at - most), at + most)
+        out[k] = at
+    return out
+
+
 INPUTS = {
     "power": InputElement(
         power_of_input, (0.2,), (4.0,), ((0.5,), (1.5,), (2.0,), (3.0,)), "sign(u) |u|^{0:.2g}"
@@ -87,6 +100,9 @@ INPUTS = {
     ),
     "exponential": InputElement(
         exponential_of_input, (-3.0,), (3.0,), ((0.4,), (1.0,), (-0.4,), (-1.0,)), "exp({0:.2g} u)"
+    ),
+    "rate": InputElement(
+        rate_of_input, (1e-3,), (4.0,), tuple((most,) for most in (0.02, 0.05, 0.12, 0.3)), ""
     ),
     "play": InputElement(
         play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
@@ -133,9 +149,14 @@ class ChainModel:
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
-        """Return the same model of other records."""
+        """Return the same model for other records."""
         own = self.simulator.simulator_along(data)
         return ChainModel(own, self.element, self.zone, 0 if self.lags else self.taps, self.lags)
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the sensor's widths, or half the gap at the input on either side (2)."""
+        gap = np.repeat(theta[self.inputs][:1] / 2, 2)
+        return theta[self.edges] if self.zone else np.asarray(gap)
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Return numbers of the elements within their bounds."""
@@ -154,14 +175,21 @@ class ChainModel:
         denominator = layout.full_denominator(theta[layout.a])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(u.size)
-        for part, start in zip(self.simulator.data.record_slices(), starts, strict=True):
-            v = u[part]
-            if self.element is not None:
-                v = INPUTS[self.element].passes(v, theta[self.inputs])
-            driven = lfilter(numerator, [1.0], v)
+        for part, start in zip(self.simulator.records, starts, strict=True):
+            driven = lfilter(numerator, [1.0], self._pass_input(u[part], theta))
             driven[: layout.n] += start[: driven.size]
             z[part] = lfilter([1.0], denominator, driven)
         return z
+
+    def _pass_input(self, u: Floats, theta: Floats) -> Floats:
+        """Return what the element of the input makes of u (N)."""
+        return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant alone, driven by what its input passes on."""
+        data = self.simulator.data
+        parts = [self._pass_input(data.u[part, 0], theta) for part in self.simulator.records]
+        return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""
@@ -203,6 +231,10 @@ class ChainModel:
             return "none" if self._bend(theta) < STRAIGHT else "input_curve"
         if self.element == "play":
             return "none" if theta[self.inputs][0] < VANISHING else "input_play"
+        if self.element == "rate":
+            u = self.simulator.data.u[:, 0]
+            late = self._pass_input(u, theta) - u
+            return "none" if late.std() < STRAIGHT * u.std() else "input_rate"
         is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
         return "filtered_zone" if is_there else "none"
 
@@ -228,6 +260,9 @@ class ChainModel:
         if self.element == "play":
             gap = theta[self.inputs][0] * u_scale
             return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
+        if self.element == "rate":
+            most = theta[self.inputs][0] * u_scale
+            return f"what the input drives follows it by at most {most:.4g} a sample"
         right, left = theta[self.edges] * y_scale
         f = theta[self.filter]
         late = f[0] / (1 - f[0]) if self.lags else float(f @ np.arange(1, self.taps + 1))
@@ -339,18 +374,3 @@ def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) 
         theta[layout.b] /= scale
         found.append(Begun(fit.bic, np.append(theta, numbers)))
     return sorted(found, key=lambda one: one.cost)[:most]
-
-
-def gap_of_input(fit: ChainFit) -> Interval:
-    """Return the gap of a play of the input with its 95 % interval, scaled.
-
-    Args:
-        fit: of such a play.
-    """
-    later, place = fit.prediction_fit, fit.model.inputs.start
-    value, first = float(later.theta[place]), float(fit.theta[place])
-    row = weight_row(fit.model.free, fit.theta.size, place, (1.0,))
-    halves: Sequence[float] = [
-        one.squares.robust_covariance(one.theta).half_and_degrees(row)[0] for one in (fit, later)
-    ]
-    return Interval.from_half_width(value, math.hypot(max(halves), value - first, FINEST))

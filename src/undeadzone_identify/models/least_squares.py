@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.plant import PlantSimulator, mean_lag_products
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
 ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a colour of its own
@@ -50,6 +50,12 @@ class Model(Protocol):
     last: int
     gain: float
     has_level: bool
+
+    def along(self, data: RecordData) -> Self:
+        """Return the same model for other records."""
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the element's right and left width, in rms of its signal (2)."""
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict theta to admissible values; theta may be changed in place."""

@@ -11,24 +11,27 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
-from undeadzone_identify.models.chain import gap_of_input
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
-from undeadzone_identify.models.least_squares import CHANCE, FittedModel
+from undeadzone_identify.models.least_squares import CHANCE
 from undeadzone_identify.models.plant import Layout, PlantSimulator
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.alternatives import (
+    MEASURED,
     Element,
     Findings,
     fit_of,
-    held_out_error_of_fit,
+    measure_word,
     validate_element,
 )
 from undeadzone_identify.selection.decision import (
-    CHAINED,
+    AS_LINEAR,
+    CANNOT_TELL,
+    LARGER,
     MODELS,
     UNEXPLAINED,
+    UNLIKELY,
     Case,
     Feedback,
     build_verdict,
@@ -80,6 +83,20 @@ class Disturbance(NamedTuple):
     ahead: bool
 
 
+class Possible(NamedTuple):
+    """What a class that is not excluded would mean.
+
+    Attributes:
+        share: its odds.
+        widths: right, left, width and centre, if it is the truth; None where it has none.
+        option: by which a user who knows that it is the truth says so; empty where there is none.
+    """
+
+    share: float
+    widths: Shown
+    option: str
+
+
 class Answer(NamedTuple):
     """Answer to a log.
 
@@ -97,7 +114,7 @@ class Answer(NamedTuple):
         chosen: the order that was chosen, with the checks of what was found.
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
-        named: the model that is named, where it is neither an element nor a sensor's zone.
+        possible: the classes that are not excluded, beside the one that is named.
     """
 
     verdict: str
@@ -113,7 +130,7 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: WidthEstimates
-    named: FittedModel[Any] | None = None
+    possible: dict[str, Possible] = {}
 
     @property
     def zone(self) -> bool:
@@ -154,28 +171,21 @@ class Answer(NamedTuple):
         return self.element.simulator, self.element.theta
 
     @property
-    def named_plant(self) -> tuple[PlantSimulator, Floats]:
-        """Return the plant of the model that is named, and its numbers, scaled."""
-        if self.named is None:
-            return self.plant
-        return self.named.model.simulator, self.named.theta
-
-    @property
     def order(self) -> int:
         """Return the number of poles of the plant."""
-        return self.named_plant[0].layout.n
+        return self.plant[0].layout.n
 
     @property
     def poles(self) -> Any:
         """Return the poles of the plant (n) [1/s], complex."""
-        simulator, theta = self.named_plant
+        simulator, theta = self.plant
         with np.errstate(divide="ignore"):
             return np.log(simulator.plant_poles(theta).astype(complex)) / self.case.grid.step
 
     @property
     def gain(self) -> Floats:
         """Return the DC gain from each input (m) [y/u]; with integrators, of the rates."""
-        simulator, theta = self.named_plant
+        simulator, theta = self.plant
         gain = simulator.dc_gain(theta) * self.case.data.y_scale / self.case.data.u_scale
         return np.asarray(gain / self.case.grid.step**simulator.layout.integrators)
 
@@ -197,6 +207,8 @@ class Answer(NamedTuple):
         """Return the disturbance of z, in units of the log."""
         step, scale = self.case.grid.step, self.scale
         element, fit = self.element, self.fit
+        if element is not None and element.is_at_rest:
+            return Disturbance(element.rms * scale, None, None, None, False)
         if element is not None:
             phi = 0.0 if element.ahead is None else element.ahead.phi
             time = -step / math.log(phi) if phi > 0 else None
@@ -226,14 +238,15 @@ def to_answer(case: Case, found: Findings) -> Answer:
         found: the verdict, and what stands in the zone's place.
     """
     element = found.element
-    doubt = element and (_doubt_of_zero(element.widths) or _doubt_of_zero(element.input))
+    doubt = element and (
+        _doubt_of_zero(element.widths | {"friction": found.friction})
+        or _doubt_of_zero(element.input)
+    )
     if doubt:
         verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict, odds={})
-    if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
-        found = found._replace(odds={})
-    named, data = named_fit(case, found), case.data
-    chosen = _validate_findings(case, found, named)
+    found = found._replace(odds=_odds_of_word(found))
+    data, chosen = case.data, _validate_findings(case, found)
     found = _withhold_poor_fit(found, chosen.share)
     best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
     widths = find_widths(
@@ -243,7 +256,10 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
-        **dict.fromkeys(DIRECTIONS),
+        right=None,
+        left=None,
+        width=None,
+        centre=None,
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=Feedback(1.0, None),
         case=case,
@@ -253,49 +269,57 @@ def to_answer(case: Case, found: Findings) -> Answer:
             data.select_readings(), case.chosen.pairs.z, *edges, data.silent_zeros
         ),
         widths=widths,
-        named=named,
     )
     answer = _add_feedback(answer)
     if found.element is not None:
         remarks = [*found.element.remarks, *_delay_remarks(answer)]
-        return _set_widths(answer, found.element.widths, remarks)
-    if answer.verdict == "input_play" and named is not None:
-        return _with_gap_ahead(answer, gap_of_input(named))
-    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
-        return _add_edges(answer)
-    return answer
+        answer = _set_widths(answer, found.element.widths, remarks)
+    elif answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
+        answer = _add_edges(answer)
+    return answer._replace(possible=_find_possible(answer))
 
 
-def _with_gap_ahead(answer: Answer, gap: Interval) -> Answer:
-    """Return the answer with the gap of a play of the input [u]; what may be 0 has no name."""
-    width = gap.scale_by(float(answer.case.data.u_scale[0]))
-    doubt = _doubt_of_zero({"width": width})
-    if doubt:
-        found = answer.found._replace(odds={})
-        return answer._replace(verdict="undecided", reasons=[doubt], found=found)
-    return answer._replace(width=width)
+OPTIONS = {  # by which a user who knows the class says so
+    "dead_zone": "--place sensor",
+    "input_zone": "--place actuator",
+    "friction": "--place plant",
+    "play": "--kind play",
+}
 
 
-OF_THEIR_OWN = (
-    "friction",
-    "saturation",
-    "other",
-    *CHAINED,
-)  # words of models with a plant of their own
+def _find_possible(answer: Answer) -> dict[str, Possible]:
+    """Find the measured classes that the odds do not exclude, beside the one that is named."""
+    case, found, possible = answer.case, answer.found, {}
+    for word, share in found.odds.items():
+        fit = fit_of(case, found, word)
+        if share < UNLIKELY or word == answer.verdict or word not in MEASURED or fit is None:
+            continue
+        own = word == "dead_zone" and case.jump_edges is None
+        widths = _log_unit_widths(answer, 1.0) if own else measure_word(case, fit, word)[0]
+        option = OPTIONS.get(word, "") if case.options.place == "auto" else ""
+        possible[word] = Possible(share, widths, option)
+    return possible
 
 
-def named_fit(case: Case, found: Findings) -> FittedModel[Any] | None:
-    """Return the model that is named, where neither an element nor a sensor's zone stands for it.
+def _odds_of_word(found: Findings) -> dict[str, float]:
+    """Return the odds that belong to the word: none where it was not they that decided.
 
-    Args:
-        case: the log.
-        found: with a verdict.
+    Larger models count for the word where their element is no matter for it, and so do zones below
+    the rounding of the readings.
     """
-    word = found.verdict.word
-    if found.element is not None or word not in OF_THEIR_OWN or word not in found.odds:
-        return None
-    is_likeliest = word == next(iter(found.odds)) or word != "other"
-    return fit_of(case, found, word) if is_likeliest else None
+    word, odds = found.verdict.word, found.odds
+    if isinstance(found.element and found.element.fit, ServoGap) or not odds:
+        return odds
+    if word == "undecided":
+        return odds if found.verdict.reasons[0].startswith(CANNOT_TELL) else {}
+    own = {"operating_point": "none"}.get(word, word)
+    held = {own, *LARGER.get(own, ())} | (set(AS_LINEAR) if own == "none" else set())
+    if own not in odds or next(iter(odds)) not in held:
+        return {}
+    if next(iter(odds)) == own:
+        return odds
+    rest = {name: share for name, share in odds.items() if name not in held}
+    return {own: sum(odds[name] for name in held if name in odds)} | rest
 
 
 def _withhold_poor_fit(found: Findings, share: float) -> Findings:
@@ -310,13 +334,11 @@ def _withhold_poor_fit(found: Findings, share: float) -> Findings:
     return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
 
 
-def _validate_findings(case: Case, found: Findings, named: FittedModel[Any] | None) -> OrderFit:
+def _validate_findings(case: Case, found: Findings) -> OrderFit:
     """Return the chosen order with the held-out check of the final findings."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.element is not None:
         chosen = chosen._replace(**validate_element(found.element, held_out)._asdict())
-    elif named is not None:
-        chosen = chosen._replace(**held_out_error_of_fit(named, held_out)._asdict())
     if found.kalman:
         chosen = chosen._replace(white=_has_white_innovations(found.kalman[0], held_out))
     return chosen
@@ -337,11 +359,12 @@ def _add_edges(answer: Answer) -> Answer:
 
 
 def _doubt_of_zero(shown: dict[str, Any]) -> str:
-    """Return the remark that a width may be 0; empty if it is not or is missing."""
-    width = shown.get("width")
-    if width is None or not width.low <= 0 < width.half:
-        return ""
-    return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+    """Return the remark that a width, or friction, may be 0; empty if it is not or is missing."""
+    for name in ("width", "friction"):
+        one = shown.get(name)
+        if one is not None and one.low <= 0 < one.half:
+            return f"the {name}'s interval holds 0: {one.value:.4g} [{one.low:.4g}, {one.high:.4g}]"
+    return ""
 
 
 def _doubt_of_unmoved(answer: Answer, shown: Shown) -> str:

@@ -31,6 +31,7 @@ WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zo
 UNWRITTEN = {
     "filtered_zone": "what a filter behind the zone smooths no observer holds; record with it off",
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
+    "input_rate": "a limit of the input's rate is no element of a scenario",
     "input_play": "play ahead of the plant is no element of a scenario; its gap is in units of the"
     " input",
 }
@@ -151,6 +152,8 @@ class Identified:
             unseen = answer.element.disturbance_rms
         variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
         x = _simulate_states(simulator, theta)
+        if answer.verdict == "friction" and answer.servo is None:  # which holds more than a line
+            x = np.column_stack([answer.z, np.full(x[:, 1:].shape, np.nan)])
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
     def scenario(self, title: str = "Identified log") -> str:

@@ -22,11 +22,10 @@ from undeadzone_identify.models.kalman import AT_OUTPUT
 from undeadzone_identify.models.plant import input_noise_gain
 from undeadzone_identify.results.assemble import Answer, prior_element_range, prior_width_range
 from undeadzone_identify.results.to_continuous import continuous_with_spread
-from undeadzone_identify.selection.alternatives import Element
+from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
 from undeadzone_identify.servo.gap import ServoGap
 
-UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any

@@ -16,8 +16,8 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.results.assemble import Answer
-from undeadzone_identify.selection.decision import MODELS
-from undeadzone_identify.selection.location import input_levels_of
+from undeadzone_identify.selection.alternatives import OF_INPUT
+from undeadzone_identify.selection.decision import MEMORY, MODELS
 from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.servo.likelihood import At
 
@@ -121,6 +121,7 @@ HEADS = {
     "input_zone": "NO: a zone of the input",
     "two_zones": "yes, and not alone: the input has one too",
     "input_curve": "NO: a curve of the input",
+    "input_rate": "NO: a limit of the input's rate",
     "input_play": "NO: play ahead of the plant",
     "filtered_zone": "yes, with a filter behind it",
     "operating_point": "nothing can be known of a zone",
@@ -135,9 +136,11 @@ SHORT = {
     "zone_and_friction": "sensor and friction",
     "two_zones": "sensor and input",
     "input_curve": "curve of the input",
+    "input_rate": "rate of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor and filter",
 }
+LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
 
@@ -234,11 +237,12 @@ def _offset_numbers(answer: Answer) -> dict[str, Any] | None:
     return {"name": offsets.element_name, "play": play, "dead_zone": zone, "rest": rest}
 
 
-def _level_numbers(answer: Answer) -> dict[str, list[float]]:
-    """Return friction and the zone of the input, right and left [u]."""
-    u_scale = answer.fit.objective.data.u_scale[0]
-    levels = input_levels_of(answer.found.places)
-    return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
+def _level_numbers(answer: Answer) -> dict[str, dict[str, list[float] | None]]:
+    """Return the widths under each class that is possible beside the one that is named."""
+    return {
+        word: {name: _interval_list(one.widths[name]) for name in DIRECTIONS}
+        for word, one in answer.possible.items()
+    }
 
 
 def _stage_numbers(answer: Answer) -> dict[str, Any]:
@@ -274,11 +278,14 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_probabilities(answer)
+    if answer.possible:
+        lines["possible"] = describe_possible(answer)
     unit = _unit_suffix(answer.case.grid.output_unit)
     lines |= _describe_widths(answer)
     if answer.found.friction is not None:
         of_input = _unit_suffix(answer.case.grid.input_unit)
-        lines["friction"] = f"{_describe_interval(answer.found.friction, of_input)}, of the motor"
+        of_motor = ", of the motor" if answer.servo is not None else ""
+        lines["friction"] = _describe_interval(answer.found.friction, of_input) + of_motor
     crossings = describe_crossings(answer, unit)
     if crossings:
         lines["crossings"] = crossings
@@ -289,16 +296,30 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     return lines
 
 
+def describe_possible(answer: Answer) -> list[str]:
+    """Describe the widths under each class that is possible, and how a user says that it is so."""
+    grid, lines = answer.case.grid, []
+    for word, one in answer.possible.items():
+        unit = _unit_suffix(grid.input_unit if word in OF_INPUT else grid.output_unit)
+        sides = {name: one.widths[name] for name in ("right", "left")}
+        shown = sides if any(sides.values()) else {"width": one.widths["width"]}
+        letter = LETTERS.get(word, "d")
+        numbers = [
+            f"{_width_title(letter, name)} {_describe_interval(interval, unit)}"
+            for name, interval in shown.items()
+            if interval is not None
+        ]
+        known = f"; if you know that, say {one.option}" if one.option else ""
+        lines.append(f"if it is {MODELS[word]}: {', '.join(numbers)}{known}")
+    return lines
+
+
 def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
-    letter, unit = "d", _unit_suffix(grid.output_unit)
-    if answer.verdict == "input_play":
-        letter, unit = "c", _unit_suffix(grid.input_unit)
-    if element is not None and element.kind != "two_zones":
-        letter = "c"
-        if element.kind == "input_zone":
-            letter, unit = "b", _unit_suffix(grid.input_unit)
+    letter = "d" if element is None else LETTERS.get(element.kind, "d")
+    of_input = element is not None and element.kind in OF_INPUT
+    unit = _unit_suffix(grid.input_unit if of_input else grid.output_unit)
     lines = {}
     for place, name in enumerate(DIRECTIONS):
         interval: Interval | None = getattr(answer, name)
@@ -309,13 +330,13 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
-        if name == "centre" and letter != "b" and np.isfinite(interval.high):
+        if name == "centre" and not of_input and np.isfinite(interval.high):
             lines[title] += AT_ZERO
     for name, interval in ({} if element is None else element.input).items():
         lines[_width_title("b", name)] = _describe_interval(interval, _unit_suffix(grid.input_unit))
     if element is not None and element.zone is not None:
         lines["d width"] = _describe_interval(element.zone, unit)
-    if element is not None and answer.found.offsets is not None:
+    if answer.found.offsets is not None and answer.verdict in MEMORY:
         lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
 

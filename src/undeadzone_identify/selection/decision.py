@@ -37,7 +37,7 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 # what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
-CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
+CHAINED = ("input_curve", "input_play", "input_rate", "filtered_zone")  # words of models/chain.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
@@ -81,6 +81,7 @@ MODELS = {
     "zone_and_friction": "friction beside a dead zone of the sensor",
     "two_zones": "a zone of the input beside one of the sensor",
     "input_curve": "a smooth curve of the input",
+    "input_rate": "a limit of the input's rate",
     "input_play": "play between input and plant",
     "filtered_zone": "a dead zone of the sensor with a filter behind it",
 }
@@ -297,7 +298,9 @@ def _undecided_among(odds: dict[str, float]) -> Verdict:
     """Return the undecided verdict, with the candidate classes."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
-    return build_verdict("undecided", apart, *([ADVICE] if "friction" in likely else []))
+    return build_verdict(
+        "undecided", apart, *([ADVICE] if {"friction", "dead_zone"} <= set(likely) else [])
+    )
 
 
 def _is_below_rounding(case: Case) -> bool:
