@@ -387,9 +387,9 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
         return found
     recorded = longest_record_of(case.recorded)
     chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
-    models: dict[str, Any] = {**places, **chains}
+    models: dict[str, Any] = {**places, **chains.by_word}
     rows = [(word, one.density.bic, one.density) for word, one in models.items()]
-    found = found._replace(places=places, chains=chains)
+    found = found._replace(places=places, chains=chains.by_word, shaped=chains.shaped)
     return found.add_models(case, best_of_each(rows))
 
 

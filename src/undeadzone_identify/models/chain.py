@@ -31,6 +31,10 @@ TAPS = 4  # of a filter behind the zone, beside the first
 WIDEST = 6.0  # rms of z, that an edge is away at most
 VANISHING = 0.01  # rms of its signal, below which an element counts for none
 STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts for none
+FLATTEST = 0.1  # slope of one side over the other's, at least
+SHARPEST = 1e-4  # rms of z, over which an edge is round at least
+ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
+LATE = 0.05  # samples, below which a lag counts for none
 STEP = 1e-5  # of a number, for differences
 
 
@@ -115,7 +119,7 @@ CURVES = ("power", "cubic", "exponential")
 class ChainModel:
     """y on F(q) Dz(G(q) g(u; p)), with differences.
 
-    theta = [a, b, x0, p, d_r, d_l, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
+    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
 
     Args:
         simulator: the plant, of one input, with its data.
@@ -123,6 +127,7 @@ class ChainModel:
         zone: whether there is a zone of the sensor.
         taps: how many f there are.
         lags: whether F is a lag of first order instead, and f_1 its pole.
+        shaped: whether the zone's left side has a slope of its own, and its edges are round.
     """
 
     first, last, gain, has_level = 8, 30, 1e-3, True
@@ -134,8 +139,10 @@ class ChainModel:
         zone: bool = False,
         taps: int = 0,
         lags: bool = False,
+        shaped: bool = False,
     ) -> None:
         self.simulator, self.element, self.zone, self.lags = simulator, element, zone, lags
+        self.shaped = shaped
         self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
         self.base = simulator.layout.right
@@ -143,15 +150,18 @@ class ChainModel:
         low, high = (own.low, own.high) if own is not None else ((), ())
         self.inputs = slice(self.base, self.base + len(low))
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
-        self.filter = slice(self.edges.stop, self.edges.stop + self.taps)
-        self.low = np.array([*low, *([0.0] * 2 * zone), *([-0.9] * self.taps)])
-        self.high = np.array([*high, *([WIDEST] * 2 * zone), *([0.98] * self.taps)])
+        self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
+        self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
+        least, most = (FLATTEST, SHARPEST), (1 / FLATTEST, 1.0)
+        self.low = np.array([*low, *([0.0] * 2 * zone), *least * shaped, *([-0.9] * self.taps)])
+        self.high = np.array([*high, *([WIDEST] * 2 * zone), *most * shaped, *([0.98] * self.taps)])
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
         """Return the same model for other records."""
         own = self.simulator.simulator_along(data)
-        return ChainModel(own, self.element, self.zone, 0 if self.lags else self.taps, self.lags)
+        taps = 0 if self.lags else self.taps
+        return ChainModel(own, self.element, self.zone, taps, self.lags, self.shaped)
 
     def levels(self, theta: Floats) -> Floats:
         """Return the sensor's widths, or half the gap at the input on either side (2)."""
@@ -193,9 +203,15 @@ class ChainModel:
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """What is read of z without noise (N)."""
-        y = dead_zone(z, *theta[self.edges]) if self.zone else z
+        y = z
+        if self.shaped:
+            (right, left), (slope, rounding) = theta[self.edges], theta[self.shape]
+            up, down = np.logaddexp(0.0, [(z - right) / rounding, (-z - left) / rounding])
+            y = np.asarray(rounding * (up - slope * down))
+        elif self.zone:
+            y = dead_zone(z, *theta[self.edges])
         if not self.taps:
-            return np.asarray(y)
+            return y
         f, out = theta[self.filter], np.empty(y.size)
         for part in self.simulator.data.record_slices():
             if self.lags:
@@ -209,14 +225,14 @@ class ChainModel:
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         y = self.noise_free_readings(self.output(theta), theta)
-        rows = np.empty((y.size, theta.size))
-        for place in self.free:
+        rows = np.empty((y.size, self.free.size))
+        for column, place in enumerate(self.free):
             step = STEP * max(abs(theta[place]), 0.02)
             more, less = theta.copy(), theta.copy()
             more[place] += step
             less[place] -= step
             apart = self.noise_free_readings(self._simulate(more), more)
-            rows[:, place] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
+            rows[:, column] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
                 2 * step
             )
         return y, rows
@@ -236,7 +252,19 @@ class ChainModel:
             late = self._pass_input(u, theta) - u
             return "none" if late.std() < STRAIGHT * u.std() else "input_rate"
         is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
-        return "filtered_zone" if is_there else "none"
+        if not is_there:
+            return "none"
+        if not self.shaped:
+            return "filtered_zone"
+        slope, rounding = theta[self.shape]
+        if abs(math.log(slope)) > STRAIGHT or rounding > ROUND * theta[self.edges].sum():
+            return "shaped_zone"
+        return "filtered_zone" if abs(self.lag(theta)) > LATE else "dead_zone"
+
+    def lag(self, theta: Floats) -> float:
+        """Return by how much the filter behind the zone is late [samples]."""
+        f = theta[self.filter]
+        return float(f[0] / (1 - f[0]) if self.lags else f @ np.arange(1, self.taps + 1))
 
     def _bend(self, theta: Floats) -> float:
         """Return what a line leaves of the curve along the log, in the curve's rms."""
@@ -264,11 +292,13 @@ class ChainModel:
             most = theta[self.inputs][0] * u_scale
             return f"what the input drives follows it by at most {most:.4g} a sample"
         right, left = theta[self.edges] * y_scale
-        f = theta[self.filter]
-        late = f[0] / (1 - f[0]) if self.lags else float(f @ np.arange(1, self.taps + 1))
+        late = f"behind it a filter that is late by {self.lag(theta):.2g} samples"
+        if not self.shaped:
+            return f"a dead zone of about {right:.3g} and {left:.3g}, and {late}"
+        slope, rounding = theta[self.shape]
         return (
-            f"a dead zone of about {right:.3g} and {left:.3g}, and behind it a filter late by"
-            f" {late:.2g} samples; record with the filter off, and the widths are measured"
+            f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
+            f" are round over {rounding * y_scale:.3g}, and {late}"
         )
 
 
@@ -277,7 +307,7 @@ ChainFit = FittedModel[ChainModel]
 
 def fit_chains(
     fit: ZoneFit, places: dict[str, PlaceFit], recorded: RecordData, orders: Sequence[int]
-) -> dict[str, ChainFit]:
+) -> Chains:
     """Return the best chain of each word.
 
     Args:
@@ -290,7 +320,7 @@ def fit_chains(
     starts = PlaceStarts(fit)
     layout, data = starts.simulator.layout, starts.simulator.data
     if layout.m > 1:
-        return {}
+        return Chains({})
     kinds = [(data, n) for n in (layout.n, layout.n + 1)]
     same = recorded.y.size == data.y.size and np.array_equal(recorded.y, data.y)
     if same and not np.array_equal(recorded.u, data.u):
@@ -319,8 +349,26 @@ def fit_chains(
     fits.append(
         LeastSquares(filtered).fit_from_starts([np.concatenate([zoned, widths, f]) for f in taps])
     )
-    there = [one for one in fits if one is not None]
-    return best_of_each((one.model.word(one.theta), one.density.bic, one) for one in there)
+    shape = None
+    if not data.silent_zeros:  # noise ahead of a zone rounds it, too
+        squares = LeastSquares(ChainModel(starts.simulator, zone=True, lags=True, shaped=True))
+        own = [[1.0, part * widths.sum(), pole] for part, pole in ((0.02, 0.02), (0.1, 0.4))]
+        shape = squares.fit_from_starts([np.concatenate([zoned, widths, one]) for one in own])
+    there = [one for one in (*fits, shape) if one is not None]
+    rows = ((one.model.word(one.theta), one.density.bic, one) for one in there)
+    return Chains(best_of_each(rows), shape)
+
+
+class Chains(NamedTuple):
+    """Fits of chains.
+
+    Attributes:
+        by_word: the best of each word.
+        shaped: a zone with slopes of its sides, round edges and a lag; None: not asked.
+    """
+
+    by_word: dict[str, ChainFit]
+    shaped: ChainFit | None = None
 
 
 def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:

@@ -15,7 +15,8 @@ from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
 from undeadzone_identify.models.least_squares import CHANCE
-from undeadzone_identify.models.plant import Layout, PlantSimulator
+from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
+from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.selection.alternatives import (
     MEASURED,
@@ -115,6 +116,7 @@ class Answer(NamedTuple):
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
         possible: the classes that are not excluded, beside the one that is named.
+        shape: of the sensor's zone, as far as readings tell it; None: not asked.
     """
 
     verdict: str
@@ -131,11 +133,12 @@ class Answer(NamedTuple):
     excitation: Excitation
     widths: WidthEstimates
     possible: dict[str, Possible] = {}
+    shape: SensorShape | None = None
 
     @property
     def zone(self) -> bool:
         """Return whether the sensor has a dead zone."""
-        return self.verdict in ("dead_zone", "unreached", "filtered_zone")
+        return self.verdict in ("dead_zone", "unreached", "filtered_zone", "shaped_zone")
 
     @property
     def fit(self) -> ZoneFit:
@@ -276,6 +279,9 @@ def to_answer(case: Case, found: Findings) -> Answer:
         answer = _set_widths(answer, found.element.widths, remarks)
     elif answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
         answer = _add_edges(answer)
+    if answer.zone and found.shaped is not None and case.data.y.size <= MANY:
+        shape = measure_shape(found.shaped, case.data.y_scale, case.grid.step)
+        answer = answer._replace(shape=shape)
     return answer._replace(possible=_find_possible(answer))
 
 

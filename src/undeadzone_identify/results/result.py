@@ -26,10 +26,16 @@ from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
 from undeadzone_identify.results.words import answer_numbers, summarise_answer
 
-WRITTEN = ("play", "both", "input_zone", "two_zones")  # besides the sensor's zone, in a scenario
+WRITTEN = (
+    "play",
+    "both",
+    "input_zone",
+    "two_zones",
+    "filtered_zone",
+    "shaped_zone",
+)  # besides the sensor's zone, in a scenario
 
 UNWRITTEN = {
-    "filtered_zone": "what a filter behind the zone smooths no observer holds; record with it off",
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
     "input_rate": "a limit of the input's rate is no element of a scenario",
     "input_play": "play ahead of the plant is no element of a scenario; its gap is in units of the"

@@ -59,6 +59,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
         **_zone_fields(answers),
+        **_shape_fields(answers),
         "bare": first.verdict == "input_zone",
         **_gap_fields(first),
         **_noise_fields(answers),
@@ -96,6 +97,28 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
         actuator = _width_lines([_require_nonnegative(first, right, left)]), _range_lines(told)
     names = ("sensor", "told_sensor", "actuator", "told_actuator")
     return dict(zip(names, (*sensor, *actuator), strict=True))
+
+
+def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return what an observer is told of the sensors' shape; empty where readings do not tell it.
+
+    Each is the rms that value and interval leave: of a rounding or a lag about 0, of a slope of
+    either side about 1.
+    """
+    shapes = [answer.shape for answer in answers if answer.shape is not None]
+    if len(shapes) < len(answers):
+        return dict.fromkeys(("rounding", "slope_std", "lag"), "")
+    told = {
+        "rounding": [(one.rounding, 0.0) for one in shapes],
+        "slope_std": [(one.slope, 1.0) for one in shapes],
+        "lag": [(one.lag, 0.0) for one in shapes],
+    }
+    return {
+        name: _toml_numbers(math.hypot(one.value - usual, one.half / 2) for one, usual in rows)
+        if all(math.isfinite(one.high) for one, _ in rows)
+        else ""
+        for name, rows in told.items()
+    }
 
 
 def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:

@@ -15,6 +15,7 @@ from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.selection.alternatives import OF_INPUT
 from undeadzone_identify.selection.decision import MEMORY, MODELS
@@ -123,6 +124,7 @@ HEADS = {
     "input_curve": "NO: a curve of the input",
     "input_rate": "NO: a limit of the input's rate",
     "input_play": "NO: play ahead of the plant",
+    "shaped_zone": "yes, with two slopes, or round edges",
     "filtered_zone": "yes, with a filter behind it",
     "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
@@ -139,6 +141,7 @@ SHORT = {
     "input_rate": "rate of the input",
     "input_play": "play ahead",
     "filtered_zone": "sensor and filter",
+    "shaped_zone": "sensor with a shape",
 }
 LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
 LEAST_SHOWN = 0.005  # odds that are worth a word
@@ -180,6 +183,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "alternatives": nats_behind_best(answer.found.models),
         "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
+        "shape": answer.shape
+        and {name: _interval_list(one) for name, one in answer.shape._asdict().items()},
         "servo": servo_numbers(answer),
         "held_out": {
             "error": chosen.error * answer.scale,
@@ -286,6 +291,8 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         of_input = _unit_suffix(answer.case.grid.input_unit)
         of_motor = ", of the motor" if answer.servo is not None else ""
         lines["friction"] = _describe_interval(answer.found.friction, of_input) + of_motor
+    if answer.shape is not None:
+        lines["shape"] = _describe_shape(answer.shape, unit)
     crossings = describe_crossings(answer, unit)
     if crossings:
         lines["crossings"] = crossings
@@ -294,6 +301,15 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     if answer.remarks:
         lines["note"] = answer.remarks
     return lines
+
+
+def _describe_shape(shape: SensorShape, unit: str) -> str:
+    """Describe rounding, slopes and lag of a sensor."""
+    rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
+    if shape.rounding.low > 0:
+        rounding = f"edges round over {_describe_interval(shape.rounding, unit)}"
+    slope, lag = _describe_interval(shape.slope, ""), _describe_interval(shape.lag, " s")
+    return f"{rounding}; slope of the left side over the right {slope}; late by {lag}"
 
 
 def describe_possible(answer: Answer) -> list[str]:

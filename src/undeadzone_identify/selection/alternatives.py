@@ -83,6 +83,7 @@ SMALLER = {  # words of models that a word's model holds
     "two_zones": ("dead_zone", "input_zone"),
     "both": ("dead_zone",),
     "filtered_zone": ("dead_zone",),
+    "shaped_zone": ("dead_zone",),
     "friction": ("none",),
     "input_zone": ("none",),
     "input_curve": ("none",),
@@ -100,6 +101,7 @@ MEASURED = {  # what is known of an element, by word
     "input_zone": tuple(DIRECTIONS),
     "dead_zone": tuple(DIRECTIONS),
     "filtered_zone": tuple(DIRECTIONS),
+    "shaped_zone": tuple(DIRECTIONS),
     "play": ("width",),
     "input_play": ("width",),
 }
@@ -183,6 +185,7 @@ class Findings(NamedTuple):
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty where that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
+        shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
@@ -198,6 +201,7 @@ class Findings(NamedTuple):
     plays: PlayFits | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
+    shaped: ChainFit | None = None
     denied: frozenset[str] = frozenset()
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
@@ -231,7 +235,7 @@ def impossible_words(case: Case) -> Collection[str]:
     loud = white_noise_rms(fit.objective.unexplained_readings(fit.theta), speaks, case.data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
-        out |= set(CHAINED) - {"filtered_zone"}
+        out |= set(CHAINED) - {"filtered_zone", "shaped_zone"}
     return out
 
 

@@ -37,12 +37,18 @@ MOSTLY = 0.5  # share of the readings within their range, below which no memory 
 # what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
-CHAINED = ("input_curve", "input_play", "input_rate", "filtered_zone")  # words of models/chain.py
+CHAINED = (
+    "input_curve",
+    "input_play",
+    "input_rate",
+    "filtered_zone",
+    "shaped_zone",
+)  # words of models/chain.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
-    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone"),
+    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone", "shaped_zone"),
     "friction": ("zone_and_friction",),
     "input_zone": ("two_zones",),
     "play": ("both",),
@@ -83,6 +89,7 @@ MODELS = {
     "input_curve": "a smooth curve of the input",
     "input_rate": "a limit of the input's rate",
     "input_play": "play between input and plant",
+    "shaped_zone": "a dead zone of the sensor with two slopes, or round edges",
     "filtered_zone": "a dead zone of the sensor with a filter behind it",
 }
 
