@@ -45,7 +45,6 @@ SIDES = {
     "input_zone": "Side of the input",
     "two_zones": "Side of the reading",
     "filtered_zone": "Side of the reading",
-    "shaped_zone": "Side of the reading",
 }
 MIDDLES = {"play": "holds", "both": "holds"}
 

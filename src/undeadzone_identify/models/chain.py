@@ -254,12 +254,12 @@ class ChainModel:
         is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
         if not is_there:
             return "none"
-        if not self.shaped:
-            return "filtered_zone"
-        slope, rounding = theta[self.shape]
-        if abs(math.log(slope)) > STRAIGHT or rounding > ROUND * theta[self.edges].sum():
-            return "shaped_zone"
-        return "filtered_zone" if abs(self.lag(theta)) > LATE else "dead_zone"
+        is_plain = False
+        if self.shaped:
+            slope, rounding = theta[self.shape]
+            is_plain = abs(math.log(slope)) < STRAIGHT and abs(self.lag(theta)) < LATE
+            is_plain &= rounding < ROUND * theta[self.edges].sum()
+        return "dead_zone" if is_plain else "filtered_zone"
 
     def lag(self, theta: Floats) -> float:
         """Return by how much the filter behind the zone is late [samples]."""

@@ -138,7 +138,7 @@ class Answer(NamedTuple):
     @property
     def zone(self) -> bool:
         """Return whether the sensor has a dead zone."""
-        return self.verdict in ("dead_zone", "unreached", "filtered_zone", "shaped_zone")
+        return self.verdict in ("dead_zone", "unreached", "filtered_zone")
 
     @property
     def fit(self) -> ZoneFit:

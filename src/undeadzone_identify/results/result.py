@@ -32,7 +32,6 @@ WRITTEN = (
     "input_zone",
     "two_zones",
     "filtered_zone",
-    "shaped_zone",
 )  # besides the sensor's zone, in a scenario
 
 UNWRITTEN = {

@@ -124,8 +124,7 @@ HEADS = {
     "input_curve": "NO: a curve of the input",
     "input_rate": "NO: a limit of the input's rate",
     "input_play": "NO: play ahead of the plant",
-    "shaped_zone": "yes, with two slopes, or round edges",
-    "filtered_zone": "yes, with a filter behind it",
+    "filtered_zone": "yes, with a filter, two slopes or round edges",
     "operating_point": "nothing can be known of a zone",
     "other": "NO: another nonlinearity",
     "undecided": "undecided",
@@ -140,8 +139,7 @@ SHORT = {
     "input_curve": "curve of the input",
     "input_rate": "rate of the input",
     "input_play": "play ahead",
-    "filtered_zone": "sensor and filter",
-    "shaped_zone": "sensor with a shape",
+    "filtered_zone": "sensor with a shape",
 }
 LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
 LEAST_SHOWN = 0.005  # odds that are worth a word

@@ -23,8 +23,8 @@ from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import limit_rate
 from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel, Model
 
-SHARE = 0.05  # of the innovations' variance, from which a direction is real
-SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
+SHARE = 0.03  # of the innovations' variance, from which a direction is real
+LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
@@ -78,13 +78,11 @@ class Remainder(NamedTuple):
     chance: float
     moves: Floats
 
-    def is_real(self, least: float = SHARE) -> bool:
-        """Return whether a model that leaves this is wrong.
-
-        Args:
-            least: share from which it is.
-        """
-        return self.share > least and self.chance < CHANCE
+    @property
+    def is_real(self) -> bool:
+        """Return whether a model that leaves this is wrong."""
+        is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
+        return is_large or (self.share > SHARE and self.chance < CHANCE)
 
     def in_words(self, model: str) -> tuple[str, str]:
         """Return what was seen, and what that may be and how it is found out.
@@ -105,12 +103,11 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
     Args:
         remainders: of the model.
         word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something, and that of friction by the sample leaves more than others.
+            something.
     """
     if word == "jump":
         return None
-    least = SHARE_OF_FRICTION if word == "friction" else SHARE
-    real = [one for one in remainders if one.is_real(least)]
+    real = [one for one in remainders if one.is_real]
     return max(real, key=lambda one: one.share, default=None)
 
 
@@ -166,13 +163,13 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
     read, u = model.noise_free_readings(z, theta), data.u[:, 0]
-    turn_u, turn_z = _last_turn(u), _last_turn(z)
+    turn_u, turn_z = last_turn(u), last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
-        "input": _through_plant(fit, _hats(u, AT_INPUT)),
-        "output": _hats(z, AT_SENSOR),
-        "turns of the input": _through_plant(fit, _by_turn(turn_u, u)),
-        "turns of the output": _by_turn(turn_z, z),
+        "input": _through_plant(fit, hat_columns(u, AT_INPUT)),
+        "output": hat_columns(z, AT_SENSOR),
+        "turns of the input": _through_plant(fit, by_turn(turn_u, u)),
+        "turns of the output": by_turn(turn_z, z),
         "time": read[:, None] * np.column_stack([t, t * t, np.sin(np.pi * t), np.cos(np.pi * t)]),
     }
     directions["rate of the input"] = _through_plant(fit, _late_by_rate(u))
@@ -188,18 +185,18 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
     return directions
 
 
-def _hats(values: Floats, count: int) -> Floats:
+def hat_columns(values: Floats, count: int) -> Floats:
     """Return hat functions of a signal (N x K)."""
     centres = np.unique(np.quantile(values, np.linspace(0.01, 0.99, count)))
     return least_squares.hat_functions(values, centres)
 
 
-def _by_turn(turn: Floats, signal: Floats) -> Floats:
+def by_turn(turn: Floats, signal: Floats) -> Floats:
     """Return the sign of a signal's last move, alone and times the signal (N x 3)."""
     return np.column_stack([turn, turn * signal, turn * np.abs(signal)])
 
 
-def _last_turn(signal: Floats) -> Floats:
+def last_turn(signal: Floats) -> Floats:
     """Return the sign of a signal's last move (N); 0 before it moved."""
     sign = np.sign(np.diff(signal, prepend=signal[0]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.nonlinearities.sensor import DIRECTIONS
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
@@ -25,7 +25,7 @@ from undeadzone_identify.models.elements import (
     fit_play,
     fit_play_and_zone,
 )
-from undeadzone_identify.models.estimates import Interval, best_maximum
+from undeadzone_identify.models.estimates import Interval, best_maximum, long_run_covariance
 from undeadzone_identify.models.kalman_fit import KalmanFit
 from undeadzone_identify.models.least_squares import (
     CHANCE,
@@ -73,6 +73,7 @@ from undeadzone_identify.selection.orders import (
 from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
 
+WIDER = 1.25  # of a friction's interval: how a motor sticks is assumed
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
@@ -83,7 +84,6 @@ SMALLER = {  # words of models that a word's model holds
     "two_zones": ("dead_zone", "input_zone"),
     "both": ("dead_zone",),
     "filtered_zone": ("dead_zone",),
-    "shaped_zone": ("dead_zone",),
     "friction": ("none",),
     "input_zone": ("none",),
     "input_curve": ("none",),
@@ -101,7 +101,6 @@ MEASURED = {  # what is known of an element, by word
     "input_zone": tuple(DIRECTIONS),
     "dead_zone": tuple(DIRECTIONS),
     "filtered_zone": tuple(DIRECTIONS),
-    "shaped_zone": tuple(DIRECTIONS),
     "play": ("width",),
     "input_play": ("width",),
 }
@@ -235,7 +234,7 @@ def impossible_words(case: Case) -> Collection[str]:
     loud = white_noise_rms(fit.objective.unexplained_readings(fit.theta), speaks, case.data.start)
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
-        out |= set(CHAINED) - {"filtered_zone", "shaped_zone"}
+        out |= set(CHAINED) - {"filtered_zone"}
     return out
 
 
@@ -583,6 +582,8 @@ def measure_word(
     measured = measure_fit(fit, misfits)
     if word in OF_INPUT:
         widths = measured.scale_by(float(case.data.u_scale[0]))
+        if word == "friction":
+            widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
     else:
         widths = _intervals_with_offset(measured, case.data.y_scale, case.offset_prior)
     return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
@@ -700,14 +701,24 @@ def without_needless(case: Case, found: Findings) -> Findings:
     larger = fit_of(case, found, word)
     if larger is None:
         return found
-    size, held_out = larger.squares.data.y.size, case.options.held_out
-    error = held_out_error_of_fit(larger, held_out).error
+    held_out = case.options.held_out
+    e, test = held_out_residual(larger, held_out)
     for name in SMALLER[word]:
         models = (found.places.get(name), case.maps.get(name))
-        smaller = next((one for one in models if one and one.squares.data.y.size == size), None)
-        if smaller is not None and held_out_error_of_fit(smaller, held_out).error <= error:
-            again = found._replace(denied=found.denied | {word}).add_models(case)
-            return without_needless(case, again) if holds_more(case, again) else again
+        smaller = next((one for one in models if one and one.squares.data.y.size == e.size), None)
+        if smaller is None:
+            continue
+        gain = (held_out_residual(smaller, held_out)[0] ** 2 - e**2)[test]
+        if gain.sum() > 0:
+            continue
+        if gain.sum() ** 2 < float(long_run_covariance(gain[:, None])[0][0, 0]):
+            reason = (
+                f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
+                " the other all that had no part in the fit; record for longer"
+            )
+            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+        again = found._replace(denied=found.denied | {word}).add_models(case)
+        return without_needless(case, again) if holds_more(case, again) else again
     return found
 
 
@@ -736,14 +747,27 @@ def held_out_error_of_fit(
         held_out: share of the samples that checks.
         last: steps of the climb to the others.
     """
+    e, test = held_out_residual(fit, held_out, last)
+    data = fit.squares.data
+    return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
+
+
+def held_out_residual(
+    fit: FittedModel[Any], held_out: float, last: int = LONGEST
+) -> tuple[Floats, Flags]:
+    """Return what a fit to the other samples leaves of the readings (N), and which it did not see.
+
+    Args:
+        fit: the model.
+        held_out: share of the samples that checks.
+        last: steps of the climb to the others.
+    """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_maximum(trained, [fit.theta], fit.model.first, last)
     theta = fit.theta if top is None else top.theta
-    test = data.ok & ~train
-    e = fit.squares.reading_residual(theta)
-    return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
+    return fit.squares.reading_residual(theta), data.ok & ~train
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:

@@ -27,6 +27,7 @@ from undeadzone_identify.servo.gap import ServoGap
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
 LIKELY = 0.8  # odds from which a name is given
+LIKELY_IN_LOOP = 0.9  # odds of no zone, from which it is named in a loop, which hides one
 DOUBT = 0.01  # p of a plant without a zone, below which it is not named
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
@@ -48,7 +49,7 @@ AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be take
 FITTED = ("none", "dead_zone", "zone_and_friction")  # what the fit of a zone of the sensor holds
 Fits = Mapping[str, Any]  # by word, each with a plant of its own: least_squares.Fitted
 LARGER = {  # words of models that hold a word's model and more
-    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone", "shaped_zone"),
+    "dead_zone": ("zone_and_friction", "two_zones", "both", "filtered_zone"),
     "friction": ("zone_and_friction",),
     "input_zone": ("two_zones",),
     "play": ("both",),
@@ -68,6 +69,7 @@ UNSETTLED = (
     " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
+NONE_KNOWN = "none of the known models explains this log"
 CANNOT_TELL = "this record cannot tell"
 TOO_SHORT = (
     "the plant does not settle within a record: the log is shorter than about six of its time"
@@ -89,8 +91,7 @@ MODELS = {
     "input_curve": "a smooth curve of the input",
     "input_rate": "a limit of the input's rate",
     "input_play": "play between input and plant",
-    "shaped_zone": "a dead zone of the sensor with two slopes, or round edges",
-    "filtered_zone": "a dead zone of the sensor with a filter behind it",
+    "filtered_zone": "a dead zone of the sensor with a filter, two slopes or round edges",
 }
 
 
@@ -236,14 +237,18 @@ def classify_by_probabilities(
         return other
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
-    if sure < LIKELY and not (word == case.options.kind == "play"):
+    in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
+    if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
         return _undecided_among(odds)
     cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
     if word == "dead_zone":
         return _verdict_by_residual(case).add_cautions(*cautions)
     if word == "none":
         return _verdict_without_zone(case)
-    if word == "other" or best.strange:
+    if best.strange and word != "other":
+        left = "leaves depends on the size of the output"
+        return build_verdict("unclear", f"{NONE_KNOWN}: what the best one, {MODELS[word]}, {left}")
+    if word == "other":
         fully = ", but not fully either" if best.strange else ""
         return build_verdict("other", f"{MODELS[word]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
