@@ -220,17 +220,13 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
 def _plot_residual_map(found_log: Identified) -> Figure:
     """Plot the residual and the readings by z^."""
     answer = found_log.answer
-    residuals, scale = answer.case.residuals, answer.scale
+    scale = answer.scale
     fit = answer.chosen.singles
     figure, panels = create_panels([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
     _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
-    x, curve = residuals.centres * scale, residuals.curve * scale
-    band = HALF_95 * residuals.std * scale
-    axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
-    axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit_of_output(found_log)
     finish_panel(
         axes, "Residual by ẑ", label_with_unit("y - E[y | ẑ]", unit), label_with_unit("ẑ", unit)

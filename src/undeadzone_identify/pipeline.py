@@ -21,12 +21,12 @@ from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
 from undeadzone_identify.logs.prepare import PreparedLog, prepare_log
-from undeadzone_identify.models.chain import fit_chains
+from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.plant import longest_record_of
+from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     polish_fit,
@@ -239,6 +239,9 @@ def _collect_logs(
 
 # --- One output
 
+FAR_OFF = 3.0  # rms of its changes, that an input is from 0 at least to count from elsewhere
+ASIDE = 0.1  # share of readings on either side of 0, beside such an input
+
 
 class Hypothesis(NamedTuple):
     """Hypothesis of a nonlinearity in a log, tested after the previous findings.
@@ -268,6 +271,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     Raises:
         InputError: nothing can be learnt.
     """
+    grid = _count_from_zone(grid, options)
     servo = identify_tick_servo(grid, options)
     is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
     if servo is not None and (servo.is_gap_reported or is_plain):
@@ -286,6 +290,22 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
             found = question.found(case, found)
             advance(1)
     return Identified(to_answer(case, found))
+
+
+def _count_from_zone(grid: Grid, options: Options) -> Grid:
+    """Return the records with an input that counts from the middle of its zone.
+
+    Only where it is never near 0 while readings lie about 0, as pulses of 1500 us that mean rest.
+    """
+    u, y = grid.u[:, 0], grid.y[grid.ok]
+    is_about_zero = np.quantile(y, ASIDE) < 0 < np.quantile(y, 1 - ASIDE)
+    near = abs(float(np.median(u))) < FAR_OFF * float(u.std())
+    if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
+        return grid
+    data = longest_record_of(prepare_log(grid, options).data)
+    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * float(data.u_scale[0])
+    words = f"the input is never near 0: it counts from {zero:.6g}"
+    return grid._replace(u=grid.u - zero, zero=zero, remarks=[*grid.remarks, words])
 
 
 def _identify_servo(
@@ -309,7 +329,6 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     no_zone = orders.compare_with_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
-    residuals = orders.fit_residual_map(chosen.singles)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
@@ -324,7 +343,6 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         fitted=fitted,
         chosen=chosen,
         no_zone=no_zone,
-        residuals=residuals,
         maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
         suited=fits[suited],
         advance=advance,

@@ -34,6 +34,7 @@ STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts f
 FLATTEST = 0.1  # slope of one side over the other's, at least
 SHARPEST = 1e-4  # rms of z, over which an edge is round at least
 ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
+PLACES = 13  # of an edge, that are tried where a zone of the input is not about 0
 LATE = 0.05  # samples, below which a lag counts for none
 STEP = 1e-5  # of a number, for differences
 
@@ -112,6 +113,13 @@ INPUTS = {
         play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
     ),
 }
+
+
+def zone_of_input(u: Floats, p: Floats) -> Floats:
+    """Return what lies above p_1, and what lies below p_0."""
+    return np.asarray(np.maximum(u - p[1], 0.0) + np.minimum(u - p[0], 0.0))
+
+
 PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
 CURVES = ("power", "cubic", "exponential")
 
@@ -400,6 +408,18 @@ def _best_order(
         return None
     best = min(there)[1]
     return LeastSquares(model(plants[best])).fit_from_starts([one.theta for one in scanned[best]])
+
+
+def find_input_zero(simulator: PlantSimulator) -> float:
+    """Return the middle of a zone of the input at any place, or the median without one, scaled.
+
+    Args:
+        simulator: the plant, of one input, with its data.
+    """
+    places = np.quantile(simulator.data.u[:, 0], np.linspace(0.05, 0.95, PLACES))
+    pairs = tuple(itertools.combinations_with_replacement(places.tolist(), 2))
+    best = scan_input(simulator, InputElement(zone_of_input, (), (), pairs, ""), 1)
+    return float(best[0].theta[-2:].mean()) if best else float(places[PLACES // 2])
 
 
 def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) -> list[Begun]:

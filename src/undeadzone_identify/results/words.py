@@ -196,11 +196,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "closed_loop": answer.loop.chance,
         "answered": answer.loop.answered,
         "no_zone": answer.case.no_zone.chance,
-        "residual_map": {
-            "share": answer.case.residuals.share,
-            "p": answer.case.residuals.chance,
-            "moving_share": answer.case.residuals.moving_share,
-            "moving_p": answer.case.residuals.moving_chance,
+        "left_over": {
+            one.on: {"share": one.share, "p": one.chance} for one in answer.found.remainders
         },
         "excitation": {
             "samples": list(answer.excitation.samples),
@@ -216,6 +213,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
             "step": grid.step,
             "quantum": grid.quantum,
         },
+        "input_zero": grid.zero,
         "units": {"input": grid.input_unit, "output": grid.output_unit},
         "remarks": answer.remarks,
     }
@@ -275,6 +273,7 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     Returns:
         The lines in order.
     """
+    grid = answer.case.grid
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
     lines["dead zone"] = HEADS[answer.verdict] + _describe_certainty(answer)
     if answer.reasons:
@@ -283,12 +282,14 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
         lines["odds"] = describe_probabilities(answer)
     if answer.possible:
         lines["possible"] = describe_possible(answer)
-    unit = _unit_suffix(answer.case.grid.output_unit)
+    unit = _unit_suffix(grid.output_unit)
     lines |= _describe_widths(answer)
     if answer.found.friction is not None:
-        of_input = _unit_suffix(answer.case.grid.input_unit)
+        of_input = _unit_suffix(grid.input_unit)
         of_motor = ", of the motor" if answer.servo is not None else ""
         lines["friction"] = _describe_interval(answer.found.friction, of_input) + of_motor
+    if grid.zero is not None and answer.verdict == "input_zone":
+        lines["input"] = _describe_ends(answer, grid.zero)
     if answer.shape is not None:
         lines["shape"] = _describe_shape(answer.shape, unit)
     crossings = describe_crossings(answer, unit)
@@ -299,6 +300,17 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     if answer.remarks:
         lines["note"] = answer.remarks
     return lines
+
+
+def _describe_ends(answer: Answer, zero: float) -> str:
+    """Describe both ends of a zone of an input that counts from elsewhere."""
+    unit, ends = _unit_suffix(answer.case.grid.input_unit), []
+    for interval, sign in ((answer.left, -1.0), (answer.right, 1.0)):
+        if interval is not None:
+            low, high = sorted(zero + sign * end for end in interval[1:])
+            end = Interval(zero + sign * interval.value, low, high)
+            ends.append(_describe_interval(end, unit))
+    return f"nothing happens between {' and '.join(ends)}"
 
 
 def _describe_shape(shape: SensorShape, unit: str) -> str:

@@ -178,11 +178,9 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
         lags += [_late(read - z, k) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
-    else:  # of a sensor's zone a bent spring is a caution (decision.py)
-        force = z / max(float(np.std(z)), 1e-12)
-        bent = np.column_stack([force**2, force**3, force * np.abs(force)])
-        directions["spring"] = _through_plant(fit, bent)
-    return directions
+    force = z / max(float(np.std(z)), 1e-12)
+    bent = np.column_stack([force**2, force**3, force * np.abs(force)])
+    return directions | {"spring": _through_plant(fit, bent)}
 
 
 def hat_columns(values: Floats, count: int) -> Floats:

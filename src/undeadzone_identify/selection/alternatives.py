@@ -189,7 +189,7 @@ class Findings(NamedTuple):
         element: what stands in the place of a sensor's dead zone; None: nothing does.
         kalman: fits of (L3), best first.
         friction: its level [u], the mean of both directions; None where it is not measured.
-        remainders: what the named model leaves that is real, however small.
+        remainders: what the likeliest model leaves, by direction; empty: not tested.
     """
 
     verdict: Verdict
@@ -545,7 +545,7 @@ def add_named_element(case: Case, found: Findings) -> Findings:
     fit = fit_of(case, found, word)
     if fit is None:
         return found
-    misfits = [one.moves for one in found.remainders]
+    misfits = [one.moves for one in found.remainders if one.chance < CHANCE]
     element = _element_of_fit(case, word, fit, misfits)
     width, friction = element.widths["width"], None
     if word == "friction" and width is not None:
@@ -665,10 +665,11 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     remainders = [] if fit is None else find_remainders(fit)
     remainder = largest_remainder(remainders, word)
     if remainder is None:
-        real = [one for one in remainders if one.chance < CHANCE]
-        return _in_numbers(case, found._replace(remainders=real))
+        return _in_numbers(case, found._replace(remainders=remainders))
     return found._replace(
-        verdict=build_verdict("unclear", *remainder.in_words(MODELS[word])), element=None
+        remainders=remainders,
+        verdict=build_verdict("unclear", *remainder.in_words(MODELS[word])),
+        element=None,
     )
 
 
