@@ -38,8 +38,6 @@ CAPTIONS = {
 FIRST = re.compile(
     r"[bcdf]_(right|left)|([bcd] )?width|friction|possible|input|shape|odds|plant|note"
 )
-    r"[bcdf]_(right|left)|([bcd] )?width|friction|possible|input|shape|odds|plant|note"
-)
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
