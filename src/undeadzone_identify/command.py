@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
 NOISES = click.Choice(["auto", "before", "after"])
-PLACES = click.Choice(["auto", "sensor"])
+PLACES = click.Choice(["auto", "sensor", "actuator", "plant"])
 
 
 SUBJECTS = {
@@ -80,7 +80,7 @@ SUBJECTS = {
 @value_option(
     "--place",
     None,
-    "sensor: assume that the dead zone is in the sensor.",
+    "Where the zone is: sensor, actuator, plant (friction).",
     type=PLACES,
     default="auto",
 )
