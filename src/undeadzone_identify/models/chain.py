@@ -36,6 +36,7 @@ SHARPEST = 1e-4  # rms of z, over which an edge is round at least
 ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
 PLACES = 13  # of an edge, that are tried where a zone of the input is not about 0
 LATE = 0.05  # samples, below which a lag counts for none
+NEAR_BOUND = 1e-3  # of a curve's number, from which it lies at its bound
 STEP = 1e-5  # of a number, for differences
 
 
@@ -268,6 +269,12 @@ class ChainModel:
             is_plain = abs(math.log(slope)) < STRAIGHT and abs(self.lag(theta)) < LATE
             is_plain &= rounding < ROUND * theta[self.edges].sum()
         return "dead_zone" if is_plain else "filtered_zone"
+
+    def has_curve_at_bound(self, theta: Floats) -> bool:
+        """Return whether the curve of the input lies at the end of those that were tried."""
+        own, count = theta[self.inputs], self.inputs.stop - self.inputs.start
+        near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
+        return self.element in CURVES and bool(near.any())
 
     def lag(self, theta: Floats) -> float:
         """Return by how much the filter behind the zone is late [samples]."""

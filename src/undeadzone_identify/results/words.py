@@ -349,7 +349,7 @@ def _describe_shape(shape: SensorShape, unit: str) -> str:
     if shape.rounding.low > 0:
         rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
     slope, lag = describe_interval(shape.slope, ""), describe_interval(shape.lag, " s")
-    return f"{rounding}; slope of the left side over the right {slope}; late by {lag}"
+    return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
 
 
 def describe_possible(answer: Answer) -> list[str]:

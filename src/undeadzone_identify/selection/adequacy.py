@@ -103,11 +103,12 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
     Args:
         remainders: of the model.
         word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something.
+            something. That of friction holds within a sample, so it leaves more than others.
     """
     if word == "jump":
         return None
-    real = [one for one in remainders if one.is_real]
+    least = LARGE_SHARE if word == "friction" else SHARE
+    real = [one for one in remainders if one.is_real and one.share > least]
     return max(real, key=lambda one: one.share, default=None)
 
 

@@ -50,7 +50,12 @@ from undeadzone_identify.models.place import (
 )
 from undeadzone_identify.models.play_gap import RUNS, PlayGap, find_play_gap
 from undeadzone_identify.models.zone_fit import ZoneFit, refit_busiest_part
-from undeadzone_identify.selection.adequacy import Remainder, find_remainders, largest_remainder
+from undeadzone_identify.selection.adequacy import (
+    SEEN,
+    Remainder,
+    find_remainders,
+    largest_remainder,
+)
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     CHAINED,
@@ -830,6 +835,9 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found
     one = found.chains[word]
     said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
+        seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
+        return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     return found._replace(verdict=verdict._replace(reasons=[said]))
 
 
