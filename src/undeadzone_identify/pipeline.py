@@ -107,8 +107,8 @@ def identify(
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:
-        log: path of a CSV, .npz or .mat file, a pandas DataFrame, or a list of these: several
-            records of one plant.
+        log: path of a CSV, .npz, .mat or .jsonl file, a pandas DataFrame, or a list of
+            these: several records of one plant.
         t: times (N) [s], or the step; with u and y, in place of `log`.
         u: inputs (N) or (N x m).
         y: readings (N) or (N x p); NaN if one is missing.
