@@ -126,14 +126,12 @@ def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
         "slope_std": [(one.slope, 1.0) for one in shapes],
         "lag": [(one.lag, 0.0) for one in shapes],
     }
-    return {
-        name: _toml_numbers(
-            math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows
-        )
-        if all(math.isfinite(one.high) for one, _ in rows)
-        else ""
-        for name, rows in values.items()
-    }
+    fields = dict.fromkeys(values, "")
+    for name, rows in values.items():
+        stds = [math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows]
+        if all(map(math.isfinite, stds)):
+            fields[name] = _toml_numbers(stds)
+    return fields
 
 
 def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:
