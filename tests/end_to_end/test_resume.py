@@ -108,7 +108,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
         FileError, match=r"squares of a stopped run are there\. Continue it with --r"
     ):
         squares(path, resume=False)
-    with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
+    with pytest.raises(InputError, match=r"holds another problem \(a: 1 there, 2 here\)"):
         Answers(path, {"a": 2}, "squares", True)
     monkeypatch.setattr("undeadzone.util.answers.package_versions", lambda: {"numpy": "1.0"})
     with pytest.raises(InputError, match="numpy"):
@@ -257,7 +257,7 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
     identify(**log, order=1, keep=path)
     with pytest.raises(FileError, match="Continue it with --resume"):
         identify(**log, order=1, keep=path)
-    with pytest.raises(InputError, match=r"another problem \(options differ\)"):
+    with pytest.raises(InputError, match=r"another problem \(options.order: 1 there, 2 here"):
         identify(**log, order=2, keep=path, resume=True)
 
 
