@@ -60,7 +60,7 @@ def squares(
 
 def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
     path, told = tmp_path / "kept", list[int]()
-    words = f"5 squares are kept in {path}; continue with --resume"
+    words = f"5 squares are kept in {path}; continue with resume=True"
     with pytest.raises(Terminated, match=words):
         squares(path, told=told, stop=5)
     assert squares(path, told=told) == [k * k for k in range(10)]
@@ -255,7 +255,7 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
         identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
     assert not path.exists()
     identify(**log, order=1, keep=path)
-    with pytest.raises(FileError, match="Continue it with --resume"):
+    with pytest.raises(FileError, match="Continue it with resume=True"):
         identify(**log, order=1, keep=path)
     with pytest.raises(InputError, match=r"another problem \(options.order: 1 there, 2 here"):
         identify(**log, order=2, keep=path, resume=True)

@@ -70,7 +70,7 @@ def test_other_encodings(tmp_path: Path) -> None:
 def test_columns_by_name_and_number(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text_of(ROWS, header="t,torque,acceleration"))
-    with pytest.raises(FileError, match=r"column holds y.*--columns y=NAME,u=NAME"):
+    with pytest.raises(FileError, match=r'column holds y.*columns="y=NAME,u=NAME"'):
         read_log(path)
     with pytest.raises(FileError, match="Did you mean 'torque'"):
         read_log(path, "u=torqe,y=acceleration")

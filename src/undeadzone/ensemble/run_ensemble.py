@@ -187,7 +187,7 @@ def _load_finished(path: Path, batch: Batch) -> Ensemble | None:
         return None
     there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_build_info(batch))
     require_same_problem(
-        path, there, here, "leave --resume out to replace it, or choose another name"
+        path, there, here, "leave resume=True out to replace it, or choose another name"
     )
     return saved
 

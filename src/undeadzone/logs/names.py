@@ -165,7 +165,7 @@ class Layout(NamedTuple):
 
 
 def parse_columns(text: str | None) -> dict[str, str]:
-    """Return the columns that --columns names, by signal.
+    """Return the columns that a text names, by signal.
 
     Args:
         text: `y=angle,u=voltage,r=wanted`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
@@ -181,13 +181,13 @@ def parse_columns(text: str | None) -> dict[str, str]:
         key, equals, name = (piece.strip() for piece in part.partition("="))
         if not equals or not name or not re.fullmatch(r"[tr]|[yu](\[\d+\])?", key):
             raise InputError(
-                "--columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
+                "columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
                 f"found {part!r}"
             )
         if key in ("y", "u"):
             key += "[0]"
         if key in chosen:
-            raise InputError(f"--columns: {key} is named twice")
+            raise InputError(f"columns: {key} is named twice")
         chosen[key] = name
     return chosen
 
@@ -235,7 +235,7 @@ def layout_of_numbers(
     if not chosen:
         raise FileError(
             f"{source}: without a header nobody can tell which column is which. Add one, t,y,u, or "
-            "name the columns by number: --columns t=1,y=2,u=3"
+            'name the columns by number: columns="t=1,y=2,u=3"'
         )
     titles = [Title(str(k + 1), "") for k in range(width)]
     return layout_of_titles(titles, p, m, chosen, source)
@@ -306,7 +306,7 @@ class _Header(NamedTuple):
             same = self.find_equal_names(name)
             if len(same) > 1:
                 many = f"several columns are named {name!r}"
-                raise FileError(f"{self.source}: {many}; --columns t=NUMBER")
+                raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
             if same:
                 return same[0]
         return next((k for k, title in enumerate(self.titles) if _is_time_with_unit(title)), None)
@@ -330,7 +330,7 @@ class _Header(NamedTuple):
         named = [key for key in wanted if key in self.chosen]
         if named and len(named) < count:
             missing = next(key for key in wanted if key not in self.chosen)
-            raise InputError(f"--columns: {missing} is missing. Expected {count} of {signal}")
+            raise InputError(f"columns: {missing} is missing. Expected {count} of {signal}")
         if named:
             return [self.column_of_name(key) for key in wanted]
         for name in usual:
@@ -340,8 +340,8 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}. Say which by --columns "
-                    f"{wanted[0]}=NAME"
+                    f"{_list_columns([self.titles[k] for k in columns])}. Say which by "
+                    f'columns="{wanted[0]}=NAME"'
                 )
         if columns := self.of_the_trade(signal, count, taken):
             return columns
@@ -349,7 +349,7 @@ class _Header(NamedTuple):
         raise FileError(
             f"{self.source}: no name says which column holds {signal}. There are "
             f"{_list_columns(self.titles)}{self.hint_near_names(usual)}. Say which "
-            f"by --columns {self.to_be_named()}"
+            f'by columns="{self.to_be_named()}"'
         )
 
     def is_driven_by_output(self) -> bool:
@@ -379,7 +379,7 @@ class _Header(NamedTuple):
         return same if len(same) == 1 else []
 
     def to_be_named(self) -> str:
-        """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
+        """Return the names that are missing for signals without a known column: y=NAME,u=NAME."""
         wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
         for signal, usual in (("y", READINGS), ("u", INPUTS)):
             told = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
@@ -428,7 +428,7 @@ class _Header(NamedTuple):
             return int(name) - 1
         how = "several columns are named" if same else "no column"
         raise FileError(
-            f"{self.source}: --columns {key}: {how} {name!r}. "
+            f"{self.source}: columns, {key}: {how} {name!r}. "
             f"There are {_list_columns(self.titles)}"
             f"{self.hint_near_names([name])}"
         )
@@ -489,7 +489,7 @@ def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> N
         known += [f"{signal}[{i}]" for i in range(count)]
     for key in chosen:
         if key not in known:
-            raise InputError(f"--columns: the plant has no {key}. It has {', '.join(known[2:])}")
+            raise InputError(f"columns: the plant has no {key}. It has {', '.join(known[2:])}")
 
 
 def require_table(source: str) -> None:

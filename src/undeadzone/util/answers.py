@@ -70,7 +70,7 @@ def load_saved_problem(
         raise FileError(f"{path}: {no_such_file}. Choose another name or delete it") from None
     if not resume:
         raise FileError(
-            f"{path}: {is_there}. Continue it with --resume, or delete it to start anew"
+            f"{path}: {is_there}. Continue it with resume=True, or delete it to start anew"
         )
     return there
 
@@ -216,7 +216,9 @@ class Answers(MemoryAnswers):
         if not self._known:
             self.delete_file()
             return ""
-        return f"{len(self._known)} {self._unit} are kept in {self._path}; continue with --resume"
+        return (
+            f"{len(self._known)} {self._unit} are kept in {self._path}; continue with resume=True"
+        )
 
 
 @contextmanager

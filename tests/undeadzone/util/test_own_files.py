@@ -228,7 +228,7 @@ def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:
     out = tmp_path / "fw"
     export(out, "joint.c")
     (out / "main.c").write_text(MINE)
-    with pytest.raises(FileError, match=r"main\.c: exists already.*--force"):
+    with pytest.raises(FileError, match=r"main\.c: exists already.*force=True"):
         export(out, "joint.c", "main.c", text="2")
     assert held(out) == {"joint.c": "1", "main.c": MINE}
     export(out, "joint.c", "main.c", text="2", force=True)
