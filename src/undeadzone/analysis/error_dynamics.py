@@ -37,7 +37,7 @@ class Dynamics(NamedTuple):
     Ts: float | None
 
     @property
-    def steps(self) -> list[Floats]:
+    def largest_gain_steps(self) -> list[Floats]:
         """Return Ts S Gamma S' (p x p) for the branch patterns that no other pattern
         dominates.
 
@@ -84,7 +84,7 @@ class Dynamics(NamedTuple):
         """
         n, p = self.L.shape
         supplies, sizes = [], []
-        for step in self.steps:
+        for step in self.largest_gain_steps:
             own = [
                 (0, 1, self.C.T * W),
                 (1, 1, -2 * np.diag(W)),

@@ -1,9 +1,9 @@
 """Blocks computed by processes of this computer, connected by pipes.
 
 No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
-again by another one. A worker is this module's `main`: it computes the batches that come through
-its standard input, sends answers through its former standard output, and ends when its input does,
-so that it does not outlive the process that started it.
+again by another one. A worker runs `answer_requests`: it computes the batches that come through its
+standard input, sends answers through its former standard output, and ends when its input does, so
+that it does not outlive the process that started it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ DEATHS: Final = 4  # workers that may die at the same blocks before these are gi
 # but from where this process imports.
 BEGIN: Final = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from undeadzone.ensemble.local_workers import main; main()"
+    "from undeadzone.ensemble.local_workers import answer_requests; answer_requests()"
 )
 
 
@@ -227,7 +227,7 @@ def _kill_worker(worker: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-def main() -> None:
+def answer_requests() -> None:
     """Answer every batch with the result of `job.compute_blocks`, or with its exception."""
     answers = _redirect_stdout()
     payload = pickle.load(sys.stdin.buffer)

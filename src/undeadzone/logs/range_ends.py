@@ -68,7 +68,7 @@ class RunningEnds:
         self._upper.add(y, ok)
         self._lower.add(-y, ok)
 
-    def ends(self, quantum: float = 0.0) -> RangeEnds:
+    def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
         """Return the values at which readings stick on their way, as where an amplifier ends.
 
         At the top of a slow or rounded motion readings are alike too; there they do not come to a
@@ -97,7 +97,7 @@ def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
     """
     running = RunningEnds()
     running.add(y, ok)
-    return running.ends(quantum)
+    return running.find_range_ends(quantum)
 
 
 class _End:

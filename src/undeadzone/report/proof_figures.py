@@ -100,7 +100,7 @@ def _curve_frequencies(errors: Dynamics) -> Floats:
 def _response_under_weights(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w <= inf [rad/s]."""
     Ts, root = errors.Ts, np.sqrt(W)
-    at_infinity = np.eye(root.size) - errors.steps[0] / 2
+    at_infinity = np.eye(root.size) - errors.largest_gain_steps[0] / 2
     H = frequency_response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
     return H.response_values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
 

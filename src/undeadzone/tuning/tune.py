@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from undeadzone.errors import InputError
 from undeadzone.numerics.optimise import minimise_by_cmaes
-from undeadzone.scenario.address import numbers
+from undeadzone.scenario.address import find_option_numbers
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
@@ -452,7 +452,7 @@ def _resolve_axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict
 
     Raises InputError.
     """
-    known = numbers(scenario)
+    known = find_option_numbers(scenario)
     axes: dict[str, Floats] = {}
     for address, values in grid.items():
         axes |= dict.fromkeys(numbers_of_address(address, known), require_series(address, values))

@@ -140,23 +140,23 @@ def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
     """
     size, here = len(group), list(group)
 
-    def entries(p: Any, name: str, columns: int) -> Any:
+    def rest_entries(p: Any, name: str, columns: int) -> Any:
         """Return the entries that replace the rest of the arm (size x columns)."""
         names = _rest_names(size)
         return ca.reshape(ca.vertcat(*(p[each] for each in names[name])), size, columns)
 
     def bias(p: Any, q: Any, _: Any) -> Any:
         """Return the bias torque of the links, the rest of the arm included [N m]."""
-        turned = entries(p, "slope", size) @ (q - entries(p, "place", 1))
-        carried = entries(p, "weight", 1) * (p["payload"] - p["carried"])
-        return entries(p, "load", 1) + turned + carried
+        turned = rest_entries(p, "slope", size) @ (q - rest_entries(p, "place", 1))
+        carried = rest_entries(p, "weight", 1) * (p["payload"] - p["carried"])
+        return rest_entries(p, "load", 1) + turned + carried
 
     rest = dict.fromkeys(itertools.chain(*_rest_names(size).values()), 0.0)
     rest |= {f"mass_{joint}_{joint}": 1.0 for joint in range(size)}
     link = Chain(
         joints=tuple(gears.arm.chain.joints[joint] for joint in group),
         parameters={**rest, "carried": 0.0, "payload": 1.0},
-        mass=lambda p, _: entries(p, "mass", size),
+        mass=lambda p, _: rest_entries(p, "mass", size),
         bias=bias,
         points=lambda _, __: ca.SX.zeros(1, 3),
         turn=lambda _, __: ca.SX.eye(3),

@@ -376,7 +376,7 @@ def _build_planar_chain(
     """
     N = len(lengths)
 
-    def points(p: Numbers, q: Any) -> Any:
+    def link_points(p: Numbers, q: Any) -> Any:
         """Return the positions of the joints and of the tip (N + 1 x 3) [m]."""
         angle = ca.cumsum(q)  # of each link from the x axis
         length = ca.vertcat(*[p[name] for name in lengths])
@@ -388,7 +388,7 @@ def _build_planar_chain(
         parameters=parameters,
         mass=mass,
         bias=bias,
-        points=points,
+        points=link_points,
         turn=_last_link_rotation,
         gravity=_planar_gravity,
         plane=(0, 1),
