@@ -105,7 +105,7 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
     path = tmp_path / "kept"
     squares(path)
     with pytest.raises(
-        FileError, match=r"squares of a stopped run are there\. Continue it with --r"
+        FileError, match=r"squares of a stopped run are there\. Continue it with resume=True"
     ):
         squares(path, resume=False)
     with pytest.raises(InputError, match=r"holds another problem \(a: 1 there, 2 here\)"):

@@ -1,7 +1,7 @@
 """Error dynamics: switching, adaptation, and the scaling that solvers use.
 
 Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~), 0 <=
-theta <= 1, where the measured side determines S: +1 at d_r of an output read on the right, -1 at
+theta <= 1. The measured side determines S: +1 at d_r of an output read on the right, -1 at
 d_l on the left, e = 0 inside the zone. Sampled: the same with (x~+ - x~)/Ts in place of x~', A =
 (Ad - I)/Ts, L and Gamma per second (delta form).
 """

@@ -49,7 +49,9 @@ END_SIGNALS: Final = [
 ]
 AGAIN: Final = 0.02  # [s] after which a signal comes again that was lost
 # Arguments that messages of functions name; their options have the same names.
-ARGUMENT: Final = re.compile(r'\b(columns|force|replay|resume)=(?:True|"?(NUMBER|(?<=")[^"]*)"?)')
+ARGUMENT: Final = re.compile(
+    r'\b(columns|force|out|replay|resume)=(?:True|"?(NAME|NUMBER|(?<=")[^"]*)"?)'
+)
 LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
 
 

@@ -69,10 +69,10 @@ class RunningEnds:
         self._lower.add(-y, ok)
 
     def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
-        """Return the values at which readings stick on their way, as where an amplifier ends.
+        """Return the values at which readings stick on their way, as at the end of an amplifier.
 
         At the top of a slow or rounded motion readings are alike too; there they do not come to a
-        sudden stop. Noise repeats no reading but where the range ends.
+        sudden stop. Noise repeats no reading except at the end of the range.
 
         Args:
             quantum: of the readings; 0: none.

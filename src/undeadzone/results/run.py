@@ -339,7 +339,7 @@ def _root_mean_square(values: Floats) -> float:
 def _gap_intervals(run: Run) -> dict[str, Any]:
     """Return the 95 % interval of each gap of gears for JSON, or nothing without such gaps.
 
-    It is the declared range where the gap cannot be known.
+    It is the declared range if the gap cannot be known.
     """
     if not run.info.halves:
         return {}

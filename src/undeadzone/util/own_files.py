@@ -15,7 +15,7 @@ from typing import Final
 from undeadzone.errors import FileError
 from undeadzone.util.files import LARGEST_RUN, convert_write_errors, read_bytes, write_text
 
-CURE: Final = "choose another name or folder, or replace it with force=True"
+CURE: Final = "choose another name or out=NAME, or replace it with force=True"
 REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
 _SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 
