@@ -164,7 +164,7 @@ def score_methods(
     """
     own = methods if isinstance(methods, Mapping) else {}
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
-    names = list(dict.fromkeys([*FRAME, *_resolve_names(methods, grounds)]))
+    names = list(dict.fromkeys([*FRAME, *resolve_names(methods, grounds)]))
     values = built_in() if numbers is None else numbers
     jobs = []
     for title, scenario in grounds.items():
@@ -199,7 +199,7 @@ def result_dependencies(
     }
 
 
-def _resolve_names(
+def resolve_names(
     methods: Sequence[str] | Mapping[str, Method] | None, grounds: Mapping[str, Scenario]
 ) -> list[str]:
     """Return the names of methods. Raises InputError for an unregistered name."""
