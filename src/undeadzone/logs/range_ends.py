@@ -87,7 +87,7 @@ class RunningEnds:
         return RangeEnds(low, high, count)
 
 
-def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
+def range_ends(y: Floats, ok: np.ndarray, quantum: float) -> RangeEnds:
     """Return the values at which the readings of a whole log stick; see `RunningEnds.ends`.
 
     Args:

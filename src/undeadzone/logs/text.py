@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import LARGEST_RUN, failure_reason, open_plain
+from undeadzone.util.files import failure_reason, open_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -46,7 +46,7 @@ _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
 BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
-def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, bool]]:
+def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
     """Yield the bytes of a file in blocks, each with whether it is the last. Raises FileError.
 
     Args:

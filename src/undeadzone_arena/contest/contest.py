@@ -246,7 +246,7 @@ def run_contest(
     scenarios: Mapping[str, Scenario],
     seeds: Sequence[int],
     numbers: Numbers,
-    processes: int | None = None,
+    processes: int | None,
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,

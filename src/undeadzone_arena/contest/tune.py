@@ -30,7 +30,7 @@ SPREAD: Final = 0.25  # first steps of the search, as a share of a range
 def tune_methods(
     names: Sequence[str],
     grounds: Mapping[str, Scenario],
-    budget: int = BUDGET,
+    budget: int,
     seeds: Sequence[int] = SEEDS,
     search: int = 0,
     processes: int | None = None,

@@ -81,9 +81,9 @@ def correct_by_readings(
     side: Any,
     R: Any,
     surprise: Sequence[Any],
-    contact: Any = None,
-    ahead: Any = None,
-    columns: Any = None,
+    contact: Any,
+    ahead: Any,
+    columns: Any,
 ) -> tuple[RobustUpdate, Any]:
     """Return the Gaussian after the readings on certain branches, output by output.
 

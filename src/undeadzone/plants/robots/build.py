@@ -349,7 +349,7 @@ def change_parameters(
     return {name: changes.get(name, value) for name, value in parameters.items()}
 
 
-def require_arm_parameters(parameters: Mapping[str, float], key: str = "plant") -> None:
+def require_arm_parameters(parameters: Mapping[str, float], key: str) -> None:
     """Raise InputError unless all numbers are finite and those of `POSITIVE` positive.
 
     Those are masses, lengths, inertias and stiffness. Then the mass matrix is positive definite in
@@ -441,7 +441,7 @@ def build_elastic_chain() -> Chain:
     )
 
 
-def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
+def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str) -> System:
     """Return the plant of an elastic joint.
 
     x = `[motor angle; link angle; their speeds]`, u = the motor's torque [N m], z = the angle of
