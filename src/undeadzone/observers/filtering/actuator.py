@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, wrap_observer
 from undeadzone.nonlinearities.actuator import (
     Belief,
     command_memory,
@@ -18,7 +18,6 @@ from undeadzone.nonlinearities.actuator import (
     through_zone,
 )
 from undeadzone.nonlinearities.sensor import Zone
-from undeadzone.observers.filtering.wrapping import wrap_observer
 from undeadzone.plants.system import System
 from undeadzone.util import tree
 

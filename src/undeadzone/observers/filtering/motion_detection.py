@@ -18,10 +18,15 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, drop_limit_readings
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    Reading,
+    drop_limit_readings,
+    wrap_observer,
+)
 from undeadzone.nonlinearities.play import detect_tick
 from undeadzone.nonlinearities.sensor import Zone, present, side
-from undeadzone.observers.filtering.wrapping import wrap_observer
 from undeadzone.plants.system import System
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
