@@ -333,7 +333,7 @@ def require_ranges(key: str, ranges: Floats, value: object) -> None:
     """Raise InputError unless 0 <= lo < hi in every range.
 
     Args:
-        key: what it is the value of.
+        key: name of the value, for messages.
         ranges: pairs [lo, hi] (N x 2).
         value: as the user gave it.
     """
