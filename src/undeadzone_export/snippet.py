@@ -53,7 +53,7 @@ _SETTINGS: Final = {
     "one_edge": "A PID controller: error dead band 0, with limits on its integral.",
     "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
     "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
-    "ahead": "A noisy command turns often: smooth it first, or the actuator crosses the gap each time.",
+    "ahead": "Smooth a noisy command first: at each of its turns the actuator crosses the gap.",
 }
 _SETTINGS_OF_GAPS: Final = {
     "mm": "Marlin: M425 X{width} F1 (any axis; M500 stores it).",

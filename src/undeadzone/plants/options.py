@@ -130,6 +130,8 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
         >>> plant.C
         [1, 0]
+        >>> plant.to_control().poles().real
+        array([-1., -1.])
 
     See Also:
         from_control, from_scipy, TransferFunction, Model
@@ -174,3 +176,9 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     u_eq: Array | None = None
     x0: Array | None = None
     delay: int = 0
+
+    def to_control(self) -> Any:
+        """Return a linear plant as `control.StateSpace`, as `uz.to_control` does."""
+        from undeadzone.plants.interop import to_control
+
+        return to_control(self)
