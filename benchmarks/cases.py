@@ -14,12 +14,22 @@ import re
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.cases_machines import CASES, Case, Correct, pass_zone, rms
+from benchmarks.cases_machines import (
+    CASES,
+    Bench,
+    Case,
+    Correct,
+    Measured,
+    approach_from_both_sides,
+    pass_zone,
+    rms,
+)
 from benchmarks.markdown import head, row
 
 SEED = 57
@@ -44,7 +54,7 @@ class Outcome(NamedTuple):
 
     verdict: str
     found: list[tuple[float, float, float]]
-    bench: tuple[float, ...]
+    bench: Measured
     errors: tuple[float, float]
 
 
@@ -69,7 +79,7 @@ def daisy_case(path: Path) -> Case:
         "",
         "",
         lambda _: np.column_stack([np.arange(z.size), torque, y]),
-        lambda _: (right, left),
+        lambda _: (Bench(right, 0.0), Bench(left, 0.0)),
         use,
         ("--columns", "u=torque,y=acceleration"),
     )
@@ -153,27 +163,26 @@ def run_arm(example: str, noise: float) -> list[Outcome]:
     for k, width in enumerate(true):
         value = found["d_right"][k] + found["d_left"][k]
         half = NORMAL * found["width_std"][k]
-        bench = width + noise * np.sqrt(2) * float(rng.standard_normal(20).mean())
-        outcomes.append(Outcome("", [(value, value - half, value + half)], (bench,), errors))
+        bench = approach_from_both_sides(width, noise)(rng)
+        outcomes.append(Outcome("", [(value, value - half, value + half)], bench, errors))
     return outcomes
 
 
 def _read_true_widths(text: str) -> list[float]:
     """Return the width of each joint that an example sets."""
-    import tomllib
-
-    table = tomllib.loads(text)
-    gears: dict[str, Any] = table["plant"]["arm"].get("gears", {})
-    if gears:
+    given: dict[str, Any] = tomllib.loads(text)
+    if gears := given["plant"]["arm"].get("gears"):
         return [2.0 * half for half in gears["half"]]
-    both = zip(table["sensor"]["right"], table["sensor"]["left"], strict=True)
+    both = zip(given["sensor"]["right"], given["sensor"]["left"], strict=True)
     return [right + left for right, left in both]
 
 
 def _row_of(title: str, outcome: Outcome, unit: str, error_unit: str) -> str:
     """Return the row of an outcome."""
     intervals = [f"{value:.4g} [{low:.4g}, {high:.4g}]" for value, low, high in outcome.found]
-    bench = " / ".join(f"{one:.4g}" for one in outcome.bench)
+    bench = " / ".join(
+        f"{one.value:.4g}" + f" +- {one.error:.2g}" * bool(one.error) for one in outcome.bench
+    )
     without, with_it = (f"{one:.3g} {error_unit}".strip() for one in outcome.errors)
     return row(
         title,

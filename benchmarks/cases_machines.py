@@ -24,6 +24,19 @@ DEAD_BAND = 5.0  # of the valve [% of OP]
 LOOP = Process((0.9, 0.0), 0.2, 2, 0.4, 12.0, 0.0)  # flow behind the valve, and its PI controller
 
 Correct = Callable[[float], float]
+Measured = tuple["Bench", ...]
+
+
+class Bench(NamedTuple):
+    """Width that a person measures at the machine.
+
+    Attributes:
+        value: of the width.
+        error: two standard errors of it, or the step of the command that was raised.
+    """
+
+    value: float
+    error: float
 
 
 class Case(NamedTuple):
@@ -45,7 +58,7 @@ class Case(NamedTuple):
     unit: str
     error_unit: str
     record: Callable[[np.random.Generator], Floats]
-    measure: Callable[[np.random.Generator], tuple[float, ...]]
+    measure: Callable[[np.random.Generator], Measured]
     use: Callable[[np.random.Generator, Correct], float]
     options: tuple[str, ...] = ()
 
@@ -96,15 +109,15 @@ def record_cell(rng: np.random.Generator) -> Floats:
     return np.column_stack([0.02 * np.arange(6000), force, y])
 
 
-def weigh(rng: np.random.Generator) -> tuple[float, float]:
+def weigh(rng: np.random.Generator) -> Measured:
     """Return both widths from 20 known weights a side, by a straight line through each."""
     found = []
     for side, width in zip((1, -1), ZONE, strict=True):
         weights = np.linspace(1.5, 6.0, 20)
         y = weights - width + 0.02 * rng.standard_normal(20)
-        slope, level = np.polyfit(side * weights, side * y, 1)
-        found.append(float(-side * level / slope))
-    return found[0], found[1]
+        (slope, level), V = np.polyfit(side * weights, side * y, 1, cov=True)
+        found.append(Bench(float(-side * level / slope), 2 * float(np.sqrt(V[1, 1]) / slope)))
+    return tuple(found)
 
 
 def weigh_at_work(rng: np.random.Generator, correct: Correct) -> float:
@@ -125,15 +138,15 @@ def record_speed(rng: np.random.Generator) -> Floats:
     return np.column_stack([0.02 * np.arange(3000), pulse, rpm + 0.4 * rng.standard_normal(3000)])
 
 
-def raise_until_it_turns(rng: np.random.Generator) -> tuple[float, float]:
+def raise_until_it_turns(rng: np.random.Generator) -> Measured:
     """Return both edges [us]: by 1 us more until the mean speed of 50 readings is 3 std from 0."""
     edges = []
     for side in (1, -1):
         pulse, threshold = 0.0, 3 * 0.4 / np.sqrt(50)
         while abs(0.4 * pass_zone(side * pulse, *BAND) + threshold / 3 * rng.normal()) < threshold:
             pulse += 1.0
-        edges.append(pulse)
-    return edges[0], edges[1]
+        edges.append(Bench(pulse, 1.0))
+    return tuple(edges)
 
 
 def turn_at_work(_: np.random.Generator, correct: Correct) -> float:
@@ -171,7 +184,7 @@ def record_mount(rng: np.random.Generator) -> Floats:
 
 def approach_from_both_sides(
     gap: float, noise: float, unit: float = 1.0
-) -> Callable[[np.random.Generator], tuple[float]]:
+) -> Callable[[np.random.Generator], Measured]:
     """Return the measurement of a gap: 20 positions, each from above and from below.
 
     Args:
@@ -180,10 +193,10 @@ def approach_from_both_sides(
         unit: of output for one of the input.
     """
 
-    def measure(rng: np.random.Generator) -> tuple[float]:
+    def measure(rng: np.random.Generator) -> Measured:
         """Return the mean difference of both approaches."""
-        apart = [gap * unit + noise * np.sqrt(2) * rng.standard_normal() for _ in range(20)]
-        return (float(np.mean(apart)) / unit,)
+        apart = (gap * unit + noise * np.sqrt(2) * rng.standard_normal(20)) / unit
+        return (Bench(float(apart.mean()), 2 * float(apart.std(ddof=1)) / np.sqrt(20)),)
 
     return measure
 
@@ -232,7 +245,7 @@ def record_valve(rng: np.random.Generator) -> Floats:
     return np.column_stack([np.arange(6000), op, pv, wanted])
 
 
-def stroke(rng: np.random.Generator) -> tuple[float]:
+def stroke(rng: np.random.Generator) -> Measured:
     """Return the dead band [%]: in manual, OP by 0.1 up until the flow moves, then down again."""
     valve, edges = Valve(float), []
     valve(60.0)
@@ -243,7 +256,7 @@ def stroke(rng: np.random.Generator) -> tuple[float]:
             op += side * 0.1
         edges.append(abs(op - start))
         valve(op + side * 5.0)
-    return (float(np.mean(edges)),)
+    return (Bench(float(np.mean(edges)), 0.1),)
 
 
 def control_at_work(rng: np.random.Generator, correct: Correct) -> float:

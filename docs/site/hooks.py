@@ -41,7 +41,7 @@ HOW_TO = (
     "many_runs",
 )
 CHAPTERS = {
-    "Start": ["index.md", "try.md", "install.md", "gallery.md"],
+    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md"],
     "Tutorials": ["tour.md"],
     "How-to": [
         *(f"howto/{name}.md" for name in HOW_TO),

@@ -72,7 +72,7 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
     rest = np.vstack([np.zeros((late, layout.m)), inputs])[: len(inputs)]
     for column, numerator in zip(rest.T, b.reshape(layout.m, layout.n), strict=True):
         z += lfilter(np.append(0.0, numerator), layout.full_denominator(a), column)
-    y = z
+    y: Floats = z
     if answer.verdict in SENSORS:
         y = SENSORS[answer.verdict](z, right, left)
     if answer.verdict == "play":
