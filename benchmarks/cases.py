@@ -35,8 +35,8 @@ from benchmarks.markdown import head, row
 SEED = 57
 IMPOSED = (0.5, 0.3)  # on the flexible arm, in standard deviations of its acceleration
 ARMS = {
-    "geared_arm": ("arm of two links, gaps in its gears", "two_link_gears.toml", 1e-3),
-    "ur5": ("UR5, dead zones about its reference", "ur5.toml", 0.0),
+    "geared_arm": ("arm with gaps in its gears", "two_link_gears.toml", 1e-3),
+    "ur5": ("UR5, dead zones", "ur5.toml", 0.0),
 }
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NORMAL = 1.96
@@ -163,8 +163,8 @@ def run_arm(example: str, noise: float) -> list[Outcome]:
     for k, width in enumerate(true):
         value = found["d_right"][k] + found["d_left"][k]
         half = NORMAL * found["width_std"][k]
-        bench = approach_from_both_sides(width, noise)(rng)
-        outcomes.append(Outcome("", [(value, value - half, value + half)], bench, errors))
+        bench = approach_from_both_sides(width, noise)(rng) if noise else (Bench(width, 0.0),)
+        outcomes.append(Outcome("estimated", [(value, value - half, value + half)], bench, errors))
     return outcomes
 
 
@@ -183,14 +183,13 @@ def _row_of(title: str, outcome: Outcome, unit: str, error_unit: str) -> str:
     bench = " / ".join(
         f"{one.value:.4g}" + f" +- {one.error:.2g}" * bool(one.error) for one in outcome.bench
     )
-    without, with_it = (f"{one:.3g} {error_unit}".strip() for one in outcome.errors)
+    without, with_it = (f"{one:.3g}" for one in outcome.errors)
     return row(
         title,
         outcome.verdict,
         f"{' / '.join(intervals)} {unit}".strip(),
         f"{bench} {unit}".strip(),
-        without,
-        with_it,
+        f"{without} -> {with_it} {error_unit}".strip(),
     )
 
 
@@ -200,7 +199,7 @@ def table() -> str:
     names = os.environ.get("CASES", ",".join([*cases, *ARMS])).split(",")
     lines = [
         "## Cases\n",
-        *head("machine", "answer", "95 % interval", "at the bench", "rms error without", "with"),
+        *head("machine", "answer", "95 % interval", "at the bench", "rms error at work"),
     ]
     with tempfile.TemporaryDirectory() as folder:
         for name in names:

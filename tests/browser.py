@@ -75,14 +75,16 @@ class Browser:
             self._process.wait()
         os.close(self._in)
 
-    def open(self, address: str) -> None:
-        """Load a page and wait until it has drawn."""
+    def open(
+        self, address: str, drawn: str = "document.documentElement?.dataset.numbers ?? ''"
+    ) -> None:
+        """Load a page and wait until it has drawn, which an expression tells."""
         self._call("Page.navigate", url="about:blank")
         self.said.clear()
         self.asked.clear()
         self._call("Page.navigate", url=address)
         for _ in range(1000):
-            if self.value("document.documentElement?.dataset.numbers ?? ''"):
+            if self.value(drawn):
                 return
             time.sleep(0.02)
         raise AssertionError(f"the page has drawn nothing: {self.said}")
@@ -101,8 +103,8 @@ class Browser:
         picture = self._call("Page.captureScreenshot", captureBeyondViewport=True)
         return base64.b64decode(picture["data"])
 
-    def sized(self, width: int, height: int, dark: bool = False) -> None:
-        """Take on the size of a screen, in light or dark."""
+    def sized(self, width: int, height: int, dark: bool = False, settle: int = 300) -> None:
+        """Take on the size of a screen, in light or dark, and settle for some ms."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", features=[feature])
         self._call(
@@ -112,7 +114,7 @@ class Browser:
             deviceScaleFactor=1,
             mobile=width < 600,
         )
-        self.value("new Promise(r => setTimeout(r, 300))")
+        self.value("new Promise(r => setTimeout(r, {settle}))".format(settle=settle))
 
     def _call(self, method: str, **params: Any) -> dict[str, Any]:
         """The result of a method of the protocol."""

@@ -13,8 +13,8 @@ printed = uz.simulate(example.example_as_printed(5.0))
 printed
 
 # %% [markdown]
-# The state is 0, the reading is 0, and the printed observer has no input: the output never leaves
-# the dead zone, and the widths are never learnt. [The observer](../observer.md) tells which signs
+# The output never leaves the dead zone, so the reading is 0 throughout, and the printed observer
+# learns nothing. [The observer](../observer.md) tells which signs
 # and terms are at fault.
 
 # %%

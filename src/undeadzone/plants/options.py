@@ -141,7 +141,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         B: gain of the input (n x m).
         C: z = C x (p x n).
         second_order: x'' + 2 zeta omega_n x' + omega_n^2 x = gain u.
-        companion: [a_0, ..., a_{n-1}] of the last row -a of (15), with C = e_1 (n).
+        companion: [a_0, ..., a_(n-1)] of the last row -a of (15), with C = e_1 (n).
         integrators: n, the length of the chain (15) of integrators, 1 to 50.
         transfer_function: numerator / denominator.
         f: x' = f(x, u), n formulas in the names of `states`, `inputs` and `parameters`. In Python
