@@ -103,8 +103,8 @@ class Browser:
         picture = self._call("Page.captureScreenshot", captureBeyondViewport=True)
         return base64.b64decode(picture["data"])
 
-    def sized(self, width: int, height: int, dark: bool = False, settle: int = 300) -> None:
-        """Take on the size of a screen, in light or dark, and settle for some ms."""
+    def sized(self, width: int, height: int, dark: bool = False) -> None:
+        """Take on the size of a screen, in light or dark."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", features=[feature])
         self._call(
@@ -114,7 +114,7 @@ class Browser:
             deviceScaleFactor=1,
             mobile=width < 600,
         )
-        self.value("new Promise(r => setTimeout(r, {settle}))".format(settle=settle))
+        self.value("new Promise(r => setTimeout(r, 300))")
 
     def _call(self, method: str, **params: Any) -> dict[str, Any]:
         """The result of a method of the protocol."""

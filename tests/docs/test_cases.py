@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from benchmarks import cases
 from benchmarks.cases_machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
 from benchmarks.markdown import parted
+
 from tools import require
 
 ROOT = Path(__file__).parents[2]

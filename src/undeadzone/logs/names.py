@@ -355,10 +355,10 @@ class _Header(NamedTuple):
         if columns := self.of_the_trade(signal, count, taken):
             return columns
         require_table(self.source)
-        hint = self.hint_near_names(usual)
+        hint = self.hint_near_names(usual) or "."
         raise FileError(
             f"{self.source}: no name says which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{hint}{'' if hint else '.'} Say which "
+            f"{_list_columns(self.titles)}{hint} Say which "
             f"by --columns {self.to_be_named()}"
         )
 

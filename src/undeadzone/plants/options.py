@@ -5,6 +5,7 @@ Arms as a scenario names them: `plant.arm`.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any, Literal
 
 import msgspec
@@ -179,6 +180,4 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     def to_control(self) -> Any:
         """Return a linear plant as `control.StateSpace`, as `uz.to_control` does."""
-        from undeadzone.plants.interop import to_control
-
-        return to_control(self)
+        return import_module("undeadzone.plants.interop").to_control(self)

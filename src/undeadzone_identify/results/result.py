@@ -250,12 +250,10 @@ class Identified:
         See Also:
             estimate
         """
-        step = self.answer.case.grid.step
-        log = (
-            read_log(source)
-            if source is not None
-            else log_from_arrays(step if t is None else t, u, y)
-        )
+        if source is None:
+            log = log_from_arrays(self.answer.case.grid.step if t is None else t, u, y)
+        else:
+            log = read_log(source)
         return predict_log(self.answer, self.scenario(), log)
 
     def to_control(self) -> Any:
