@@ -23,11 +23,12 @@ SURE: Final = 0.8  # probability below which a verdict does not justify a snippe
 RAMP: Final = 0.05  # of the narrower width: over so much the jump of an actuator fades in
 KINDS: Final = {
     "dead_zone": "sensor",
+    "filtered_zone": "sensor",
     "input_zone": "actuator",
     "play": "backlash",
     "input_play": "backlash",
 }
-OF_INPUT: Final = ("input_zone", "input_play")  # whose widths have the unit of the input
+OF_INPUT: Final = ("input_zone", "input_play")  # verdicts with widths in the input's unit
 NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
 
 _HEADS: Final = {
