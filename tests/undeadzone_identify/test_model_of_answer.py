@@ -99,6 +99,17 @@ def test_a_zone_of_the_input_and_a_gap_are_simulated() -> None:
         found.simulate(np.ones((3, 2)))
 
 
+def test_an_input_that_counts_from_elsewhere_is_that_of_the_log() -> None:
+    u = 1504.0 + 100.0 * levels(10, 150)
+    driven = (u - 1504.0) - np.clip(u - 1504.0, -26.0, 27.0)
+    noise = 0.4 * np.random.default_rng(11).standard_normal(u.size)
+    found = uz.identify(t=STEP, u=u, y=0.4 * plant(driven) + noise, order=1, delay=LATE)
+    assert found.verdict == "input_zone"
+    assert np.std(found.simulate(u).y - 0.4 * plant(driven)) < 0.5
+    pytest.importorskip("pandas")
+    assert found.to_pandas()["u"].to_numpy() == pytest.approx(u)
+
+
 def test_a_gap_holds_until_it_is_crossed() -> None:
     z = np.array([0.0, 1.0, 0.5, -0.5, -0.9, 0.0])
     assert follow_play(z, 0.4, 0.6) == pytest.approx([0.0, 0.6, 0.6, 0.1, -0.3, -0.3])

@@ -349,7 +349,7 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}. Say which by --columns "
+                    f"{_list_columns([self.titles[k] for k in columns])}. Name it by --columns "
                     f"{wanted[0]}=NAME"
                 )
         if columns := self.of_the_trade(signal, count, taken):
@@ -358,7 +358,7 @@ class _Header(NamedTuple):
         hint = self.hint_near_names(usual) or "."
         raise FileError(
             f"{self.source}: no name says which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{hint} Say which "
+            f"{_list_columns(self.titles)}{hint} Name it "
             f"by --columns {self.to_be_named()}"
         )
 

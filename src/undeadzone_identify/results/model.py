@@ -63,6 +63,7 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
     inputs = inputs[:, None] if inputs.ndim == 1 else inputs
     if inputs.ndim != 2 or inputs.shape[1] != layout.m or not np.isfinite(inputs).all():
         raise InputError(f"u: expected finite rows of {layout.m}, found shape {np.shape(u)}")
+    inputs = inputs - (answer.case.grid.zero or 0.0)
     right, left = _require_widths(answer)
     if answer.verdict == "input_zone":
         inputs = sensor.deadzone(inputs, right, left)
@@ -157,6 +158,6 @@ def answer_to_pandas(answer: Answer, z: Floats, z_std: Floats) -> Any:
     import pandas as pd
 
     grid = answer.case.grid
-    named = dict(zip(grid.inputs, grid.u.T, strict=True))
+    named = dict(zip(grid.inputs, (grid.u + (grid.zero or 0.0)).T, strict=True))
     named[grid.output] = np.where(grid.ok, grid.y, np.nan)
     return pd.DataFrame(named | {"z": z, "z_std": z_std}, index=pd.Index(grid.t, name="t"))
