@@ -18,9 +18,9 @@ import undeadzone.util.text
 from mutants.changes import mutant, places
 from mutants.trial import noticed
 
-package, file = Path("src/undeadzone").resolve(), "util/text.py"
-place = next(place for place in places(package, file) if place.what.startswith("HALF_95 * std"))
-print(*noticed(package, file, mutant(package, place), sys.argv[1:], 3.0))
+source, file = Path("src").resolve(), "undeadzone/util/text.py"
+place = next(place for place in places(source, file) if place.what.startswith("HALF_95 * std"))
+print(*noticed(file, mutant(source, place), sys.argv[1:], 3.0))
 """
 NOTICES = """
 from undeadzone.util.text import format_with_interval
@@ -51,4 +51,4 @@ def test_a_mutant_is_noticed_by_a_test_of_what_it_changes(
 def test_a_trial_that_does_not_run_is_no_mutant_noticed(tmp_path: Path) -> None:
     done = tried(tmp_path / "test_missing.py")
     assert done.returncode == 1
-    assert "RuntimeError: util/text.py: exit 4 before the first test" in done.stderr
+    assert "RuntimeError: undeadzone/util/text.py: exit 4 before the first test" in done.stderr
