@@ -20,7 +20,7 @@ SOURCE: Final = ROOT / "src"
 FOLDER: Final = ROOT / ".pytest_cache" / "mutants"
 CHEAP: Final = 3.0  # [s] of tests that are run first, and usually suffice
 OF_TEXT: Final = ("docs", "rules", "emulator")  # folders of tests that run none of the source
-ALL: Final = 30.0  # [s] of tests that are run of what these do not notice
+ALL: Final = 15.0  # [s] of tests that are run of what these do not notice
 FAIL_ALWAYS: Final[set[str]] = set()  # tests that fail without a mutant, too
 PASS: Final[set[str]] = set()  # tests that were seen to pass without one
 

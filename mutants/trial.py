@@ -18,6 +18,7 @@ import tempfile
 import time
 import types
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,7 +45,8 @@ def preload(root: Path, tests: Collection[str]) -> None:
         if path.name not in ("__init__.py", "__main__.py") and "templates" not in path.parts:
             importlib.import_module(".".join(path.relative_to(source).with_suffix("").parts))
     for test in sorted(tests):
-        importlib.import_module(Path(test).stem)
+        with suppress(KeyError):  # it needs a variable that pytest sets, and imports it later
+            importlib.import_module(Path(test).stem)
 
 
 def noticed(file: str, tree: ast.Module, tests: Sequence[str], cost: float) -> tuple[bool, str]:
