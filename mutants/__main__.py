@@ -63,7 +63,7 @@ def quick_tests() -> list[str]:
 
 
 def run(folder: Path, rooms: tuple[str, ...], count: int, seed: int, until: float) -> None:
-    """Try mutants until there are so many, or the time is over."""
+    """Try mutants until there are so many, or the time is over; those of quick rooms first."""
     cover = covering.read(SOURCE, folder)
     every: list[Place] = []
     for file in files(SOURCE, rooms):
@@ -72,7 +72,12 @@ def run(folder: Path, rooms: tuple[str, ...], count: int, seed: int, until: floa
     journal = folder / "journal"
     done = {(row["file"], row["number"]) for row in rows(journal)}
     trial.preload(ROOT, {test.partition("::")[0] for test in cover.costs})
-    for place in every[:count]:
+    costs: dict[str, float] = {}  # of the tests of each room
+    for test, cost in cover.costs.items():
+        room = room_of(test.removeprefix("tests/"))
+        costs[room] = costs.get(room, 0.0) + cost
+    drawn = sorted(every[:count], key=lambda place: costs.get(room_of(place.file), 0.0))
+    for place in drawn:  # quick rooms first
         if time.monotonic() > until:
             return
         if (place.file, place.number) not in done:
@@ -86,8 +91,12 @@ def tried(place: Place, cover: covering.Covering) -> dict[str, Any]:
 
     A test that notices it counts where it passes without it: one that fails always is left out.
     """
-    tests = cover.lines.get(place.file, {}).get(place.line, [])
-    tests = sorted(tests, key=lambda test: cover.costs[test])
+    near = {name: rank for rank, name in enumerate(tests_of_room(place.file))}
+
+    def order(test: str) -> tuple[int, float]:
+        return near.get(test.partition("::")[0], len(near)), cover.costs[test]
+
+    tests = sorted(cover.tests(place.file, place.line), key=order)
     tree = mutant(SOURCE, place)
     plain = ast.parse((SOURCE / place.file).read_text(encoding="utf-8"))
     for seconds in (CHEAP, ALL):
@@ -142,7 +151,7 @@ def tests_of_room(file: str) -> list[str]:
 
 
 def affordable(tests: list[str], cover: covering.Covering, seconds: float) -> list[str]:
-    """The cheapest tests, one of each name first, within so many seconds; at least one."""
+    """The first tests, one of each name first, within so many seconds; at least one."""
     seen: set[str] = set()
     first, others = [], []
     for test in tests:

@@ -23,12 +23,20 @@ class Covering(NamedTuple):
     """The map.
 
     Attributes:
-        lines: of each file, of each line, the tests that run it.
         costs: of each test [s] of processor time.
+        data: of coverage.py.
+        source: folder of all packages.
     """
 
-    lines: dict[str, dict[int, list[str]]]
     costs: dict[str, float]
+    data: Any
+    source: Path
+
+    def tests(self, file: str, line: int) -> list[str]:
+        """The tests that run a line of a file."""
+        contexts = self.data.contexts_by_lineno(str(self.source / file)).get(line, [])
+        names = {context.rpartition("|")[0] for context in contexts}
+        return sorted(name for name in names if name in self.costs)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -67,15 +75,6 @@ def read(source: Path, folder: Path) -> Covering:
     for text in (folder / "costs").read_text(encoding="utf-8").splitlines():
         test, cost = json.loads(text)
         costs[test] = cost
-    lines: dict[str, dict[int, list[str]]] = {}
-    data: Any = coverage.CoverageData(str(folder / "data"))
+    data = coverage.CoverageData(str(folder / "data"))
     data.read()
-    for measured in map(Path, data.measured_files()):
-        if not measured.is_relative_to(source):  # a copy that a test made
-            continue
-        by_line = {}
-        for line, contexts in data.contexts_by_lineno(str(measured)).items():
-            names = {context.rpartition("|")[0] for context in contexts}
-            by_line[line] = sorted(name for name in names if name in costs)
-        lines[measured.relative_to(source).as_posix()] = by_line
-    return Covering(lines, costs)
+    return Covering(costs, data, source)
