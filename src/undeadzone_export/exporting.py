@@ -145,7 +145,7 @@ def export(
         told(_slow_export_warning(operations, seconds, scenario.observer))
     labels = Labels(prefix, scenario.title, part)
     text = build_source(printed, labels)
-    steps = STEPS if printed.single else min(STEPS, accuracy.MACHINE_STEPS)
+    steps = STEPS if printed.single else accuracy.MACHINE_STEPS
     rows = record_inputs(continue_scenario(scenario, steps), step)
     report = _initial_report(printed, text, labels, tunable)
     report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
