@@ -103,12 +103,13 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
     Args:
         remainders: of the model.
         word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something. That of friction holds within a sample, so it leaves more than others.
+            something. That of friction holds by the sample, so it leaves more by the output.
     """
     if word == "jump":
         return None
-    least = LARGE_SHARE if word == "friction" else SHARE
-    real = [one for one in remainders if one.is_real and one.share > least]
+    coarse = "output" if word == "friction" else ""
+    least = {coarse: LARGE_SHARE}
+    real = [one for one in remainders if one.is_real and one.share > least.get(one.on, SHARE)]
     return max(real, key=lambda one: one.share, default=None)
 
 

@@ -63,6 +63,7 @@ from undeadzone_identify.selection.decision import (
     MEMORY,
     MODELS,
     UNLIKELY,
+    UNSETTLED,
     Case,
     Verdict,
     build_verdict,
@@ -800,7 +801,8 @@ def has_a_model(case: Case, found: Findings) -> bool:
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
     word, top = found.verdict.word, next(iter(found.odds), "")
     is_said = word == "other" and top != "other"  # why nothing is named
-    is_said |= word == "unclear" and not case.fitted.prepared.settles
+    if word == "unclear":  # a plant that does not settle leaves traces of everything
+        is_said |= UNSETTLED in found.verdict.reasons or not case.fitted.prepared.settles
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
     of_loop = found.valve is not None
