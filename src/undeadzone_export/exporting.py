@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -21,6 +22,7 @@ from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
+from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
 from undeadzone_export.code import Code, build_code, count_operations
@@ -40,6 +42,7 @@ PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
 MANY = 20_000  # operations of code that a compiler takes a minute for
+SHARE = 20.0  # time that an export takes, relative to that of its graphs
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -132,14 +135,18 @@ def export(
     if to in targets.VERSIONS:
         require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
+    began = time.monotonic()
     step = exported_step.build_step(problem, part, tunable)
     double = build_code(step, single=False)
     printed = build_code(step, single=True) if precision == "single" else double
+    operations = sum(count_operations(printed.results).values())
+    if told is not None and operations > MANY:
+        seconds = SHARE * (time.monotonic() - began)
+        told(_slow_export_warning(operations, seconds, scenario.observer))
     labels = Labels(prefix, scenario.title, part)
     text = build_source(printed, labels)
-    if told is not None and text.operations > MANY:
-        told(_slow_compile_warning(text, scenario.observer))
-    rows = record_inputs(continue_scenario(scenario, STEPS), step)
+    steps = STEPS if printed.single else accuracy.MACHINE_STEPS
+    rows = record_inputs(continue_scenario(scenario, steps), step)
     report = _initial_report(printed, text, labels, tunable)
     report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
     report |= _accuracy_report(printed, text, rows)
@@ -160,10 +167,16 @@ def export(
     return Exported(written, report, printed)
 
 
-def _slow_compile_warning(text: Source, observer: Any) -> str:
-    """Return a warning about a long compilation, with cheaper choices."""
-    size = len(text.code) // 1000
-    said = f"{text.operations:,} operations, {size:,} kB of C, for which a compiler takes minutes"
+def _slow_export_warning(operations: int, seconds: float, observer: Any) -> str:
+    """Return a warning about a long export, with cheaper choices.
+
+    Args:
+        operations: number of operations of a step.
+        seconds: that the export will take, estimated [s].
+        observer: the options of the observer.
+    """
+    minutes = count_noun(max(1, round(seconds / 60)), "minute")
+    said = f"{operations:,} operations, which take about {minutes} to write, compile and compare"
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
     return said + f"; {less} takes less" * bool(less)
 

@@ -533,6 +533,23 @@ def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         assert report["float_against_double"][name]["error"] < 1e-4
 
 
+@pytest.mark.parametrize(("precision", "steps"), [("single", 100_000), ("double", 2_000)])
+def test_a_run_is_continued_as_far_as_it_is_compared(
+    precision: str, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With large filters the run takes most of the time of an export in double."""
+    asked: list[int] = []
+
+    def kept(scenario: Scenario, steps: int) -> Any:
+        asked.append(steps)
+        return selftest_vectors.continue_scenario(scenario, 0)
+
+    monkeypatch.setattr(exporting, "STEPS", 100_000)
+    monkeypatch.setattr(exporting, "continue_scenario", kept)
+    uz.export(certified(), out=tmp_path / "fw", precision=precision, name="joint")
+    assert asked == [steps]
+
+
 def test_a_run_that_ends_by_itself_is_not_continued() -> None:
     scenario = certified()
     longer = selftest_vectors.continue_scenario(scenario, 5000)
