@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from operator import itemgetter
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from benchmarks.names import commit, share
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_from_arrays
 from undeadzone_identify.logs.prepare import prepare_log
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.measured import measure_levels
 from undeadzone_identify.models.place import fit_input_and_sensor, fit_input_zone
 from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.models.zone_fit import fit_zone
@@ -38,9 +41,13 @@ def errors(log: LoopLog) -> list[tuple[float, float]]:
         zoned = fit_input_zone([fit])
     if zoned is None:
         return []
-    told = [zoned.sum_width(*weights) for weights in np.eye(truth.size)]
-    pairs = zip(told, truth, strict=True)
-    return [((value - width) / width, half / width) for (value, half, _), width in pairs]
+    first, measured = zoned.fit.model.simulator.layout.input_widths.start, list[Interval]()
+    for place in range(first, first + truth.size, 2):
+        levels = itemgetter(slice(place, place + 2))
+        intervals = measure_levels(levels, zoned.stages).intervals
+        measured += [intervals["right"], intervals["left"]]
+    pairs = zip(measured, truth, strict=True)
+    return [((one.value - width) / width, one.half_width / width) for one, width in pairs]
 
 
 def table() -> str:

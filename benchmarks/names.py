@@ -32,7 +32,12 @@ FIGURE = Path(__file__).with_name("names.svg")
 NO_NAME = ("undecided", "unclear", "unreached", "refused")  # answers that name nothing
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)  # of odds
 SURE = 0.9  # odds above which no name may be wrong
-MEASURED = {"sensor": ("right", "left"), "input": ("right", "left"), "play": ("width",)}
+MEASURED = {  # numbers of a truth whose intervals are counted
+    "sensor": ("right", "left"),
+    "input": ("right", "left"),
+    "friction": ("right", "left"),
+    "play": ("width",),
+}
 Outcome = dict[str, Any]
 
 

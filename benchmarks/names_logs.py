@@ -31,6 +31,7 @@ STEPS = (0.0, 0.3, 1.0, 3.0)  # of a converter, in rms of the noise
 ROUNDED = 20_000  # first seed whose noisy readings a converter rounds
 ZONED = ("sensor", "sensor and input", "play and zone")
 DRIVEN = ("input", "sensor and input")
+OF_ONE = ("sensor", "input", "friction", "play")  # truths of one element, whose widths are asked
 
 
 class NamedLog(NamedTuple):
@@ -42,8 +43,8 @@ class NamedLog(NamedTuple):
         truth: what is there, of `TRUTHS`.
         closed: whether u answers to y.
         encoder: whether readings are rounded, and not noisy; else they may be both.
-        widths: of the sensor's zone, of the play or of the input's zone, right and left; where
-            there is none, 0.
+        widths: of the sensor's zone, of the play or of the input's zone, right and left, or the
+            level of friction; where there is none, 0.
     """
 
     step: float
@@ -138,7 +139,8 @@ def make(seed: int, truth: str) -> NamedLog:
     own = (
         gaps if truth in ("play", "play and zone") else widths[::-1] if truth in DRIVEN else widths
     )
-    own = own if truth in ("sensor", "input", "play", "play and zone") else np.zeros(2)
+    own = np.full(2, widths.mean()) if truth == "friction" else own
+    own = own if truth in (*OF_ONE, "play and zone") else np.zeros(2)
     return NamedLog(plant.step, u, y, truth, closed, encoder, (float(own[0]), float(own[1])))
 
 

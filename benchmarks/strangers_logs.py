@@ -220,6 +220,95 @@ def slopes_apart(v: Floats) -> Floats:
     return np.where(through > 0, through, 0.6 * through)
 
 
+# --- Kinds that were chosen after the code was finished
+
+
+def tailed(rng: np.random.Generator) -> Strange:
+    """A zone whose readings have noise of heavy tails."""
+    u = walk(rng)
+    return Strange(u, zone(lags(u)) + 0.01 * rng.standard_t(3, u.size), {}, sum(WIDTHS))
+
+
+def one_sided(rng: np.random.Generator) -> Strange:
+    """A plant that answers to positive inputs by twice as much."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.where(u > 0, u, 0.5 * u))))
+
+
+def widening(rng: np.random.Generator) -> Strange:
+    """A zone of the sensor that grows from half of its width to one and a half."""
+    u = walk(rng)
+    grown, z = np.linspace(0.5, 1.5, u.size), lags(u)
+    return Strange(u, noisy(rng, np.asarray(grown * zone(z / grown)), 0.01))
+
+
+def bent_hysteresis(rng: np.random.Generator) -> Strange:
+    """A smooth hysteresis behind the plant (Bouc and Wen)."""
+    u = walk(rng, 2000, 30.0)
+    z, h = lags(u, 12.0, 1), np.zeros(2000)
+    for k in range(1, h.size):
+        d = z[k] - z[k - 1]
+        h[k] = h[k - 1] + d - 1.5 * (abs(d) * h[k - 1] + d * abs(h[k - 1]))
+    return Strange(u, noisy(rng, z + h))
+
+
+def of_two_rates(rng: np.random.Generator) -> Strange:
+    """A plant that is three times slower on its way down."""
+    u, y, x = walk(rng), np.empty(SIZE), 0.0
+    for k, value in enumerate(u):
+        y[k] = x
+        x += (value - x) * (0.15 if value > x else 0.05)
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def switched(rng: np.random.Generator) -> Strange:
+    """A relay ahead of the plant."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.sign(u))))
+
+
+def stribeck(rng: np.random.Generator) -> Strange:
+    """A speed with friction that falls once it moves."""
+    u, y, v = np.repeat(rng.normal(0, 1, 60), 20), np.empty(SIZE), 0.0
+    for k in range(SIZE):
+        y[k] = v
+        for _ in range(10):
+            held = 0.25 + 0.2 * np.exp(-((v / 0.1) ** 2))
+            if v == 0 and abs(u[k]) <= held:
+                continue
+            w = v + 0.01 * (u[k] - v - held * np.sign(v or u[k]))
+            v = 0.0 if w * v < 0 else w
+    return Strange(u, noisy(rng, y, 0.01 * y.std()))
+
+
+def zone_in_loop(rng: np.random.Generator) -> Strange:
+    """A zone of the sensor in a loop that follows a reference."""
+    r, y, u, x, keep = walk(rng, SIZE, 30.0), np.empty(SIZE), np.empty(SIZE), 0.0, np.exp(-1 / 12)
+    for k in range(SIZE):
+        y[k] = float(zone(np.array(x))) + 0.01 * rng.standard_normal()
+        u[k] = 3 * (r[k] - y[k])
+        x = keep * x + (1 - keep) * u[k]
+    return Strange(u, y, {}, sum(WIDTHS))
+
+
+def rounded(z: Floats) -> Floats:
+    """A zone whose edges are round."""
+    up, down = np.logaddexp(0.0, [(z - WIDTHS[0]) / 0.05, (-z - WIDTHS[1]) / 0.05])
+    return np.asarray(0.05 * (up - down))
+
+
+def late_zone(rng: np.random.Generator) -> Strange:
+    """A zone of the input behind four samples of delay."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(zone(np.roll(u, 4), 0.4, 0.3))), {}, 0.7)
+
+
+def with_actuator_lag(rng: np.random.Generator) -> Strange:
+    """A lag, then a zone, then the plant."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(zone(lags(u, 4.0, 1), 0.4, 0.3))))
+
+
 ZONE = ("dead_zone", "filtered_zone")
 BOTH = sum(WIDTHS)
 KINDS = {
@@ -232,7 +321,7 @@ KINDS = {
     "play ahead, 12": Kind(play_ahead(0.5, 12.0), ("input_play",)),
     "play ahead, 2": Kind(play_ahead(0.9, 2.0), ("input_play",)),
     "valve that sticks and slips": Kind(sticking, ("input_play",)),
-    "rate limit of the input": Kind(curved(slow_rate), ()),
+    "rate limit of the input": Kind(curved(slow_rate), ("input_rate",)),
     "pulses about 1500": Kind(by_pulses, ("input_zone",)),
     "zone, mean of 4": Kind(sensed(lambda z: lfilter(np.ones(4) / 4, [1.0], zone(z)), BOTH), ZONE),
     "zone, lag of 3": Kind(sensed(lambda z: lfilter([0.3], [1.0, -0.7], zone(z)), BOTH), ZONE),
@@ -245,7 +334,9 @@ KINDS = {
     "joint, friction .3": Kind(joint(0.3), ("friction",)),
     "joint": Kind(joint(0.0), ("none", "operating_point")),
     "motor of 5": Kind(motor(5.0), ("none", "operating_point")),
+    "motor of 15": Kind(motor(15.0), ("none", "operating_point")),
     "motor of 50": Kind(motor(50.0), ("none", "operating_point")),
+    "motor of 150": Kind(motor(150.0), ("none", "operating_point")),
     "motor of 500": Kind(motor(500.0), ("none", "operating_point")),
     "fifth order": Kind(of_fifth_order, ("none", "operating_point")),
     "mean of 5": Kind(averaged, ("none", "operating_point")),
@@ -255,3 +346,24 @@ KINDS = {
     "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
     "line": Kind(sensed(lambda z: z), ("none", "operating_point")),
 }
+LATER = {  # chosen after the code was finished
+    "zone, heavy tails": Kind(tailed, ZONE),
+    "two gains of the input": Kind(one_sided, ("input_curve",)),
+    "zone that grows": Kind(widening, ZONE),
+    "smooth hysteresis": Kind(bent_hysteresis, ("play", "both")),
+    "two rates": Kind(of_two_rates, ()),
+    "relay": Kind(switched, ()),
+    "friction that falls": Kind(stribeck, ("friction",)),
+    "zone in a loop": Kind(zone_in_loop, ZONE),
+    "zone of a late input": Kind(late_zone, ("input_zone",)),
+    "lag, zone, plant": Kind(with_actuator_lag, ()),
+    "zone, round edges": Kind(sensed(rounded, BOTH), ZONE),
+    "zone of one side": Kind(sensed(lambda z: zone(z, 0.6, 0.0), 0.6), ZONE),
+    "root of the output": Kind(
+        sensed(lambda z: np.sign(z) * np.sqrt(np.abs(z))), ("other", "saturation")
+    ),
+    "tenths of readings": Kind(sensed(lambda z: np.round(z, 1)), ("none", "operating_point")),
+    "two slopes, no zone": Kind(sensed(lambda z: np.where(z > 0, z, 0.6 * z)), ("other",)),
+    "limit of one side": Kind(sensed(lambda z: np.minimum(z, 0.8)), ("saturation", "other")),
+}
+ALL = KINDS | LATER

@@ -21,7 +21,14 @@ from undeadzone_export.targets import MANIFEST, Files, manifest_text, write_fold
 
 SURE: Final = 0.8  # probability below which a verdict does not justify a snippet
 RAMP: Final = 0.05  # of the narrower width: over so much the jump of an actuator fades in
-KINDS: Final = {"dead_zone": "sensor", "input_zone": "actuator", "play": "backlash"}
+KINDS: Final = {
+    "dead_zone": "sensor",
+    "filtered_zone": "sensor",
+    "input_zone": "actuator",
+    "play": "backlash",
+    "input_play": "backlash",
+}
+OF_INPUT: Final = ("input_zone", "input_play")  # verdicts with widths in the input's unit
 NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
 
 _HEADS: Final = {
@@ -299,7 +306,7 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
     motion, kind = found.get("lost_motion"), KINDS[verdict]
     try:
         share = max(map(float, (found.get("odds") or {"": 1.0}).values()))
-        unit = found["units"]["input" if verdict == "input_zone" or motion else "output"]
+        unit = found["units"]["input" if verdict in OF_INPUT or motion else "output"]
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
         if kind == "backlash":  # whose width alone may be known, and alone counts
             width = _triple(motion["gap"] if motion else found["width"])

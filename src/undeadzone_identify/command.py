@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 KINDS = click.Choice(["auto", "deadzone", "jump", "play", "backlash"])
 NOISES = click.Choice(["auto", "before", "after"])
-PLACES = click.Choice(["auto", "sensor"])
+PLACES = click.Choice(["auto", "sensor", "actuator", "plant"])
 
 
 SUBJECTS = {
@@ -80,7 +80,7 @@ SUBJECTS = {
 @value_option(
     "--place",
     None,
-    "sensor: assume that the dead zone is in the sensor.",
+    "Where the zone is: sensor, actuator, plant (friction).",
     type=PLACES,
     default="auto",
 )
@@ -109,8 +109,8 @@ def identify(
 ) -> int:
     """Find plant and dead zone from a log of a real plant.
 
-    A log is a CSV file of any dialect (t, u, y with units in brackets), .npz or .mat. Several logs
-    are records of one plant.
+    A log is a CSV file of any dialect (t, u, y with units in brackets), .npz, .mat or .jsonl.
+    Several logs are records of one plant.
 
     Prints whether the sensor has a dead zone, the width of each side with its 95 % interval, the
     plant, and the fit on held-out data. Backlash, friction or a dead zone of the actuator is named

@@ -16,6 +16,7 @@ from undeadzone_identify.models.zone_fit import mean_reading
 from undeadzone_identify.results.next_log import NextLog
 from undeadzone_identify.results.result import Identified
 from undeadzone_identify.results.words import crossing_columns
+from undeadzone_identify.selection.decision import MODELS
 from undeadzone_identify.selection.orders import (
     known_autocorrelation,
     one_step_residuals,
@@ -40,11 +41,14 @@ MOST = 4000  # samples of a figure over time; of a longer log the last ones are 
 MOST_AT_END = 600  # the same of a figure of the end of a log
 NAMES = {"play": "the play", "both": "play and dead zone", "two_zones": "the dead zone"}
 SIDES = {
+    "play": "Contact",
+    "both": "Contact",
     "input_play": "Motion behind the play",
     "input_zone": "Side of the input",
     "two_zones": "Side of the reading",
+    "filtered_zone": "Side of the reading",
 }
-MIDDLES = {"input_zone": "silent", "two_zones": "silent"}
+MIDDLES = {"play": "holds", "both": "holds", "input_play": "holds"}
 
 
 def build_figures(found_log: Identified, further: NextLog | None = None) -> dict[str, Figure]:
@@ -245,26 +249,21 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
 def _plot_residual_map(found_log: Identified) -> Figure:
     """Plot the residual and the readings by z^."""
     answer = found_log.answer
-    residuals, scale = answer.case.residuals, answer.scale
+    scale = answer.scale
     fit = answer.chosen.singles
     figure, panels = create_panels([["map", "static"]], "What the zone leaves", height=3.4)
     axes = panels["map"]
     ok = fit.objective.readings.ok
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
     _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
-    x, curve = residuals.centres * scale, residuals.curve * scale
-    band = HALF_95 * residuals.std * scale
-    axes.fill_between(x, curve - band, curve + band, color=ink.PRINTED, alpha=0.25, linewidth=0)
-    axes.plot(x, curve, color=ink.PRINTED, label="mean residual, 95 %")
     unit = _unit_of_output(found_log)
-    finish_panel(
-        axes, "Residual by ẑ", label_with_unit("y - E[y | ẑ]", unit), label_with_unit("ẑ", unit)
-    )
+    by_z, y_label = label_with_unit("ẑ", unit), label_with_unit("y - E[y | ẑ]", unit)
+    finish_panel(axes, "Residual by ẑ", y_label, by_z, legend=0)
     axes = panels["static"]
     _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
     z, expected = _sensor_characteristic(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), label_with_unit("ẑ", unit))
+    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), by_z)
     return figure
 
 
@@ -346,12 +345,17 @@ def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     _plot_readings(axes, found_log, part)
     if element.kind in NAMES:
         expected = (element.readings * found_log.answer.scale)[part]
-        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{NAMES[element.kind]} of it")
+        axes.plot(t, expected, color=ink.OTHER, linewidth=1.0, label=f"{_name_of(element)} of it")
     finish_panel(axes, "The end of the log", label_with_unit("z, y", grid.output_unit), "")
-    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "holds"))
-    title = SIDES.get(element.kind, "Contact")
+    _plot_sides(panels["sides"], t, element.side[part], MIDDLES.get(element.kind, "silent"))
+    title = SIDES.get(element.kind, "Sign of the reading")
     finish_panel(panels["sides"], title, "", _time_label(found_log), legend=0)
     return figure
+
+
+def _name_of(element: Element) -> str:
+    """Return what an element is called in a legend."""
+    return NAMES.get(element.kind, MODELS[element.kind])
 
 
 def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
@@ -364,7 +368,7 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
         part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
-        path, name = (element.readings * scale)[part], f"path of {NAMES[element.kind]}"
+        path, name = (element.readings * scale)[part], f"path of {_name_of(element)}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
     finish_panel(axes, title, label_with_unit("y", unit), x_label)
     axes, title = panels["left"], "What is left"

@@ -22,6 +22,7 @@ from undeadzone_identify.results.words import (
     describe_rivals,
     headline,
 )
+from undeadzone_identify.selection.adequacy import DEPENDS
 from undeadzone_identify.selection.orders import OrderFit, is_fit_at_limit
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
 CAPTIONS = {
     "overview": "Output z^ of the fitted plant, reading y and the zone with its 95 % bands;"
     " shaded parts checked a fit of the others. Below: which side each reading shows.",
-    "residual_map": "What the zone leaves of the readings, by z^, with 95 % bands: a curve here is"
-    " another nonlinearity. Grey: single readings.",
+    "residual_map": "What the zone leaves of the readings, by z^: a curve here is another"
+    " nonlinearity.",
     "residual": "Correlation of the one-step residual, and of it with past inputs, with 95 % bands"
     " for white residuals: what stands out is not in the model.",
     "profiles": "How much the log likelihood of pairs falls as one width is held elsewhere; the"
@@ -41,7 +42,9 @@ CAPTIONS = {
 }
 
 # Lines that stand on the first screen; the others say how it was decided.
-FIRST = re.compile(r"[bcd]_(right|left)|([bcd] )?width|odds|plant|note")
+FIRST = re.compile(
+    r"[bcdf]_(right|left)|([bcd] )?width|friction|possible|input|shape|odds|plant|note"
+)
 
 OF_ELEMENT = {  # in place of these
     "overview": "Output z^ of the fitted plant, what is read of it, and the reading y at the end of"
@@ -238,14 +241,13 @@ def _fit_sections(found_log: Identified, shown: dict[str, html.Html]) -> list[ht
 def _rivals_table(found_log: Identified) -> list[html.Html]:
     """Return the table of all models with their probabilities, and the residual test in words."""
     answer = found_log.answer
-    residuals = answer.case.residuals
-    words = (
-        f"A curve over z^ explains {100 * residuals.share:.1f} % of what the zone leaves"
-        f" (p = {residuals.chance:.2g}); one over its direction"
-        f" {100 * residuals.moving_share:.1f} % (p = {residuals.moving_chance:.2g})."
-        " A dead zone alone leaves 1 % or less. Test of no zone at all:"
-        f" p = {answer.case.no_zone.chance:.2g}."
-    )
+    told = [
+        f"{DEPENDS[one.on]} {100 * one.share:.1f} % (p = {one.chance:.2g})"
+        for one in answer.found.remainders
+    ]
+    words = f"Test of no zone at all: p = {answer.case.no_zone.chance:.2g}."
+    if told:
+        words += f" Of what the model leaves, each explains: {', '.join(told)}."
     rivals = describe_rivals(answer)
     return [
         html.build_table(("what may be there", "odds", "behind, nats a reading"), rivals),

@@ -21,12 +21,12 @@ from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
 from undeadzone_identify.logs.prepare import PreparedLog, prepare_log
-from undeadzone_identify.models.chain import fit_chains
+from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
 from undeadzone_identify.models.kalman_fit import fit_kalman
 from undeadzone_identify.models.likelihood import zone_offset
-from undeadzone_identify.models.plant import longest_record_of
+from undeadzone_identify.models.plant import PlantSimulator, longest_record_of
 from undeadzone_identify.models.zone_fit import (
     ZoneFit,
     polish_fit,
@@ -39,6 +39,7 @@ from undeadzone_identify.results.result import Identified, IdentifiedOutputs
 from undeadzone_identify.selection import orders
 from undeadzone_identify.selection.alternatives import (
     Findings,
+    add_named_element,
     add_play,
     add_play_ahead,
     add_play_gap,
@@ -46,12 +47,13 @@ from undeadzone_identify.selection.alternatives import (
     build_input_element,
     has_a_model,
     has_play_ahead,
+    holds_more,
+    needs_an_element,
     needs_valve_test,
     with_adequacy,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
-    LARGER,
     MEMORY,
     Case,
     add_unmodelled,
@@ -105,8 +107,8 @@ def identify(
     """Find plant and dead zone from a log, with intervals that hold (docs/identify.md).
 
     Args:
-        log: path of a CSV, .npz or .mat file, a pandas DataFrame, or a list of these: several
-            records of one plant.
+        log: path of a CSV, .npz, .mat or .jsonl file, a pandas DataFrame, or a list of
+            these: several records of one plant.
         t: times (N) [s], or the step; with u and y, in place of `log`.
         u: inputs (N) or (N x m).
         y: readings (N) or (N x p); NaN if one is missing.
@@ -117,7 +119,8 @@ def identify(
         offset: rms of a constant offset of the output [y], or "free".
         held_out: share of the log, in blocks over it, that checks the fit.
         noise: "before" the zone, "after" it, or "auto".
-        place: "sensor" where the user knows that the zone is there, or "auto".
+        place: where the user knows that the zone is: "sensor", "actuator" or "plant" (friction);
+            or "auto".
         kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
         delay: samples by which the recording makes the input late, or "auto" to find how late it
             acts.
@@ -261,6 +264,9 @@ def _collect_logs(
 
 # --- One output
 
+FAR_OFF = 3.0  # rms of its changes, that an input is from 0 at least to count from elsewhere
+ASIDE = 0.1  # share of readings on either side of 0, beside such an input
+
 
 class Hypothesis(NamedTuple):
     """Hypothesis of a nonlinearity in a log, tested after the previous findings.
@@ -290,6 +296,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     Raises:
         InputError: nothing can be learnt.
     """
+    grid = _count_from_zone(grid, options)
     servo = identify_tick_servo(grid, options)
     is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
     if servo is not None and (servo.is_gap_reported or is_plain):
@@ -308,6 +315,22 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
             found = question.found(case, found)
             advance(1)
     return Identified(to_answer(case, found))
+
+
+def _count_from_zone(grid: Grid, options: Options) -> Grid:
+    """Return the records with an input that counts from the middle of its zone.
+
+    Only where it is never near 0 while readings lie about 0, as pulses of 1500 us that mean rest.
+    """
+    u, y = grid.u[:, 0], grid.y[grid.ok]
+    is_about_zero = np.quantile(y, ASIDE) < 0 < np.quantile(y, 1 - ASIDE)
+    near = abs(float(np.median(u))) < FAR_OFF * float(u.std())
+    if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:
+        return grid
+    data = longest_record_of(prepare_log(grid, options).data)
+    zero = find_input_zero(PlantSimulator(data, 2, options.integrators)) * float(data.u_scale[0])
+    words = f"the input is never near 0: it counts from {zero:.6g}"
+    return grid._replace(u=grid.u - zero, zero=zero, remarks=[*grid.remarks, words])
 
 
 def _identify_servo(
@@ -331,7 +354,6 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
     no_zone = orders.compare_with_no_zone(chosen.pairs)
     if no_zone.fit is not chosen.pairs:
         chosen = chosen._replace(singles=no_zone.fit, pairs=no_zone.fit)
-    residuals = orders.fit_residual_map(chosen.singles)
     fits = {one.n: one for one in fitted.fits} | {chosen.n: chosen}
     maps = {}  # behind plants of each order, on the readings as they are
     for n, one in fits.items():
@@ -346,7 +368,6 @@ def _fit_zone_and_maps(grid: Grid, options: Options, advance: Callable[[int], No
         fitted=fitted,
         chosen=chosen,
         no_zone=no_zone,
-        residuals=residuals,
         maps=best_maps(itertools.chain(*(one.values() for one in maps.values()))),
         suited=fits[suited],
         advance=advance,
@@ -411,15 +432,10 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
         return found
     recorded = longest_record_of(case.recorded)
     chains = fit_chains(fit, places, recorded, case.fitted.prepared.orders)
-    models: dict[str, Any] = {**places, **chains}
+    models: dict[str, Any] = {**places, **chains.by_word}
     rows = [(word, one.density.bic, one.density) for word, one in models.items()]
-    found = found._replace(places=places, chains=chains)
+    found = found._replace(places=places, chains=chains.by_word, shaped=chains.shaped)
     return found.add_models(case, best_of_each(rows))
-
-
-def _holds_more(case: Case, found: Findings) -> bool:
-    """Return whether a model is named that holds that of a sensor's zone, and more."""
-    return found.verdict.word in LARGER["dead_zone"]
 
 
 def _has_play_verdict(case: Case, found: Findings) -> bool:
@@ -452,11 +468,12 @@ QUESTIONS = (
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", needs_servo_test, add_servo),
     Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
-    Hypothesis("if a larger model simulates better", _holds_more, without_needless),
+    Hypothesis("if a larger model simulates better", holds_more, without_needless),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
-    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
+    Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

@@ -169,6 +169,27 @@ def test_a_play_of_the_actuator_is_compensated_by_its_gap(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("verdict", "kind", "unit"),
+    [
+        ("dead_zone", "sensor", "N"),
+        ("filtered_zone", "sensor", "N"),
+        ("input_zone", "actuator", "V"),
+        ("play", "backlash", "N"),
+        ("input_play", "backlash", "V"),
+    ],
+)
+def test_each_verdict_is_compensated_in_its_own_unit(
+    verdict: str, kind: str, unit: str, tmp_path: Path
+) -> None:
+    """The widths of an input are in its unit, those of a sensor in that of the readings."""
+    path = tmp_path / "identify.json"
+    sides = {"right": None, "left": None} if kind == "backlash" else {}
+    path.write_text(json.dumps(answer(verdict, **sides)))
+    report = json.loads(run_export(path, tmp_path / "few", "--json"))
+    assert (report["kind"], report["unit"]) == (kind, unit)
+
+
+@pytest.mark.parametrize(
     ("found", "says"),
     [
         (answer("friction"), "the verdict is friction"),

@@ -50,8 +50,9 @@ def estimate(
 ) -> int:
     """Run the observer of a scenario along a log, and test it against the log.
 
-    A log is a CSV file of any dialect with a header (t, y, u with units in brackets), .npz or .mat.
-    Times must fit simulation.step. The scenario needs no [reference], no [controller], no widths.
+    A log is a CSV file of any dialect with a header (t, y, u with units in brackets), .npz, .mat or
+    .jsonl. Times must fit simulation.step. The scenario needs no [reference], no
+    [controller], no widths.
 
     Prints the widths, the missing samples, and whether the innovations are consistent with the
     observer's assumptions. Writes estimate.npz, estimate.csv (up to 10 MB), figure.svg and

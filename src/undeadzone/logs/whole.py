@@ -1,4 +1,4 @@
-"""A whole log at once: from .npz, .mat, a DataFrame, or arrays.
+"""A whole log at once: from .npz, .mat, lines of JSON, a DataFrame, or arrays.
 
 Nothing in a file is ever executed.
 """
@@ -6,6 +6,8 @@ Nothing in a file is ever executed.
 from __future__ import annotations
 
 import io
+import itertools
+import json
 import math
 import zipfile
 import zlib
@@ -18,7 +20,7 @@ import numpy as np
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Layout, Title, has_time, layout_of_titles, numbers, split_unit
 from undeadzone.logs.samples import Samples, is_regular_time, oldest_first
-from undeadzone.logs.stamps import since_1970
+from undeadzone.logs.stamps import since_1970, stamps_of
 from undeadzone.logs.text import LARGEST
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import (
@@ -29,9 +31,11 @@ from undeadzone.util.files import (
     read_bytes,
 )
 
-BINARY: Final = (".npz", ".mat")  # endings of files that are no CSV text
+JSON_LINES: Final = (".jsonl", ".ndjson")  # endings of files of JSON objects, one a line
+BINARY: Final = (".npz", ".mat", *JSON_LINES)  # endings of files that are no CSV text
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
 COMPRESSED: Final = 15  # type of an element of a .mat file
+FIRST: Final = 100  # texts that show how times are written
 PIECE: Final = 1 << 20  # [bytes] unpacked at once
 _CLASSES = """
 double single logical int8 uint8 int16 uint16 int32 uint32 int64 uint64
@@ -100,9 +104,11 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
 
 def _columns(log: Any) -> Columns:
     """Return the columns of numbers of a file or a DataFrame."""
-    if isinstance(log, Path):
-        return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
-    return of_frame(log)
+    if not isinstance(log, Path):
+        return of_frame(log)
+    if log.suffix.lower() in JSON_LINES:
+        return of_json_lines(log)
+    return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
 
 
 def _usable(t: Floats, y: Floats, u: Floats) -> Samples:
@@ -165,6 +171,47 @@ def of_npz(path: Path) -> Columns:
     except Exception as error:  # damaged archives raise whatever their decoders raise
         raise FileError(f"{path}: cannot read: {type(error).__name__}") from None
     return _columns_of(arrays, path)
+
+
+def of_json_lines(path: Path) -> Columns:
+    """Return the keys of JSON objects, one a line, as columns. Raises FileError.
+
+    Args:
+        path: the file. A key that an object lacks is a missing number.
+    """
+    try:
+        lines = read_bytes(path, LARGEST_TABLE).decode().splitlines()
+    except (OSError, ValueError) as error:
+        raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
+    rows = []
+    for k, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line) if line.strip() else {}
+        except (ValueError, RecursionError):
+            row = None
+        if not isinstance(row, dict):
+            raise FileError(f"{path}: line {k}: expected a JSON object, found {line[:40]!r}")
+        rows += [row] * bool(row)
+    columns = []
+    for name in dict.fromkeys(itertools.chain.from_iterable(rows)):
+        column = _numbers_of_cells([row.get(name) for row in rows])
+        if np.isfinite(column).any():
+            columns.append((split_unit(name), column))
+    return columns
+
+
+def _numbers_of_cells(cells: list[Any]) -> Floats:
+    """Return the numbers of JSON values, texts read as dates or times of day [s]; else NaN."""
+    texts = list(filter(lambda cell: isinstance(cell, str), cells))
+    stamps = stamps_of(texts[:FIRST]) if texts else None
+    out = np.full(len(cells), np.nan)
+    for k, cell in enumerate(cells):
+        if isinstance(cell, int | float):
+            out[k] = cell if abs(cell) <= LARGEST else math.nan
+        elif isinstance(cell, str) and stamps is not None:
+            seconds = stamps.seconds(cell)
+            out[k] = math.nan if seconds is None else seconds
+    return out
 
 
 def of_mat(path: Path) -> Columns:

@@ -42,6 +42,7 @@ class Grid(NamedTuple):
         output: name of the output.
         r: the reference (N x 1), NaN if it is missing or a spike; (N x 0) where a log has none.
         climbs: of fits of the log, those that were kept on disk; None: none are.
+        zero: what the one input counts from [u]; None: from 0.
     """
 
     t: Floats
@@ -59,6 +60,7 @@ class Grid(NamedTuple):
     output: str
     r: Floats
     climbs: CachedMaxima | None = None
+    zero: float | None = None
 
 
 def to_grid(logs: list[Log], resample: float | None = None) -> Grid:

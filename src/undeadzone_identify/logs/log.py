@@ -62,7 +62,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     offset: str = "0"
     held_out: float = 0.3
     noise: Literal["before", "after", "auto"] = "auto"
-    place: Literal["sensor", "auto"] = "auto"
+    place: Literal["sensor", "actuator", "plant", "auto"] = "auto"
     kind: Literal["deadzone", "jump", "play", "backlash", "auto"] = "auto"
     delay: str = "auto"
     zero: float = 0.0
@@ -129,6 +129,11 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
                 raise InputError(f"{name}: expected {', '.join(words)}, found {found!r}")
         if self.integrators not in (0, 1, 2):
             raise InputError(f"integrators: expected 0, 1 or 2, found {self.integrators}")
+        if self.place in ("actuator", "plant") and self.integrators:
+            raise InputError(
+                f"place: {self.place} is not asked of a plant with --integrators. Leave it out: a"
+                " motor's friction is separated from a gap by itself"
+            )
         if self.kind == "jump" and self.integrators:
             raise InputError("kind: a jump sensor's readings show z. It has no --integrators")
         if self.delay != "auto" and not (self.delay.isdigit() and int(self.delay) <= MOST_LATE):
@@ -294,7 +299,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     """Read the log in a file or DataFrame.
 
     Args:
-        source: path of a CSV, .npz or .mat file, or a pandas DataFrame with the columns.
+        source: path of a CSV, .npz, .mat or .jsonl file, or a pandas DataFrame with the columns.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
 
@@ -319,7 +324,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
             samples, layout = _read_csv_samples(path, chosen, strict, remarks)
     if layout.time is None:
         raise FileError(
-            f"{name}: no name says which column holds the times. Say which by --columns t=NAME"
+            f"{name}: no name says which column holds the times. Name it by --columns t=NAME"
         )
     log = log_from_samples(samples, layout, name)
     return log._replace(remarks=(*log.remarks, *remarks))

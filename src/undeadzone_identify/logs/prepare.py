@@ -243,7 +243,7 @@ def _require_silence_at_zero(grid: Grid) -> None:
     if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
         raise InputError(
             f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
-            f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
+            f" the samples. If the sensor is silent there, and not at 0, use --zero {value:.9g}"
         )
 
 

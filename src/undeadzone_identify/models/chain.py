@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.elements import best_of_each
-from undeadzone_identify.models.estimates import Interval, cache_latest, weight_row
+from undeadzone_identify.models.estimates import cache_latest
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.place import PlaceFit, PlaceStarts
@@ -30,8 +30,13 @@ from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 TAPS = 4  # of a filter behind the zone, beside the first
 WIDEST = 6.0  # rms of z, that an edge is away at most
 VANISHING = 0.01  # rms of its signal, below which an element counts for none
-STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts for none
-FINEST = 2e-4  # rms of u: no interval of a gap is narrower
+STRAIGHT = 0.05  # rms of a curve, below which its part beyond a line counts for none
+FLATTEST = 0.1  # slope of one side over the other's, at least
+SHARPEST = 1e-4  # rms of z, over which an edge is round at least
+ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
+PLACES = 13  # of an edge, that are tried where a zone of the input is not about 0
+LATE = 0.05  # samples, below which a lag counts for none
+NEAR_BOUND = 1e-3  # of a curve's number, from which it lies at its bound
 STEP = 1e-5  # of a number, for differences
 
 
@@ -39,7 +44,7 @@ class InputElement(NamedTuple):
     """An element of the input.
 
     Attributes:
-        passes: what it makes of u (N) and its numbers.
+        passes: its output by u (N) and its numbers.
         low, high: bounds of the numbers.
         scanned: numbers that are tried first, a linear plant behind each.
         words: how it reads with its numbers.
@@ -69,9 +74,23 @@ def exponential_of_input(u: Floats, p: Floats) -> Floats:
 
 
 def play_of_input(u: Floats, p: Floats) -> Floats:
-    """What a play of gap p passes on of u, at first without touching."""
+    """Return u behind a play of gap p, at first without contact."""
     half = p[:1] / 2
     return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
+
+
+def rate_of_input(u: Floats, p: Floats) -> Floats:
+    """Return u behind a limit of its rate, p a sample."""
+    return limit_rate(u, float(p[0]))
+
+
+def limit_rate(u: Floats, most: float) -> Floats:
+    """Return a signal (N) behind a limit of its rate, so much a sample."""
+    out, at = np.empty(u.size), float(u[0])
+    for k, value in enumerate(u.tolist()):
+        at = min(max(value, at - most), at + most)
+        out[k] = at
+    return out
 
 
 INPUTS = {
@@ -88,10 +107,20 @@ INPUTS = {
     "exponential": InputElement(
         exponential_of_input, (-3.0,), (3.0,), ((0.4,), (1.0,), (-0.4,), (-1.0,)), "exp({0:.2g} u)"
     ),
+    "rate": InputElement(
+        rate_of_input, (1e-3,), (4.0,), tuple((most,) for most in (0.02, 0.05, 0.12, 0.3)), ""
+    ),
     "play": InputElement(
         play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
     ),
 }
+
+
+def zone_of_input(u: Floats, p: Floats) -> Floats:
+    """Return the parts of u above p_1 and below p_0."""
+    return np.asarray(np.maximum(u - p[1], 0.0) + np.minimum(u - p[0], 0.0))
+
+
 PLAIN = InputElement(lambda u, _: u, (), (), ((),), "u")
 CURVES = ("power", "cubic", "exponential")
 
@@ -99,7 +128,7 @@ CURVES = ("power", "cubic", "exponential")
 class ChainModel:
     """y on F(q) Dz(G(q) g(u; p)), with differences.
 
-    theta = [a, b, x0, p, d_r, d_l, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
+    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
 
     Args:
         simulator: the plant, of one input, with its data.
@@ -107,6 +136,7 @@ class ChainModel:
         zone: whether there is a zone of the sensor.
         taps: how many f there are.
         lags: whether F is a lag of first order instead, and f_1 its pole.
+        shaped: whether the zone's left side has a slope of its own, and its edges are round.
     """
 
     first, last, gain, has_level = 8, 30, 1e-3, True
@@ -118,8 +148,10 @@ class ChainModel:
         zone: bool = False,
         taps: int = 0,
         lags: bool = False,
+        shaped: bool = False,
     ) -> None:
         self.simulator, self.element, self.zone, self.lags = simulator, element, zone, lags
+        self.shaped = shaped
         self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
         self.base = simulator.layout.right
@@ -127,15 +159,23 @@ class ChainModel:
         low, high = (own.low, own.high) if own is not None else ((), ())
         self.inputs = slice(self.base, self.base + len(low))
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
-        self.filter = slice(self.edges.stop, self.edges.stop + self.taps)
-        self.low = np.array([*low, *([0.0] * 2 * zone), *([-0.9] * self.taps)])
-        self.high = np.array([*high, *([WIDEST] * 2 * zone), *([0.98] * self.taps)])
+        self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
+        self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
+        least, most = (FLATTEST, SHARPEST), (1 / FLATTEST, 1.0)
+        self.low = np.array([*low, *([0.0] * 2 * zone), *least * shaped, *([-0.9] * self.taps)])
+        self.high = np.array([*high, *([WIDEST] * 2 * zone), *most * shaped, *([0.98] * self.taps)])
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
-        """Return the same model of other records."""
+        """Return the same model for other records."""
         own = self.simulator.simulator_along(data)
-        return ChainModel(own, self.element, self.zone, 0 if self.lags else self.taps, self.lags)
+        taps = 0 if self.lags else self.taps
+        return ChainModel(own, self.element, self.zone, taps, self.lags, self.shaped)
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the sensor's widths, or half the gap at the input on either side (2)."""
+        gap = np.repeat(theta[self.inputs][:1] / 2, 2)
+        return theta[self.edges] if self.zone else np.asarray(gap)
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Return numbers of the elements within their bounds."""
@@ -154,20 +194,33 @@ class ChainModel:
         denominator = layout.full_denominator(theta[layout.denominator])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(u.size)
-        for part, start in zip(self.simulator.data.record_slices(), starts, strict=True):
-            v = u[part]
-            if self.element is not None:
-                v = INPUTS[self.element].passes(v, theta[self.inputs])
-            driven = lfilter(numerator, [1.0], v)
+        for part, start in zip(self.simulator.records, starts, strict=True):
+            driven = lfilter(numerator, [1.0], self._pass_input(u[part], theta))
             driven[: layout.n] += start[: driven.size]
             z[part] = lfilter([1.0], denominator, driven)
         return z
 
+    def _pass_input(self, u: Floats, theta: Floats) -> Floats:
+        """Return u behind the element of the input (N)."""
+        return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
+
+    def driven_plant(self, theta: Floats) -> PlantSimulator:
+        """Return the linear plant alone, driven by u behind the element of the input."""
+        data = self.simulator.data
+        parts = [self._pass_input(data.u[part, 0], theta) for part in self.simulator.records]
+        return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
+
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
-        """What is read of z without noise (N)."""
-        y = dead_zone(z, *theta[self.edges]) if self.zone else z
+        """Return the readings of z without noise (N)."""
+        y = z
+        if self.shaped:
+            (right, left), (slope, rounding) = theta[self.edges], theta[self.shape]
+            up, down = np.logaddexp(0.0, [(z - right) / rounding, (-z - left) / rounding])
+            y = np.asarray(rounding * (up - slope * down))
+        elif self.zone:
+            y = dead_zone(z, *theta[self.edges])
         if not self.taps:
-            return np.asarray(y)
+            return y
         f, out = theta[self.filter], np.empty(y.size)
         for part in self.simulator.data.record_slices():
             if self.lags:
@@ -181,20 +234,20 @@ class ChainModel:
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free numbers (N x free)."""
         y = self.noise_free_readings(self.output(theta), theta)
-        rows = np.empty((y.size, theta.size))
-        for place in self.free:
+        rows = np.empty((y.size, self.free.size))
+        for column, place in enumerate(self.free):
             step = STEP * max(abs(theta[place]), 0.02)
             more, less = theta.copy(), theta.copy()
             more[place] += step
             less[place] -= step
             apart = self.noise_free_readings(self._simulate(more), more)
-            rows[:, place] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
+            rows[:, column] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
                 2 * step
             )
         return y, rows
 
     def class_word(self, theta: Floats) -> str:
-        """Return the verdict's word for what is there: an element that vanishes is not.
+        """Return the verdict's word; an element that vanishes counts for none.
 
         Args:
             theta: its numbers.
@@ -203,18 +256,40 @@ class ChainModel:
             return "none" if self._bend(theta) < STRAIGHT else "input_curve"
         if self.element == "play":
             return "none" if theta[self.inputs][0] < VANISHING else "input_play"
+        if self.element == "rate":
+            u = self.simulator.data.u[:, 0]
+            late = self._pass_input(u, theta) - u
+            return "none" if late.std() < STRAIGHT * u.std() else "input_rate"
         is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
-        return "filtered_zone" if is_there else "none"
+        if not is_there:
+            return "none"
+        is_plain = False
+        if self.shaped:
+            slope, rounding = theta[self.shape]
+            is_plain = abs(math.log(slope)) < STRAIGHT and abs(self.lag(theta)) < LATE
+            is_plain &= rounding < ROUND * theta[self.edges].sum()
+        return "dead_zone" if is_plain else "filtered_zone"
+
+    def has_curve_at_bound(self, theta: Floats) -> bool:
+        """Return whether the curve of the input lies at the end of those that were tried."""
+        own, count = theta[self.inputs], self.inputs.stop - self.inputs.start
+        near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
+        return self.element in CURVES and bool(near.any())
+
+    def lag(self, theta: Floats) -> float:
+        """Return by how much the filter behind the zone is late [samples]."""
+        f = theta[self.filter]
+        return float(f[0] / (1 - f[0]) if self.lags else f @ np.arange(1, self.taps + 1))
 
     def _bend(self, theta: Floats) -> float:
-        """Return what a line leaves of the curve along the log, in the curve's rms."""
+        """Return the rms of the curve about its best line, in the curve's rms."""
         u = self.simulator.data.u[:, 0]
         curve = INPUTS[str(self.element)].passes(u, theta[self.inputs])
         line = np.polyval(np.polyfit(u, curve, 1), u)
         return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
 
     def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
-        """Return what the model is, with its numbers.
+        """Describe the model with its numbers.
 
         Args:
             theta: its numbers.
@@ -228,12 +303,17 @@ class ChainModel:
         if self.element == "play":
             gap = theta[self.inputs][0] * u_scale
             return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
+        if self.element == "rate":
+            most = theta[self.inputs][0] * u_scale
+            return f"the drive follows the input by at most {most:.4g} a sample"
         right, left = theta[self.edges] * y_scale
-        f = theta[self.filter]
-        late = f[0] / (1 - f[0]) if self.lags else float(f @ np.arange(1, self.taps + 1))
+        late = f"behind it a filter that is late by {self.lag(theta):.2g} samples"
+        if not self.shaped:
+            return f"a dead zone of about {right:.3g} and {left:.3g}, and {late}"
+        slope, rounding = theta[self.shape]
         return (
-            f"a dead zone of about {right:.3g} and {left:.3g}, and behind it a filter late by"
-            f" {late:.2g} samples; record with the filter off, and the widths are measured"
+            f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
+            f" are round over {rounding * y_scale:.3g}, and {late}"
         )
 
 
@@ -242,7 +322,7 @@ ChainFit = FittedModel[ChainModel]
 
 def fit_chains(
     fit: ZoneFit, places: dict[str, PlaceFit], recorded: RecordData, orders: Sequence[int]
-) -> dict[str, ChainFit]:
+) -> Chains:
     """Return the best chain of each word.
 
     Args:
@@ -255,7 +335,7 @@ def fit_chains(
     starts = PlaceStarts(fit)
     layout, data = starts.simulator.layout, starts.simulator.data
     if layout.m > 1:
-        return {}
+        return Chains({})
     kinds = [(data, n) for n in (layout.n, layout.n + 1)]
     same = recorded.y.size == data.y.size and np.array_equal(recorded.y, data.y)
     if same and not np.array_equal(recorded.u, data.u):
@@ -284,8 +364,26 @@ def fit_chains(
     fits.append(
         LeastSquares(filtered).fit_from_starts([np.concatenate([zoned, widths, f]) for f in taps])
     )
-    there = [one for one in fits if one is not None]
-    return best_of_each((one.model.class_word(one.theta), one.density.bic, one) for one in there)
+    shape = None
+    if not data.silent_zeros:  # noise ahead of a zone rounds it, too
+        squares = LeastSquares(ChainModel(starts.simulator, zone=True, lags=True, shaped=True))
+        own = [[1.0, part * widths.sum(), pole] for part, pole in ((0.02, 0.02), (0.1, 0.4))]
+        shape = squares.fit_from_starts([np.concatenate([zoned, widths, one]) for one in own])
+    there = [one for one in (*fits, shape) if one is not None]
+    rows = ((one.model.class_word(one.theta), one.density.bic, one) for one in there)
+    return Chains(best_of_each(rows), shape)
+
+
+class Chains(NamedTuple):
+    """Fits of chains.
+
+    Attributes:
+        by_word: the best of each word.
+        shaped: a zone with slopes of its sides, round edges and a lag; None: not asked.
+    """
+
+    by_word: dict[str, ChainFit]
+    shaped: ChainFit | None = None
 
 
 def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
@@ -319,6 +417,18 @@ def _best_order(
     return LeastSquares(model(plants[best])).fit_from_starts([one.theta for one in scanned[best]])
 
 
+def find_input_zero(simulator: PlantSimulator) -> float:
+    """Return the middle of a zone of the input at any place, or the median without one, scaled.
+
+    Args:
+        simulator: the plant, of one input, with its data.
+    """
+    places = np.quantile(simulator.data.u[:, 0], np.linspace(0.05, 0.95, PLACES))
+    pairs = tuple(itertools.combinations_with_replacement(places.tolist(), 2))
+    best = scan_input(simulator, InputElement(zone_of_input, (), (), pairs, ""), 1)
+    return float(best[0].theta[-2:].mean()) if best else float(places[PLACES // 2])
+
+
 def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) -> list[Begun]:
     """Return where climbs begin: the best numbers of a scan, with the linear plant behind each.
 
@@ -339,18 +449,3 @@ def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) 
         theta[layout.numerators] /= scale
         found.append(Begun(fit.bic, np.append(theta, numbers)))
     return sorted(found, key=lambda one: one.cost)[:most]
-
-
-def gap_of_input(fit: ChainFit) -> Interval:
-    """Return the gap of a play of the input with its 95 % interval, scaled.
-
-    Args:
-        fit: of such a play.
-    """
-    later, place = fit.prediction_fit, fit.model.inputs.start
-    value, first = float(later.theta[place]), float(fit.theta[place])
-    row = weight_row(fit.model.free, fit.theta.size, place, (1.0,))
-    halves: Sequence[float] = [
-        one.squares.robust_covariance(one.theta).half_and_degrees(row)[0] for one in (fit, later)
-    ]
-    return Interval.from_half_width(value, math.hypot(max(halves), value - first, FINEST))

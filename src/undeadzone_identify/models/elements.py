@@ -138,6 +138,10 @@ class PlayModel:
         changed[self.data.start] = True
         return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
 
+    def levels(self, theta: Floats) -> Floats:
+        """Return c_r and c_l (2)."""
+        return theta[[self.base, self.base + (not self.tied)]]
+
     def play_weights(self, *weights: float) -> Floats:
         """Return the row of weights of c_r, c_l, d_r, d_l over the free parameters."""
         return weight_row(self.free, self.size, self.base, weights, self.tied)
@@ -282,6 +286,13 @@ class MapModel:
     def along(self, data: RecordData) -> MapModel:
         """Return the same model for other records."""
         return MapModel(self.simulator.simulator_along(data), self.name, self.shape)
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the map's edges, or those of the input's zone where z is read itself (2)."""
+        layout = self.simulator.layout
+        return theta[
+            layout.input_widths if self.shape is identity_map else slice(self.base, self.base + 2)
+        ]
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict the widths of the input's zone to 0 or above; other parameters are

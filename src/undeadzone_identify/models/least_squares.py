@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
@@ -15,7 +15,7 @@ from scipy.stats import f as fisher
 
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models import estimates
-from undeadzone_identify.models.plant import PlantSimulator, mean_lag_products
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
 ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a colour of its own
@@ -23,10 +23,7 @@ LONGEST_MEMORY, TURNS = (
     11,
     4,
 )  # residuals before one that foretell it, and rounds of that and of a climb
-HATS = 8
 COSINES = 24
-SURE_SHARE = 0.1  # of the residual that a curve explains, from which it is another nonlinearity
-LARGE_SHARE, LIKELY = 0.25, 0.01  # the same for a large share, of which p may be larger
 CHANCE = 1e-3  # p from which a curve is real
 LEAST_ODD = 1e-3  # rms of y: a model that leaves less is not wrong, and its readings are not odd
 
@@ -50,6 +47,12 @@ class Model(Protocol):
     last: int
     gain: float
     has_level: bool
+
+    def along(self, data: RecordData) -> Self:
+        """Return the same model for other records."""
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the element's right and left width, in rms of its signal (2)."""
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict theta to admissible values; theta may be changed in place."""
@@ -77,14 +80,12 @@ class Density(NamedTuple):
         value: log density of each reading (N), residuals being first order.
         numbers: how many numbers were fitted.
         rms: of its residuals, scaled.
-        strange: whether a curve over its z explains what it leaves: then it is not the map either.
     """
 
     name: str
     value: Floats
     numbers: int
     rms: float
-    strange: bool = False
 
     @property
     def bic(self) -> float:
@@ -203,12 +204,10 @@ class LeastSquares(Generic[M]):
     def best_density(self, theta: Floats) -> Density:
         """Return the best density of the readings near the least-squares fit."""
         first = best = self.autoregressive_density(theta)
-        ok, e, z = self.data.ok, self.reading_residual(theta), self.model.output(theta)
-        strange = first.rms > LEAST_ODD and has_strange_curve(*curve_share(z[ok], e[ok]))
         for _ in range(ROUNDS):
             theta = estimates.maximise_likelihood(self.fit_coloured(theta), theta, STEPS).theta
             best = min(best, self.autoregressive_density(theta), key=lambda one: one.bic)
-        return best._replace(rms=first.rms, strange=strange)
+        return best._replace(rms=first.rms)
 
     @estimates.cache_latest
     def fit_coloured(self, theta: Floats) -> LeastSquares[M]:
@@ -267,27 +266,6 @@ class FittedModel(NamedTuple, Generic[M]):
 
 
 # --- What is left, as a curve
-
-
-def has_strange_curve(share: float, chance: float) -> bool:
-    """Return whether a curve explains a share of a residual so surely that the model is wrong."""
-    sure = share > SURE_SHARE and chance < CHANCE
-    return sure or (share > LARGE_SHARE and chance < LIKELY)
-
-
-def curve_share(z: Floats, residual: Floats) -> tuple[float, float]:
-    """Return the share of a residual that a curve over z explains, and its p.
-
-    Args:
-        z: output of the plant (N).
-        residual: of a model (N).
-
-    Returns:
-        Share and p.
-    """
-    centres = np.unique(np.quantile(z, np.linspace(0.01, 0.99, HATS)))
-    _, _, share, chance = regress_residual(hat_functions(z, centres), residual)
-    return share, chance
 
 
 def hat_functions(z: Floats, centres: Floats) -> Floats:

@@ -25,7 +25,6 @@ from undeadzone_identify.models.estimates import (
     central_differences,
     perturb_each,
     run_lanes_along,
-    weight_row,
 )
 from undeadzone_identify.models.least_squares import FittedModel, LeastSquares
 from undeadzone_identify.models.likelihood import dead_zone
@@ -146,7 +145,7 @@ class PlaceModel:
     stays 0.
 
     Args:
-        simulator: the plant, with one record.
+        simulator: the plant, with its records.
         shape: the parts of the model.
     """
 
@@ -162,8 +161,8 @@ class PlaceModel:
         widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.sticks] + [shape.input] * 2
         fitted = np.append(widths, np.arange(self.n) < shape.free)
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
-        pulses = np.eye(simulator.data.y.size, self.n)
-        self.exogenous = np.hstack([simulator.lagged, pulses])
+        pulses = [np.eye(part.stop - part.start, self.n) for part in simulator.records]
+        self.exogenous = np.hstack([simulator.lagged, np.vstack(pulses)])
 
     def along(self, data: RecordData) -> PlaceModel:
         """Return the same model for other records."""
@@ -174,6 +173,18 @@ class PlaceModel:
         sigma, input.
         """
         return theta[..., self.base :][..., PARTS[name]]
+
+    def levels(self, theta: Floats) -> Floats:
+        """Return the sensor's widths; without, those of the input's zone or of friction (2)."""
+        if self.shape.inner and not self.shape.sensor:
+            return self.friction_levels(theta)
+        return self.part_numbers(theta, "sensor" if self.shape.sensor else "input")
+
+    def friction_levels(self, theta: Floats) -> Floats:
+        """Return friction right and left, in rms of the input (2)."""
+        force = abs(theta[self.n : 2 * self.n].sum())
+        held = max(abs(1 + self.friction_coefficients(theta).sum()), 1e-9)
+        return np.asarray(self.part_numbers(theta, "inner") * held / max(force, 1e-9))
 
     def project_to_bounds(self, theta: Floats) -> Floats:
         """Restrict widths and sigma to 0 or above."""
@@ -219,9 +230,15 @@ class PlaceModel:
     def _simulate_around(self, theta: Floats) -> Floats:
         """Simulate z for theta and for the perturbed parameters ((1 + 2 free) x N)."""
         points = perturb_each(theta, self.free, self._perturbation_steps(theta))
-        plant, tail = points[:, : self.base], points[:, self.base + 2 : self.base + WIDTHS]
-        rows = np.hstack([plant, self.friction_coefficients(points), tail])
-        return simulate_friction(self.n, self.m, self.shape.position, self.exogenous, rows)
+        layout, tail = self.simulator.layout, points[:, self.base + 2 : self.base + WIDTHS]
+        plant, starts = points[:, : layout.numerators.stop], points[:, layout.x0]
+        tail = np.hstack([self.friction_coefficients(points), tail])
+        z = []
+        for k, part in enumerate(self.simulator.records):
+            rows = np.hstack([plant, starts[:, k * self.n :][:, : self.n], tail])
+            own = self.n, self.m, self.shape.position, self.exogenous[part], rows
+            z.append(simulate_friction(*own))
+        return np.hstack(z)
 
     def _perturbation_steps(self, theta: Floats) -> Floats:
         """Return the perturbation of each free parameter (free)."""
@@ -379,19 +396,6 @@ class InputZoneFit(NamedTuple):
 
     fit: FittedModel[MapModel]
     stages: Sequence[tuple[ZonedTarget, Floats]]
-
-    def sum_width(self, *weights: float) -> tuple[float, float, float]:
-        """Return a weighted sum of the widths, half its interval, and degrees of freedom.
-
-        The half is the widest of the stages', and by how much these differ is added to it.
-        """
-        first, values, halves = self.fit.model.simulator.layout.input_widths.start, [], []
-        for target, theta in self.stages:
-            row = weight_row(target.free, theta.size, first, weights)
-            halves.append(target.robust_covariance(theta).half_and_degrees(row))
-            values.append(float(np.dot(weights, theta[first : first + len(weights)])))
-        half, degrees = max(halves)
-        return values[-1], math.hypot(half, values[-1] - values[0]), degrees
 
 
 def fit_input_zone(fits: Sequence[ZoneFit]) -> InputZoneFit | None:

@@ -14,22 +14,26 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
-from undeadzone_identify.models.least_squares import CHANCE, FittedModel
-from undeadzone_identify.models.plant import Layout, PlantSimulator
+from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.plant import MANY, Layout, PlantSimulator
+from undeadzone_identify.models.shape import SensorShape, measure_shape
 from undeadzone_identify.models.zone_fit import ZoneFit
 from undeadzone_identify.results.loop_words import describe_loop
 from undeadzone_identify.selection.alternatives import (
+    MEASURED,
     Element,
     Findings,
     fit_of,
-    held_out_error_of_fit,
+    measure_word,
     validate_element,
 )
 from undeadzone_identify.selection.decision import (
-    CHAINED,
-    LOOP,
+    AS_LINEAR,
+    CANNOT_TELL,
+    LARGER,
     MODELS,
     UNEXPLAINED,
+    UNLIKELY,
     VALVE,
     Case,
     Feedback,
@@ -83,6 +87,20 @@ class Disturbance(NamedTuple):
     ahead: bool
 
 
+class Possible(NamedTuple):
+    """What a class that is not excluded would mean.
+
+    Attributes:
+        share: its odds.
+        widths: right, left, width and centre, if it is the truth; None where it has none.
+        option: by which a user who knows that it is the truth says so; empty where there is none.
+    """
+
+    share: float
+    widths: Shown
+    option: str
+
+
 class Answer(NamedTuple):
     """Answer to a log.
 
@@ -100,7 +118,8 @@ class Answer(NamedTuple):
         chosen: the order that was chosen, with the checks of what was found.
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
-        named: the model that is named, where it is neither an element nor a sensor's zone.
+        possible: the classes that are not excluded, beside the one that is named.
+        shape: of the sensor's zone, as far as readings tell it; None: not asked.
     """
 
     verdict: str
@@ -116,7 +135,8 @@ class Answer(NamedTuple):
     chosen: OrderFit
     excitation: Excitation
     widths: WidthEstimates
-    named: FittedModel[Any] | None = None
+    possible: dict[str, Possible] = {}
+    shape: SensorShape | None = None
 
     @property
     def zone(self) -> bool:
@@ -158,10 +178,11 @@ class Answer(NamedTuple):
 
     @property
     def named_plant(self) -> tuple[PlantSimulator, Floats]:
-        """Return the plant of the model that is named, and its numbers, scaled."""
-        if self.named is None:
-            return self.plant
-        return self.named.model.simulator, self.named.theta
+        """Return the plant of the model that is named, and its parameters, scaled."""
+        valve = self.found.valve
+        if self.element is None and valve is not None and valve.plant is not None:
+            return valve.plant.model.simulator, valve.plant.theta
+        return self.plant
 
     @property
     def order(self) -> int:
@@ -202,6 +223,8 @@ class Answer(NamedTuple):
         """Return the disturbance of z, in units of the log."""
         step, scale = self.case.grid.step, self.scale
         element, fit = self.element, self.fit
+        if element is not None and element.is_at_rest:
+            return Disturbance(element.rms * scale, None, None, None, False)
         if element is not None:
             phi = 0.0 if element.ahead is None else element.ahead.phi
             time = -step / math.log(phi) if phi > 0 else None
@@ -233,14 +256,15 @@ def to_answer(case: Case, found: Findings) -> Answer:
         found: the verdict, and what stands in the zone's place.
     """
     element = found.element
-    doubt = element and (_doubt_of_zero(element.widths) or _doubt_of_zero(element.input))
+    doubt = element and (
+        _doubt_of_zero(element.widths | {"friction": found.friction})
+        or _doubt_of_zero(element.input)
+    )
     if doubt:
         verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict, odds={})
-    if found.verdict.word == "unclear":  # whatever is likeliest explains the readings badly
-        found = found._replace(odds={})
-    named, data = named_fit(case, found), case.record_data
-    chosen = _validate_findings(case, found, named)
+    found = found._replace(odds=_odds_of_word(found))
+    data, chosen = case.record_data, _validate_findings(case, found)
     found = _withhold_poor_fit(found, chosen.share)
     best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
     widths = find_widths(
@@ -250,7 +274,10 @@ def to_answer(case: Case, found: Findings) -> Answer:
     answer = Answer(
         verdict=found.verdict.word,
         reasons=found.verdict.reasons,
-        **dict.fromkeys(DIRECTIONS),
+        right=None,
+        left=None,
+        width=None,
+        centre=None,
         remarks=[*case.fitted.prepared.remarks, *found.verdict.cautions],
         loop=Feedback(1.0, None),
         case=case,
@@ -260,7 +287,6 @@ def to_answer(case: Case, found: Findings) -> Answer:
             data.select_readings(), case.chosen.pairs.z, *edges, data.silent_zeros
         ),
         widths=widths,
-        named=named,
     )
     answer = _add_feedback(answer)
     if found.element is not None:
@@ -268,11 +294,13 @@ def to_answer(case: Case, found: Findings) -> Answer:
         answer = _set_widths(answer, found.element.widths, remarks)
     if found.valve is not None:
         return _with_valve(answer, found.valve)
-    if found.element is not None:
-        return answer
-    if answer.verdict == "dead_zone" or (answer.verdict == "jump" and case.jump_edges):
-        return _add_edges(answer)
-    return answer
+    is_jump = answer.verdict == "jump" and case.jump_edges
+    if found.element is None and (answer.verdict == "dead_zone" or is_jump):
+        answer = _add_edges(answer)
+    if answer.zone and found.shaped is not None and case.record_data.y.size <= MANY:
+        shape = measure_shape(found.shaped, case.record_data.y_scale, case.grid.step)
+        answer = answer._replace(shape=shape)
+    return answer._replace(possible=_find_possible(answer))
 
 
 def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
@@ -286,29 +314,47 @@ def _with_valve(answer: Answer, valve: ValveFindings) -> Answer:
     return answer._replace(width=valve.stick if is_faulty else None, reasons=reasons)
 
 
-OF_THEIR_OWN = (
-    "friction",
-    "saturation",
-    "other",
-    *CHAINED,
-    *LOOP,
-)  # words of models with a plant of their own
+OPTIONS = {  # by which a user who knows the class says so
+    "dead_zone": "--place sensor",
+    "input_zone": "--place actuator",
+    "friction": "--place plant",
+    "play": "--kind play",
+}
 
 
-def named_fit(case: Case, found: Findings) -> FittedModel[Any] | None:
-    """Return the model that is named, where neither an element nor a sensor's zone stands for it.
+def _find_possible(answer: Answer) -> dict[str, Possible]:
+    """Find the measured classes that the odds do not exclude, beside the one that is named."""
+    case, found, possible = answer.case, answer.found, {}
+    for word, share in found.odds.items():
+        fit = fit_of(case, found, word)
+        if share < UNLIKELY or word == answer.verdict or word not in MEASURED or fit is None:
+            continue
+        own = word == "dead_zone" and case.jump_edges is None
+        widths = _log_unit_widths(answer, 1.0) if own else measure_word(case, fit, word)[0]
+        option = OPTIONS.get(word, "") if case.options.place == "auto" else ""
+        possible[word] = Possible(share, widths, option)
+    return possible
 
-    Args:
-        case: the log.
-        found: with a verdict.
+
+def _odds_of_word(found: Findings) -> dict[str, float]:
+    """Return the odds that belong to the word: none where it was not they that decided.
+
+    Larger models count for the word where their element is no matter for it, and so do zones below
+    the rounding of the readings.
     """
-    word = found.verdict.word
-    if found.element is not None or word not in OF_THEIR_OWN or word not in found.odds:
-        return None
-    if found.valve is not None:
-        return found.valve.plant
-    is_likeliest = word == next(iter(found.odds)) or word != "other"
-    return fit_of(case, found, word) if is_likeliest else None
+    word, odds = found.verdict.word, found.odds
+    if isinstance(found.element and found.element.fit, ServoGap) or not odds:
+        return odds
+    if word == "undecided":
+        return odds if found.verdict.reasons[0].startswith(CANNOT_TELL) else {}
+    own = {"operating_point": "none"}.get(word, word)
+    held = {own, *LARGER.get(own, ())} | (set(AS_LINEAR) if own == "none" else set())
+    if own not in odds or next(iter(odds)) not in held:
+        return {}
+    if next(iter(odds)) == own:
+        return odds
+    rest = {name: share for name, share in odds.items() if name not in held}
+    return {own: sum(odds[name] for name in held if name in odds)} | rest
 
 
 def _withhold_poor_fit(found: Findings, share: float) -> Findings:
@@ -323,15 +369,13 @@ def _withhold_poor_fit(found: Findings, share: float) -> Findings:
     return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
 
 
-def _validate_findings(case: Case, found: Findings, named: FittedModel[Any] | None) -> OrderFit:
+def _validate_findings(case: Case, found: Findings) -> OrderFit:
     """Return the chosen order with the held-out check of the final findings."""
     chosen, held_out = case.chosen, case.options.held_out
     if found.valve is not None:
         return chosen._replace(**found.valve.held_out._asdict())
     if found.element is not None:
         chosen = chosen._replace(**validate_element(found.element, held_out)._asdict())
-    elif named is not None:
-        chosen = chosen._replace(**held_out_error_of_fit(named, held_out)._asdict())
     if found.kalman:
         chosen = chosen._replace(white=_has_white_innovations(found.kalman[0], held_out))
     return chosen
@@ -352,11 +396,12 @@ def _add_edges(answer: Answer) -> Answer:
 
 
 def _doubt_of_zero(shown: dict[str, Any]) -> str:
-    """Return the remark that a width may be 0; empty if it is not or is missing."""
-    width = shown.get("width")
-    if width is None or not width.low <= 0 < width.half_width:
-        return ""
-    return f"the width's interval holds 0: {width.value:.4g} [{width.low:.4g}, {width.high:.4g}]"
+    """Return the remark that a width, or friction, may be 0; empty if it is not or is missing."""
+    for name in ("width", "friction"):
+        one = shown.get(name)
+        if one is not None and one.low <= 0 < one.half_width:
+            return f"the {name}'s interval holds 0: {one.value:.4g} [{one.low:.4g}, {one.high:.4g}]"
+    return ""
 
 
 def _doubt_of_unmoved(answer: Answer, shown: Shown) -> str:

@@ -32,11 +32,12 @@ WRITTEN = (
     "input_zone",
     "two_zones",
     "input_play",
+    "filtered_zone",
 )  # besides the sensor's zone, in a scenario
 
 UNWRITTEN = {
-    "filtered_zone": "what a filter behind the zone smooths no observer holds; record with it off",
     "input_curve": "a curve of the input has no widths, and no inverse is written for it",
+    "input_rate": "a limit of the input's rate is no element of a scenario",
     "stiction": "no observer holds a valve that sticks; its play alone would be another valve",
 }
 
@@ -163,6 +164,8 @@ class Identified:
             unseen = answer.element.disturbance_rms
         variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
         x = _simulate_states(simulator, theta)
+        if answer.verdict == "friction" and answer.servo is None:  # which holds more than a line
+            x = np.column_stack([answer.z, np.full(x[:, 1:].shape, np.nan)])
         return States(t, answer.z * scale, np.sqrt(variance + unseen**2) * scale, x * scale)
 
     def scenario(self, title: str = "Identified log") -> str:
@@ -178,6 +181,12 @@ class Identified:
         Raises:
             InputError: no dead zone was found, or no plant in continuous time fits.
         """
+        zero = self.answer.case.grid.zero
+        if zero is not None:
+            raise InputError(
+                f"scenario: the input counts from {zero:.6g} here, and a scenario's from 0. Take it"
+                " off the column and identify again"
+            )
         if self.verdict in UNWRITTEN:
             raise InputError(f"scenario: {UNWRITTEN[self.verdict]}")
         if not (self.answer.zone or self.answer.case.jump_edges or self.verdict in WRITTEN):

@@ -22,11 +22,10 @@ from undeadzone_identify.models.kalman import AT_OUTPUT
 from undeadzone_identify.models.plant import input_noise_gain
 from undeadzone_identify.results.assemble import Answer, prior_element_range, prior_width_range
 from undeadzone_identify.results.to_continuous import continuous_with_spread
-from undeadzone_identify.selection.alternatives import Element
+from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
 from undeadzone_identify.servo.gap import ServoGap
 
-UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
@@ -60,6 +59,7 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
         "delay": _common_delay(answers),
         "kind": first.verdict if first.verdict in ("jump", "play") else "",
         **_zone_fields(answers),
+        **_shape_fields(answers),
         "bare": first.verdict in ("input_zone", "input_play"),
         **_gap_fields(first),
         **_noise_fields(answers),
@@ -110,6 +110,28 @@ def _gap_of_actuator(answer: Answer) -> str:
     half = _toml_number(gap.value / 2)
     told = f"right = {half}  # gap {gap.value:.6g}, 95 %: {_interval_remark([gap])}; even sides"
     return f'kind = "play"\n{told}\nleft = {half}'
+
+
+def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
+    """Return the sensors' shape for an observer; empty if the readings do not determine it.
+
+    Each is the rms that value and interval leave: of a rounding or a lag about 0, of a slope of
+    either side about 1.
+    """
+    shapes = [answer.shape for answer in answers if answer.shape is not None]
+    if len(shapes) < len(answers):
+        return dict.fromkeys(("rounding", "slope_std", "lag"), "")
+    values = {
+        "rounding": [(one.rounding, 0.0) for one in shapes],
+        "slope_std": [(one.slope, 1.0) for one in shapes],
+        "lag": [(one.lag, 0.0) for one in shapes],
+    }
+    fields = dict.fromkeys(values, "")
+    for name, rows in values.items():
+        stds = [math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows]
+        if all(map(math.isfinite, stds)):
+            fields[name] = _toml_numbers(stds)
+    return fields
 
 
 def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:

@@ -15,10 +15,11 @@ from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
-from undeadzone_identify.selection.decision import MODELS, VALVE
-from undeadzone_identify.selection.location import input_levels_of
+from undeadzone_identify.selection.alternatives import OF_INPUT
+from undeadzone_identify.selection.decision import MEMORY, MODELS, VALVE
 from undeadzone_identify.selection.odds import nats_behind_best
 from undeadzone_identify.selection.valve import ValveFindings
 from undeadzone_identify.servo.likelihood import At
@@ -123,8 +124,9 @@ HEADS = {  # what was found, before its numbers
     "input_zone": "Dead zone of the actuator",
     "two_zones": "Dead zones of sensor and actuator",
     "input_curve": "Curve of the input",
+    "input_rate": "Limit of the input's rate",
     "input_play": "Backlash ahead of the plant",
-    "filtered_zone": "Dead zone of the sensor with a filter behind it",
+    "filtered_zone": "Dead zone of the sensor with a filter, two slopes or round edges",
     "operating_point": "Nothing can be known of a zone",
     "other": "Another nonlinearity",
     "undecided": "Undecided",
@@ -141,11 +143,13 @@ SHORT = {
     "zone_and_friction": "sensor and friction",
     "two_zones": "sensor and input",
     "input_curve": "curve of the input",
+    "input_rate": "rate of the input",
     "input_play": "play ahead",
-    "filtered_zone": "sensor and filter",
+    "filtered_zone": "sensor with a shape",
     "external": "from outside",
     "tight_tuning": "tight tuning",
 }
+LETTERS = {"play": "c", "both": "c", "input_play": "c", "input_zone": "b", "friction": "f"}
 LEAST_SHOWN = 0.005  # odds that are worth a word
 AT_ZERO = "  assumes z = 0 at u = 0"
 
@@ -186,6 +190,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "alternatives": nats_behind_best(answer.found.models),
         "levels": _level_numbers(answer),
         "friction": _interval_list(answer.found.friction),
+        "shape": answer.shape
+        and {name: _interval_list(one) for name, one in answer.shape._asdict().items()},
         "servo": servo_numbers(answer),
         "loop": None
         if answer.found.valve is None
@@ -202,11 +208,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "closed_loop": answer.loop.chance,
         "answered": answer.loop.answered,
         "no_zone": answer.case.no_zone.chance,
-        "residual_map": {
-            "share": answer.case.residuals.share,
-            "p": answer.case.residuals.chance,
-            "moving_share": answer.case.residuals.moving_share,
-            "moving_p": answer.case.residuals.moving_chance,
+        "left_over": {
+            one.on: {"share": one.share, "p": one.chance} for one in answer.found.remainders
         },
         "excitation": {
             "samples": list(answer.excitation.samples),
@@ -222,6 +225,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
             "step": grid.step,
             "quantum": grid.quantum,
         },
+        "input_zero": grid.zero,
         "units": {"input": grid.input_unit, "output": grid.output_unit},
         "remarks": answer.remarks,
     }
@@ -246,11 +250,12 @@ def _offset_numbers(answer: Answer) -> dict[str, Any] | None:
     return {"name": offsets.element_name, "play": play, "dead_zone": zone, "rest": rest}
 
 
-def _level_numbers(answer: Answer) -> dict[str, list[float]]:
-    """Return friction and the zone of the input, right and left [u]."""
-    u_scale = answer.fit.objective.data.u_scale[0]
-    levels = input_levels_of(answer.found.places)
-    return {word: [float(u_scale * one) for one in two] for word, two in levels.items()}
+def _level_numbers(answer: Answer) -> dict[str, dict[str, list[float] | None]]:
+    """Return the widths under each class that is possible beside the one that is named."""
+    return {
+        word: {name: _interval_list(one.widths[name]) for name in DIRECTIONS}
+        for word, one in answer.possible.items()
+    }
 
 
 def _stage_numbers(answer: Answer) -> dict[str, Any]:
@@ -296,19 +301,27 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     Returns:
         The lines in order.
     """
+    grid = answer.case.grid
     lines: dict[str, Any] = {"record": _describe_record(answer), "plant": _describe_plant(answer)}
     lines["found"] = headline(answer) + _describe_certainty(answer)
     if answer.reasons:
         lines["why"] = answer.reasons
     if answer.found.odds:
         lines["odds"] = describe_probabilities(answer)
-    unit = unit_suffix(answer.case.grid.output_unit)
+    if answer.possible:
+        lines["possible"] = describe_possible(answer)
+    unit = unit_suffix(grid.output_unit)
     lines |= _describe_widths(answer)
     if answer.found.valve is not None:
         lines |= _describe_valve(answer, answer.found.valve)
     if answer.found.friction is not None:
-        of_input = unit_suffix(answer.case.grid.input_unit)
-        lines["friction"] = f"{describe_interval(answer.found.friction, of_input)}, of the motor"
+        of_input = unit_suffix(grid.input_unit)
+        of_motor = ", of the motor" if answer.servo is not None else ""
+        lines["friction"] = describe_interval(answer.found.friction, of_input) + of_motor
+    if grid.zero is not None and answer.verdict == "input_zone":
+        lines["input"] = _describe_ends(answer, grid.zero)
+    if answer.shape is not None:
+        lines["shape"] = _describe_shape(answer.shape, unit)
     crossings = describe_crossings(answer, unit)
     if crossings:
         lines["crossings"] = crossings
@@ -319,16 +332,54 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     return lines
 
 
+def _describe_ends(answer: Answer, zero: float) -> str:
+    """Describe both ends of a zone of an input that counts from elsewhere."""
+    unit, ends = unit_suffix(answer.case.grid.input_unit), []
+    for interval, sign in ((answer.left, -1.0), (answer.right, 1.0)):
+        if interval is not None:
+            low, high = sorted(zero + sign * end for end in interval[1:])
+            end = Interval(zero + sign * interval.value, low, high)
+            ends.append(describe_interval(end, unit))
+    return f"nothing happens between {' and '.join(ends)}"
+
+
+def _describe_shape(shape: SensorShape, unit: str) -> str:
+    """Describe rounding, slopes and lag of a sensor."""
+    rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
+    if shape.rounding.low > 0:
+        rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
+    slope, lag = describe_interval(shape.slope, ""), f"at most {max(shape.lag.high, 0.0):.3g} s"
+    if shape.lag.low > 0:
+        lag = describe_interval(shape.lag, " s")
+    return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
+
+
+def describe_possible(answer: Answer) -> list[str]:
+    """Describe the widths under each class that is possible, and how a user says that it is so."""
+    grid, lines = answer.case.grid, []
+    for word, one in answer.possible.items():
+        unit = unit_suffix(grid.input_unit if word in OF_INPUT else grid.output_unit)
+        sides = {name: one.widths[name] for name in ("right", "left")}
+        shown = sides if any(sides.values()) else {"width": one.widths["width"]}
+        letter = LETTERS.get(word, "d")
+        numbers = [
+            f"{_width_title(letter, name)} {describe_interval(interval, unit)}"
+            for name, interval in shown.items()
+            if interval is not None
+        ]
+        known = f"; if you know this, use {one.option}" if one.option else ""
+        lines.append(f"if it is {MODELS[word]}: {', '.join(numbers)}{known}")
+    return lines
+
+
 def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
     element, grid = answer.element, answer.case.grid
-    letter, unit = "d", unit_suffix(grid.output_unit)
+    letter = "d" if element is None else LETTERS.get(element.kind, "d")
+    of_input = answer.verdict in VALVE or (element is not None and element.kind in OF_INPUT)
+    unit = unit_suffix(grid.input_unit if of_input else grid.output_unit)
     if answer.verdict in VALVE:
-        letter, unit = "c", unit_suffix(grid.input_unit)
-    if element is not None and element.kind != "two_zones":
         letter = "c"
-        if element.kind == "input_zone":
-            letter, unit = "b", unit_suffix(grid.input_unit)
     lines = {}
     for place, name in enumerate(DIRECTIONS):
         interval: Interval | None = getattr(answer, name)
@@ -341,13 +392,13 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
         if element is None and place < 2:
             visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
-        if name == "centre" and letter != "b" and np.isfinite(interval.high):
+        if name == "centre" and not of_input and np.isfinite(interval.high):
             lines[title] += AT_ZERO
     for name, interval in ({} if element is None else element.input).items():
         lines[_width_title("b", name)] = describe_interval(interval, unit_suffix(grid.input_unit))
     if element is not None and element.zone is not None:
         lines["d width"] = describe_interval(element.zone, unit)
-    if element is not None and answer.found.offsets is not None:
+    if answer.found.offsets is not None and answer.verdict in MEMORY:
         lines["four offsets"] = answer.found.offsets.element_name.replace("_", " ")
     return lines
 

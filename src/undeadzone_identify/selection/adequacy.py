@@ -1,9 +1,9 @@
-"""Does the likeliest model hold what the log shows? Score tests of what it leaves.
+"""Score tests of the innovations of the likeliest model.
 
-Odds compare models with each other: the best of them may still be wrong. A right model's
-innovations depend on nothing that is known. So they are regressed on what a wrong model would
-leave, after whatever a change of the model's own numbers explains is taken out (Rao 1948; White
-1982). One regression a direction and no fit is needed.
+Odds compare models with each other: the best of them may still be wrong. The innovations of a right
+model are independent of all known signals. They are regressed on the traces of wrong models, after
+the effect of the model's own parameters is removed (Rao 1948; White 1982). One regression a
+direction and no fit is needed.
 
 References:
     H. White (1982), doi:10.2307/1912526
@@ -12,6 +12,7 @@ References:
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,22 +20,27 @@ from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
+from undeadzone_identify.models.chain import limit_rate
 from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel, Model
 
-SHARE = 0.05  # of the innovations' variance, from which a direction is real
-SHARE_OF_FRICTION = 0.1  # the same of friction, whose model by the sample is no exact one
+SHARE = 0.03  # of the innovations' variance, from which a direction is real
+LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
-BEHIND = 5  # lags of what is read
+RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
+BEHIND = 5  # lags of the readings
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
+SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
     "input": "the size of the input",
     "output": "the size of the output",
     "turns of the input": "the direction in which the input moved last",
     "turns of the output": "the direction in which the output moved last",
-    "behind": "what was read a few samples before",
+    "behind": "the readings a few samples before",
     "spring": "the size of the output as a force on the plant",
+    "rate of the input": "how fast the input changes",
+    "rate of the output": "how fast the output changes",
     "time": "the time",
 }
 SEEN = {
@@ -49,61 +55,65 @@ SEEN = {
     "behind": "the sensor may smooth its readings; record them with its filter off",
     "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
     " record with a smaller input",
+    "rate of the input": "the drive of the input may be limited in its rate; record with an input"
+    " that changes more slowly",
+    "rate of the output": "the sensor may be limited in its rate; record with an input that changes"
+    " more slowly",
     "time": "the plant or the sensor may drift; identify a shorter part of the log",
 }
 
 
 class Remainder(NamedTuple):
-    """What a model's innovations depend on.
+    """Dependence of a model's innovations on a known signal.
 
     Attributes:
         on: the direction, of `DEPENDS`.
         share: of their variance that it explains.
         chance: p of that.
+        moves: by how much the model's free numbers would change with it.
     """
 
     on: str
     share: float
     chance: float
+    moves: Floats
 
-    def is_real(self, least: float = SHARE) -> bool:
-        """Return whether a model that leaves this is wrong.
-
-        Args:
-            least: share from which it is.
-        """
-        return self.share > least and self.chance < CHANCE
+    @property
+    def is_real(self) -> bool:
+        """Return whether a model that leaves this is wrong."""
+        is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
+        return is_large or (self.share > SHARE and self.chance < CHANCE)
 
     def in_words(self, model: str) -> tuple[str, str]:
-        """Return what was seen, and what that may be and how it is found out.
+        """Return the finding, and the recording that shows its cause.
 
         Args:
             model: the model in words.
         """
         explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, p < 0.001)"
-        seen = f"what the best one, {model}, leaves depends on {explained}"
+        seen = f"the residual of the best one, {model}, depends on {explained}"
         return f"none of the known models explains this log: {seen}; nothing is named", SEEN[
             self.on
         ]
 
 
-def largest_remainder(fit: FittedModel[Model], word: str) -> Remainder | None:
-    """Return what a model's innovations depend on most, if that is real; else None.
+def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:
+    """Return the largest dependence of a model's innovations, if it is real; else None.
 
     Args:
-        fit: the model.
+        remainders: of the model.
         word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something, and that of friction by the sample leaves more than others.
+            something. That of friction holds within a sample, so it leaves more than others.
     """
     if word == "jump":
         return None
-    least = SHARE_OF_FRICTION if word == "friction" else SHARE
-    real = [one for one in remainders(fit) if one.is_real(least)]
+    least = LARGE_SHARE if word == "friction" else SHARE
+    real = [one for one in remainders if one.is_real and one.share > least]
     return max(real, key=lambda one: one.share, default=None)
 
 
-def remainders(fit: FittedModel[Model]) -> list[Remainder]:
-    """Return what a model's innovations depend on, direction by direction.
+def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
+    """Return the dependence of a model's innovations on each direction.
 
     Args:
         fit: the model; one that leaves next to nothing is not wrong.
@@ -123,68 +133,79 @@ def remainders(fit: FittedModel[Model]) -> list[Remainder]:
     found = []
     for name, columns in _directions(fit).items():
         centred = np.where(data.ok[:, None], columns - columns[data.ok].mean(axis=0), 0.0)
-        left = _left_over(own, squares.whiten(centred)[use])
-        if left is not None:
-            share, chance = least_squares.regress_residual(left, target)[2:]
-            found.append(Remainder(name, share, chance))
+        left, as_own = _left_over(own, squares.whiten(centred)[use])
+        if left.size:
+            weights, std, share, chance = least_squares.regress_residual(left, target)
+            sure = np.where(np.abs(weights) > SURE * std, weights, 0.0)
+            found.append(Remainder(name, share, chance, as_own[: rows.shape[1]] @ sure))
     return found
 
 
-def _left_over(own: Floats, columns: Floats) -> Floats | None:
-    """Return what the model's own numbers leave of columns, each with rms 1 and of no other.
+def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
+    """Return the parts of columns beyond the model's own parameters, orthogonal, of rms 1.
 
-    None where they explain all.
+    Returns:
+        The parts (N x K), no column if the parameters explain all; and the change of the parameters
+        that stands for each (P x K).
     """
-    left = least_squares.regression_residual(own, columns)
+    as_own = np.linalg.lstsq(own, columns, rcond=1e-10)[0]
+    left = columns - own @ as_own
     scale = left.std(axis=0)
     kept = scale > VANISHING * np.maximum(columns.std(axis=0), 1e-12)
     if not kept.any():
-        return None
-    basis, sizes, _ = np.linalg.svd(left[:, kept] / scale[kept], full_matrices=False)
-    return np.asarray(basis[:, sizes > ALIKE * sizes[0]] * math.sqrt(len(left)))
+        return left[:, kept], as_own[:, kept]
+    basis, sizes, turn = np.linalg.svd(left[:, kept] / scale[kept], full_matrices=False)
+    most, root = sizes > ALIKE * sizes[0], math.sqrt(len(left))
+    return basis[:, most] * root, (as_own[:, kept] / scale[kept] @ turn.T / sizes)[:, most] * root
 
 
 def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
-    """Return what a wrong model would leave, by direction (N x K each)."""
+    """Return the traces of wrong models, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
     read, u = model.noise_free_readings(z, theta), data.u[:, 0]
-    turn_u, turn_z = _last_turn(u), _last_turn(z)
+    turn_u, turn_z = last_turn(u), last_turn(z)
     t = np.linspace(-1.0, 1.0, z.size)
     directions = {
-        "input": _through_plant(fit, _hats(u, AT_INPUT)),
-        "output": _hats(z, AT_SENSOR),
-        "turns of the input": _through_plant(fit, _by_turn(turn_u, u)),
-        "turns of the output": _by_turn(turn_z, z),
+        "input": _through_plant(fit, hat_columns(u, AT_INPUT)),
+        "output": hat_columns(z, AT_SENSOR),
+        "turns of the input": _through_plant(fit, by_turn(turn_u, u)),
+        "turns of the output": by_turn(turn_z, z),
         "time": read[:, None] * np.column_stack([t, t * t, np.sin(np.pi * t), np.cos(np.pi * t)]),
     }
+    directions["rate of the input"] = _through_plant(fit, _late_by_rate(u))
+    directions["rate of the output"] = _late_by_rate(z)
     if float(np.std(read - z)) > 0:  # else these are more poles of the plant
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
         lags += [_late(read - z, k) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
-    else:  # of a sensor's zone a bent spring is a caution (decision.py)
-        force = z / max(float(np.std(z)), 1e-12)
-        bent = np.column_stack([force**2, force**3, force * np.abs(force)])
-        directions["spring"] = _through_plant(fit, bent)
-    return directions
+    force = z / max(float(np.std(z)), 1e-12)
+    bent = np.column_stack([force**2, force**3, force * np.abs(force)])
+    return directions | {"spring": _through_plant(fit, bent)}
 
 
-def _hats(values: Floats, count: int) -> Floats:
+def hat_columns(values: Floats, count: int) -> Floats:
     """Return hat functions of a signal (N x K)."""
     centres = np.unique(np.quantile(values, np.linspace(0.01, 0.99, count)))
     return least_squares.hat_functions(values, centres)
 
 
-def _by_turn(turn: Floats, signal: Floats) -> Floats:
+def by_turn(turn: Floats, signal: Floats) -> Floats:
     """Return the sign of a signal's last move, alone and times the signal (N x 3)."""
     return np.column_stack([turn, turn * signal, turn * np.abs(signal)])
 
 
-def _last_turn(signal: Floats) -> Floats:
+def last_turn(signal: Floats) -> Floats:
     """Return the sign of a signal's last move (N); 0 before it moved."""
     sign = np.sign(np.diff(signal, prepend=signal[0]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
     return np.asarray(sign[last])
+
+
+def _late_by_rate(signal: Floats) -> Floats:
+    """Return by how much limits of its rate would change a signal (N x limits)."""
+    usual = float(np.std(np.diff(signal)))
+    return np.column_stack([limit_rate(signal, usual * k) - signal for k in RATES])
 
 
 def _late(signal: Floats, lag: int) -> Floats:
@@ -193,7 +214,7 @@ def _late(signal: Floats, lag: int) -> Floats:
 
 
 def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:
-    """Return what the plant makes of columns at its first input (N x K)."""
+    """Return the response of the plant to columns at its first input (N x K)."""
     layout, theta = fit.model.simulator.layout, fit.theta
     numerator = np.append(0.0, theta[layout.numerators][: layout.n])
     out = np.empty_like(columns)

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from undeadzone.nonlinearities.play import levels
-from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
-from undeadzone.util.arrays import Floats, Integers
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import plant
-from undeadzone_identify.models.chain import ChainFit, gap_of_input
+from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
     MapModel,
     PlayFit,
@@ -25,10 +26,16 @@ from undeadzone_identify.models.elements import (
     fit_play,
     fit_play_and_zone,
 )
-from undeadzone_identify.models.estimates import Interval, best_maximum
+from undeadzone_identify.models.estimates import Interval, best_maximum, long_run_covariance
 from undeadzone_identify.models.kalman_fit import KalmanFit
-from undeadzone_identify.models.least_squares import LEAST_ODD, FittedModel, LeastSquares
+from undeadzone_identify.models.least_squares import (
+    CHANCE,
+    LEAST_ODD,
+    FittedModel,
+    LeastSquares,
+)
 from undeadzone_identify.models.likelihood import dead_zone
+from undeadzone_identify.models.measured import Measured, measure_fit, measure_levels
 from undeadzone_identify.models.motion import (
     THERE,
     FourOffsets,
@@ -43,7 +50,12 @@ from undeadzone_identify.models.place import (
 )
 from undeadzone_identify.models.play_gap import RUNS, PlayGap, find_play_gap
 from undeadzone_identify.models.zone_fit import ZoneFit, refit_busiest_part
-from undeadzone_identify.selection.adequacy import largest_remainder
+from undeadzone_identify.selection.adequacy import (
+    SEEN,
+    Remainder,
+    find_remainders,
+    largest_remainder,
+)
 from undeadzone_identify.selection.decision import (
     CANNOT_TELL,
     CHAINED,
@@ -75,19 +87,37 @@ from undeadzone_identify.selection.valve import (
 from undeadzone_identify.selection.widths import widen_by_offset
 from undeadzone_identify.servo.gap import ServoGap
 
+WIDER = 1.25  # of a friction's interval: how a motor sticks is assumed
 LEAST_GAP = 0.02  # rms of y, below which a gap is no matter
 LEAST_NOISE = 0.01  # rms of y, from which noise that falls silent is told from rounding
-FINEST = 2e-4  # rms of u: no interval is narrower
 EVEN = "the centre of the gap is not known, and both sides are half of the width"
 LONGEST = 25  # steps of a climb that checks any other fit
 TOP_OF_ODDS = ("none", "saturation")  # named for other reasons than odds, too
-LAST = {
-    "play": 25,
-    "both": 25,
-    "input_zone": 40,
-    "two_zones": 40,
-    "input_play": 25,
-}  # steps of a climb that checks a fit
+SMALLER = {  # words of models that a word's model holds
+    "zone_and_friction": ("dead_zone", "friction"),
+    "two_zones": ("dead_zone", "input_zone"),
+    "both": ("dead_zone",),
+    "filtered_zone": ("dead_zone",),
+    "friction": ("none",),
+    "input_zone": ("none",),
+    "input_curve": ("none",),
+    "input_play": ("none",),
+    "input_rate": ("none",),
+    "other": ("none",),
+}
+LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
+OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
+PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
+UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
+OF_INPUT = ("friction", "input_zone", "input_play")  # words of widths in the input's unit
+MEASURED = {  # what is known of an element, by word
+    "friction": ("right", "left", "width"),
+    "input_zone": tuple(DIRECTIONS),
+    "dead_zone": tuple(DIRECTIONS),
+    "filtered_zone": tuple(DIRECTIONS),
+    "play": ("width",),
+    "input_play": ("width",),
+}
 
 
 class Element(NamedTuple):
@@ -96,19 +126,19 @@ class Element(NamedTuple):
     Attributes:
         kind: play, both, input_zone, two_zones, input_play; none or friction of a servo without a
             gap.
-        fit: what was fitted.
+        fit: of the model.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
         V: covariance of a and b.
         z: output of the plant (N), scaled.
-        readings: what is read of it without noise (N), scaled.
+        readings: of z without noise (N), scaled.
         side: contact of a play, of the input's too, side of an input zone (N).
         widths: right, left, width, centre in units of the log; None where they are not known.
-        ahead: what disturbs z, scaled; None where it was not told apart.
+        ahead: disturbance of z, scaled; None if it was not separated.
         noise: rms of the readings' white noise, scaled.
         degrees: of freedom of the intervals.
         rms: of the residual, scaled.
-        remarks: what to know of the widths.
+        remarks: on the widths.
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
         input: two_zones: the widths of the input's zone, as `widths` are the sensor's [u].
@@ -131,6 +161,13 @@ class Element(NamedTuple):
     zone: Interval | None = None
     edges: tuple[Interval, Interval] | None = None
     input: dict[str, Interval] = {}
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Return whether only white noise shows of the disturbance of such a model."""
+        return self.kind in OF_THEIR_OWN and (
+            self.ahead is None or self.ahead.rms < UNSEEN * self.noise
+        )
 
     @property
     def disturbance_rms(self) -> float:
@@ -157,15 +194,17 @@ class Findings(NamedTuple):
         verdict: so far.
         delay: samples by which the input acts late; of a play in the records as they are none.
         models: every model that was fitted, those of the same readings together.
-        odds: of what may be there by the verdict's words, largest first.
+        odds: by the verdict's words, largest first.
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty where that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
+        shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
-        element: what stands in the place of a sensor's dead zone; None: nothing does.
+        element: in the place of a sensor's dead zone; None: there is none.
         kalman: fits of (L3), best first.
-        friction: level of a motor's friction [u]; None where no servo measured it.
+        friction: its level [u], the mean of both directions; None where it is not measured.
+        remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
 
@@ -177,10 +216,12 @@ class Findings(NamedTuple):
     plays: PlayFits | None = None
     places: dict[str, PlaceFit] = {}
     chains: dict[str, ChainFit] = {}
+    shaped: ChainFit | None = None
     denied: frozenset[str] = frozenset()
     element: Element | None = None
     kalman: Sequence[KalmanFit] = ()
     friction: Interval | None = None
+    remainders: Sequence[Remainder] = ()
     valve: ValveFindings | None = None
 
     def add_models(self, case: Case, *models: Family, without: Collection[str] = ()) -> Findings:
@@ -207,9 +248,11 @@ def impossible_words(case: Case) -> Collection[str]:
     """Return the classes that are impossible: by the user's options, or by exact zeros under
     noise.
     """
+    told = PLACED.get(case.options.place)
     out = set(MEMORY) if case.options.kind == "deadzone" else set()
+    out |= set() if told is None else set(MODELS) - {"none", told}
     fit = case.chosen.singles
-    if not case.record_data.silent_zeros or case.jump_edges:
+    if not case.record_data.silent_zeros or case.jump_edges or told is not None:
         return out
     speaks = case.record_data.ok & (case.record_data.side != 0)
     loud = white_noise_rms(
@@ -217,7 +260,7 @@ def impossible_words(case: Case) -> Collection[str]:
     )
     if loud > max(2 * case.quantum, LEAST_NOISE):  # and only a sensor's zone silences it
         out |= {"none", "friction", "input_zone", "play", "saturation", "other"}
-        out |= {"input_curve", "input_play"}
+        out |= set(CHAINED) - {"filtered_zone"}
     return out
 
 
@@ -377,7 +420,7 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
     """Build the element of a play, and of the dead zone after it.
 
     Args:
-        gap: what was found, of the log or of its busiest part.
+        gap: of the log or of its busiest part.
         whole: all records.
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
@@ -486,11 +529,14 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
     simulator, theta = _plant_along(model.simulator, numbers, whole._replace(u=passed))
     z = simulator.simulate_z(theta)
     both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
-    widths, degrees = _zone_intervals(zoned, (), float(whole.u_scale[0]), 0.0)
+    measured = measure_levels(itemgetter(layout.input_widths), zoned.stages)
+    widths = measured.scale_by(float(whole.u_scale[0]))
     at_both, remarks = {}, ["the widths are those of the input, in its unit"]
     if both:
         at_both, remarks = widths, []
-        widths, degrees = _zone_intervals(zoned, (0.0, 0.0), whole.y_scale, case.offset_prior)
+        sensor = slice(layout.right, layout.right + 2)
+        measured = measure_levels(itemgetter(sensor), zoned.stages)
+        widths = _intervals_with_offset(measured, whole.y_scale, case.offset_prior)
     target, last = zoned.stages[-1]
     e, heard = (
         fit.squares.reading_residual(numbers),
@@ -509,7 +555,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         widths=dict(widths),
         ahead=plant.find_input_disturbance(layout, numbers, e, data.ok),
         noise=min(white_noise_rms(data.y, data.ok, data.start), rms),
-        degrees=degrees,
+        degrees=measured.degrees,
         rms=rms,
         remarks=remarks,
         input=at_both,
@@ -523,7 +569,7 @@ def _plant_along(
 
     Args:
         fitted: plant as fitted, to the longest or all records.
-        numbers: its parameters, and what follows them.
+        numbers: its parameters, and further ones.
         whole: all records, with the inputs behind their element. Others begin at rest.
     """
     layout = fitted.layout
@@ -534,24 +580,122 @@ def _plant_along(
     return simulator, theta
 
 
-def _zone_intervals(
-    zoned: InputZoneFit, before: tuple[float, ...], scale: float, offset: float | None
-) -> tuple[dict[str, Interval], float]:
-    """Return the widths of a zone, and their least degrees of freedom.
+def _intervals_with_offset(
+    measured: Measured, scale: float, offset: float | None
+) -> dict[str, Interval]:
+    """Return the widths of a zone in units of the log.
 
     Args:
-        zoned: the fit.
-        before: weights of the widths before those of this zone.
-        scale: of its signal.
+        measured: the widths.
+        scale: of their signal.
         offset: rms of an unknown offset, scaled; None: free.
     """
-    widths, least = {}, math.inf
-    for name, row in DIRECTIONS.items():
-        value, half, degrees = zoned.sum_width(*before, *row)
-        half = widen_by_offset(math.hypot(half, heaviest(row) * FINEST), row, offset)
-        widths[name] = Interval.from_half_width(value, half).scale_by(scale)
-        least = min(least, degrees)
-    return widths, least
+    widths = {}
+    for name, one in measured.intervals.items():
+        half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
+        widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
+    return widths
+
+
+# --- Any other model that is named
+
+
+def needs_an_element(case: Case, found: Findings) -> bool:
+    """Return whether the model that is named has a plant of its own, and no element yet."""
+    word = found.verdict.word
+    is_likeliest = word == next(iter(found.odds), "") or word != "other"
+    is_open = found.element is None and found.valve is None
+    return is_open and word in OF_THEIR_OWN and word in found.odds and is_likeliest
+
+
+def add_named_element(case: Case, found: Findings) -> Findings:
+    """Add the model that is named, with its numbers: friction, a filtered zone, play ahead, ...
+
+    Args:
+        case: the log.
+        found: with a name.
+    """
+    word = found.verdict.word
+    fit = fit_of(case, found, word)
+    if fit is None:
+        return found
+    misfits = [one.moves for one in found.remainders if one.chance < CHANCE]
+    element = _element_of_fit(case, word, fit, misfits)
+    width, friction = element.widths["width"], None
+    if word == "friction" and width is not None:
+        friction = width.scale_by(0.5)
+        element = element._replace(widths=element.widths | {"width": None})
+    delay = found.delay if _records_of(case, fit) is case.record_data else 0
+    return found._replace(element=element, friction=friction, delay=delay)
+
+
+def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
+    """Return the records whose longest was fitted: as shifted, or as they were recorded."""
+    own, shifted = fit.squares.data.u, plant.longest_record_of(case.record_data).u
+    is_recorded = own.shape == shifted.shape and not np.array_equal(own, shifted)
+    return case.recorded if is_recorded else case.record_data
+
+
+def measure_word(
+    case: Case, fit: FittedModel[Any], word: str, misfits: Sequence[Floats] = ()
+) -> tuple[dict[str, Interval | None], float]:
+    """Measure the widths of a fitted class in units of the log; None where it has none.
+
+    Args:
+        case: the log.
+        fit: of the class.
+        word: the verdict's for it.
+        misfits: as `measure_fit` takes them.
+
+    Returns:
+        right, left, width and centre, and their least degrees of freedom.
+    """
+    none: dict[str, Interval | None] = dict.fromkeys(DIRECTIONS)
+    if word not in MEASURED:
+        return none, math.inf
+    measured = measure_fit(fit, misfits)
+    if word in OF_INPUT:
+        widths = measured.scale_by(float(case.record_data.u_scale[0]))
+        if word == "friction":
+            widths = {name: one.stretch_by(WIDER) for name, one in widths.items()}
+    else:
+        widths = _intervals_with_offset(measured, case.record_data.y_scale, case.offset_prior)
+    return none | {name: widths[name] for name in MEASURED[word]}, measured.degrees
+
+
+def _element_of_fit(
+    case: Case, word: str, fit: FittedModel[Any], misfits: Sequence[Floats]
+) -> Element:
+    """Return the element of a fit to the longest or all records, along all records."""
+    whole, old, theta = _records_of(case, fit), fit.model, fit.theta
+    model = old
+    if old.simulator.data.y.size != whole.y.size:
+        model = old.along(whole)
+        theta = model.simulator.layout.at_rest(old.simulator.layout, theta)
+    z, layout = model.output(theta), model.simulator.layout
+    read = model.noise_free_readings(z, theta)
+    e = np.where(whole.ok, whole.y - read, 0.0)
+    level = float(e[whole.ok].mean()) if model.has_level else 0.0
+    e = np.where(whole.ok, e - level, 0.0)
+    rms = float(np.sqrt(np.mean(e[whole.ok] ** 2)))
+    widths, degrees = measure_word(case, fit, word, misfits)
+    count = layout.numerators.stop
+    return Element(
+        kind=word,
+        fit=fit,
+        simulator=model.driven_plant(theta) if isinstance(model, ChainModel) else model.simulator,
+        theta=theta,
+        V=fit.squares.robust_covariance(fit.theta).V[:count, :count],
+        z=z,
+        readings=read + level,
+        side=np.sign(read).astype(int),
+        widths=widths,
+        ahead=plant.find_input_disturbance(layout, theta, e, whole.ok),
+        noise=min(white_noise_rms(whole.y, whole.ok, whole.start), rms),
+        degrees=degrees,
+        rms=rms,
+        remarks=[],
+    )
 
 
 # --- A play of the actuator
@@ -579,10 +723,12 @@ def add_play_ahead(case: Case, found: Findings) -> Findings:
     if valve is not None or np.array_equal(recorded.u, data.u):
         whole, delay = case.recorded, 0
     if valve is None:
-        gap = gap_of_input(fit).scale_by(float(whole.u_scale[0]))
+        misfits = [one.moves for one in found.remainders if one.chance < CHANCE]
+        gap = measure_word(case, fit, "input_play", misfits)[0]["width"]
     else:
         gap, delay = valve.stick, valve.late
         whole = plant.delay_inputs(whole, delay)
+    assert gap is not None
     element = _play_ahead_element(fit, whole, gap)
     return found._replace(element=element, delay=delay)
 
@@ -653,7 +799,8 @@ def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
     word, top = found.verdict.word, next(iter(found.odds), "")
-    is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
+    is_said = word == "other" and top != "other"  # why nothing is named
+    is_said |= word == "unclear" and not case.fitted.prepared.settles
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
     of_loop = found.valve is not None
@@ -661,7 +808,7 @@ def has_a_model(case: Case, found: Findings) -> bool:
 
 
 def with_adequacy(case: Case, found: Findings) -> Findings:
-    """What is found, unless what the likeliest model leaves depends on something known.
+    """Withhold the name if the innovations of the likeliest model depend on a known signal.
 
     Args:
         case: the log.
@@ -671,12 +818,15 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     if word not in found.odds or word in TOP_OF_ODDS:
         word = next(iter(found.odds))
     fit = fit_of(case, found, word)
-    remainder = None if fit is None else largest_remainder(fit, word)
+    remainders = [] if fit is None else find_remainders(fit)
+    remainder = largest_remainder(remainders, word)
     if remainder is None:
-        return found if word not in found.chains else _in_numbers(case, found)
-    return found._replace(
-        verdict=build_verdict("unclear", *remainder.in_words(MODELS[word])), element=None
-    )
+        return _in_numbers(case, found._replace(remainders=remainders))
+    reasons: tuple[str, ...] = remainder.in_words(MODELS[word])
+    if found.verdict.word == "unclear":  # for a reason of its own; this one may explain it
+        reasons = (*found.verdict.reasons, reasons[1])
+    verdict = build_verdict("unclear", *reasons)
+    return found._replace(remainders=remainders, verdict=verdict, element=None)
 
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
@@ -686,33 +836,50 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         return found
     one = found.chains[word]
     said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
+    if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
+        seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
+        return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     return found._replace(verdict=verdict._replace(reasons=[said]))
 
 
+def holds_more(case: Case, found: Findings) -> bool:
+    """Return whether the model that is named holds a smaller one, and has a plant of its own."""
+    return found.element is None and found.verdict.word in SMALLER
+
+
 def without_needless(case: Case, found: Findings) -> Findings:
-    """What is found, unless the sensor's zone alone leaves no more of held-out data.
+    """What is found, unless a smaller model leaves no more of held-out data.
 
     A larger model must simulate them better, too: one-step errors alone are decided by the colour
     of what disturbs the plant.
 
     Args:
         case: the log.
-        found: with a word of a model that holds a sensor's zone and more.
+        found: with a word of a model that holds a smaller one.
     """
-    larger = fit_of(case, found, found.verdict.word)
-    models = (found.places.get("dead_zone"), case.maps.get("dead_zone"))
-    if larger is None or not any(models):
-        return found
-    size = larger.squares.data.y.size
-    smaller = next((one for one in models if one and one.squares.data.y.size == size), None)
-    if smaller is None:
+    word = found.verdict.word
+    larger = fit_of(case, found, word)
+    if larger is None:
         return found
     held_out = case.options.held_out
-    errors = [held_out_error_of_fit(one, held_out).error for one in (smaller, larger)]
-    if errors[1] < errors[0]:
-        return found
-    denied = found.denied | {found.verdict.word}
-    return found._replace(denied=denied).add_models(case)
+    e, test = held_out_residual(larger, held_out)
+    for name in SMALLER[word]:
+        models = (found.places.get(name), case.maps.get(name))
+        smaller = next((one for one in models if one and one.squares.data.y.size == e.size), None)
+        if smaller is None:
+            continue
+        gain = (held_out_residual(smaller, held_out)[0] ** 2 - e**2)[test]
+        if gain.sum() > 0:
+            continue
+        if gain.sum() ** 2 < float(long_run_covariance(gain[:, None])[0][0, 0]):
+            reason = (
+                f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
+                " the other all that had no part in the fit; record for longer"
+            )
+            return found._replace(verdict=build_verdict("undecided", reason), odds={})
+        again = found._replace(denied=found.denied | {word}).add_models(case)
+        return without_needless(case, again) if holds_more(case, again) else again
+    return found
 
 
 # --- How it does on data that had no part in its fit
@@ -727,7 +894,7 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
-    return held_out_error_of_fit(element.fit, held_out, LAST[element.kind])
+    return held_out_error_of_fit(element.fit, held_out, LAST.get(element.kind, LONGEST))
 
 
 def held_out_error_of_fit(
@@ -740,14 +907,27 @@ def held_out_error_of_fit(
         held_out: share of the samples that checks.
         last: steps of the climb to the others.
     """
+    e, test = held_out_residual(fit, held_out, last)
+    data = fit.squares.data
+    return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
+
+
+def held_out_residual(
+    fit: FittedModel[Any], held_out: float, last: int = LONGEST
+) -> tuple[Floats, Flags]:
+    """Return the residual of a fit to the training samples (N), and the held-out samples.
+
+    Args:
+        fit: the model.
+        held_out: share of the samples that checks.
+        last: steps of the climb to the others.
+    """
     data = fit.squares.data
     train = training_samples(data, held_out)
     trained = LeastSquares(fit.model.along(data._replace(ok=data.ok & train, climbs=None)))
     top = best_maximum(trained, [fit.theta], fit.model.first, last)
     theta = fit.theta if top is None else top.theta
-    test = data.ok & ~train
-    e = fit.squares.reading_residual(theta)
-    return score_held_out(e, data, test, predict_one_step(e, test, test, data.start))
+    return fit.squares.reading_residual(theta), data.ok & ~train
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:

@@ -7,9 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
-from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.logs.prepare import JumpEdge
@@ -27,17 +25,22 @@ from undeadzone_identify.servo.gap import ServoGap
 
 LEAST = 0.5  # share of the held-out readings that a fit must explain
 LIKELY = 0.8  # odds from which a name is given
+LIKELY_IN_LOOP = 0.9  # odds of no zone, from which it is named in a loop, which hides one
 DOUBT = 0.01  # p of a plant without a zone, below which it is not named
 UNLIKELY = 0.05  # odds below which a name is not worth a word
 FEW = 0.005  # of the readings, that may lie across 0 of an operating point
-SPRING = 0.03  # share of the one-step residual from which a spring is named
 WELL_INSIDE = 2.0  # rms of the noise between z^ and an edge
 SURE = 0.999  # level of the interval of an offset that must not hold 0
 MOSTLY = 0.5  # share of the readings within their range, below which no memory is named; and of
 # what a reference leaves of the input, that is readings', from which a loop is closed
 RELEVANT = 0.1  # of the residual's rms, below which an offset is no matter
 MEMORY = ("play", "both")  # words of what a play explains
-CHAINED = ("input_curve", "input_play", "filtered_zone")  # words of models/chain.py
+CHAINED = (
+    "input_curve",
+    "input_play",
+    "input_rate",
+    "filtered_zone",
+)  # words of models/chain.py
 VALVE = ("stiction", "input_play")  # words of a valve's fault
 LOOP = (*VALVE, "external", "tight_tuning")  # words of why a loop swings: models/valve.py
 AS_LINEAR = ("none", "dead_zone", "jump")  # words under which steps may be taken for a zone
@@ -61,7 +64,7 @@ UNEXPLAINED = (
 )
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
-    " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
+    " an offset or a sine cannot be separated; use --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
 CANNOT_TELL = "this record cannot tell"
@@ -83,8 +86,9 @@ MODELS = {
     "zone_and_friction": "friction beside a dead zone of the sensor",
     "two_zones": "a zone of the input beside one of the sensor",
     "input_curve": "a smooth curve of the input",
+    "input_rate": "a limit of the input's rate",
     "input_play": "play between input and plant",
-    "filtered_zone": "a dead zone of the sensor with a filter behind it",
+    "filtered_zone": "a dead zone of the sensor with a filter, two slopes or round edges",
     "stiction": "a valve that sticks",
     "external": "an oscillation from outside",
     "tight_tuning": "a loop that is tuned too tightly",
@@ -102,7 +106,6 @@ class Case(NamedTuple):
         fitted: every order.
         chosen: the order that was chosen.
         no_zone: the test of a zone against none.
-        residuals: residual by z^.
         maps: static rivals, each behind the plant that suits it.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
@@ -116,7 +119,6 @@ class Case(NamedTuple):
     fitted: FittedOrders
     chosen: orders.OrderFit
     no_zone: orders.ZoneTest
-    residuals: orders.ResidualMap
     maps: dict[str, FittedModel[MapModel]]
     suited: orders.OrderFit
     advance: Callable[[int], None]
@@ -233,16 +235,17 @@ def classify_by_probabilities(
         return other
     more = list(filter(lambda one: odds.get(one, 0.0) > UNLIKELY, LARGER.get(word, ())))
     sure = sum(odds.get(one, 0.0) for one in (word, *more))
-    if sure < LIKELY and not (word == case.options.kind == "play"):
+    in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
+    if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
         return _undecided_among(odds)
-    cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
+    cautions = []
+    for one in more:
+        state = "not excluded" if odds[one] < odds.get(word, 0.0) else "likelier than it alone"
+        cautions.append(f"{MODELS[one]} is {state} ({100 * odds[one]:.0f} %)")
     if word == "dead_zone":
         return _verdict_by_residual(case).add_cautions(*cautions)
     if word == "none":
         return _verdict_without_zone(case)
-    if word == "other" or best.strange:
-        fully = ", but not fully either" if best.strange else ""
-        return build_verdict("other", f"{MODELS[word]} explains the log best{fully}")
     advice = [ADVICE] if word == "friction" else []
     return build_verdict(word, f"{MODELS[word]} explains the log best", *advice).add_cautions(
         *cautions
@@ -302,7 +305,9 @@ def _undecided_among(odds: dict[str, float]) -> Verdict:
     """Return the undecided verdict, with the candidate classes."""
     likely = list(filter(lambda word: odds[word] >= UNLIKELY, odds))
     apart = f"{CANNOT_TELL} {' from '.join(MODELS[word] for word in likely)}"
-    return build_verdict("undecided", apart, *([ADVICE] if "friction" in likely else []))
+    return build_verdict(
+        "undecided", apart, *([ADVICE] if {"friction", "dead_zone"} <= set(likely) else [])
+    )
 
 
 def _is_below_rounding(case: Case) -> bool:
@@ -351,23 +356,14 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
 
 
 def _verdict_by_residual(case: Case) -> Verdict:
-    """Return dead_zone, unless a curve over z^ explains the residual."""
-    residuals = case.residuals
-    curve = f"a curve over z^ explains {100 * residuals.share:.0f} % of what"
-    if least_squares.has_strange_curve(residuals.share, residuals.chance):
-        return build_verdict("other", f"{curve} a dead zone leaves: another nonlinearity")
+    """Return dead_zone, or jump, with a caution where one-step errors are not white."""
     verdict = build_verdict("jump" if case.jump_edges else "dead_zone")
-    if residuals.has_curve:
-        verdict = verdict.add_cautions(f"{curve} the dead zone leaves: the fit is not perfect")
-    if residuals.has_memory:
-        memory = "the residual depends on the direction of z^: a memory, perhaps play"
-        verdict = verdict.add_cautions(memory)
     if not case.record_data.silent_zeros and not case.chosen.white:
         verdict = verdict.add_cautions("the one-step residual is not white")
     return verdict
 
 
-# --- By what a linear plant behind a zone does not hold: a spring that bends, an offset
+# --- By what a linear plant behind a zone does not hold: an offset
 
 
 def add_unmodelled(verdict: Verdict, fit: ZoneFit) -> Verdict:
@@ -378,8 +374,7 @@ def add_unmodelled(verdict: Verdict, fit: ZoneFit) -> Verdict:
         fit: plant and zone.
 
     Returns:
-        `other` where the readings inside the zone lie about another value than 0; a caution, or a
-        reason why nothing is clear, where the plant's stiffness depends on z.
+        `other` where the readings inside the zone lie about another value than 0.
     """
     offset = None if verdict.word == "unclear" else mean_inside_zone(fit)
     if offset is not None:
@@ -389,19 +384,7 @@ def add_unmodelled(verdict: Verdict, fit: ZoneFit) -> Verdict:
             f" the zone; take it away by --zero {value:.4g}"
         )
         return build_verdict("other", reason)
-    if verdict.word == "other":
-        return verdict
-    share, chance, slope = cubic_spring_share(fit)
-    if share < SPRING or chance > least_squares.CHANCE:
-        return verdict
-    how = "stiffer" if slope < 0 else "softer"
-    words = (
-        f"the cube of z^ as a force explains {100 * share:.0f} % of the one-step residual: the"
-        f" plant is nonlinear, {how} far from 0, and its resonance depends on the amplitude"
-    )
-    if verdict.word == "unclear":
-        return verdict._replace(reasons=[*verdict.reasons, words])
-    return verdict.add_cautions(f"{words}; the widths may be off by more than their intervals")
+    return verdict
 
 
 def mean_inside_zone(fit: ZoneFit) -> float | None:
@@ -422,41 +405,3 @@ def mean_inside_zone(fit: ZoneFit) -> float | None:
     covariance, degrees = long_run_covariance((y - mean)[:, None])
     half = student_quantile(degrees, SURE) * math.sqrt(float(covariance[0, 0])) / y.size
     return mean if abs(mean) > max(half, RELEVANT * fit.disturbance_rms) else None
-
-
-def cubic_spring_share(fit: ZoneFit) -> tuple[float, float, float]:
-    """Return the share of the one-step residual that a cubic spring explains.
-
-    To first order a spring kappa z^3 beside the input changes z by -kappa G z^3, with G the plant
-    from its first input. What changes of the plant's own numbers could do is taken out first.
-
-    Args:
-        fit: plant and zone.
-
-    Returns:
-        The share, p, and the coefficient of G z^3: negative for a spring that gets stiffer.
-    """
-    objective = fit.objective
-    value, use = orders.one_step_residuals(fit, objective.data.ok)
-    slope = objective.simulator.z_gradient(fit.theta, fit.z)[:, objective.free]
-    side = objective.data.side
-    columns = np.column_stack([slope, 1.0 * (side > 0), -1.0 * (side < 0), _cubic_response(fit)])
-    whitened = columns.copy()
-    whitened[1:] -= fit.rho * columns[:-1]
-    rows = whitened[use]
-    if len(rows) < 10 * columns.shape[1]:
-        return 0.0, 1.0, 0.0
-    cube = least_squares.regression_residual(rows[:, :-1], rows[:, -1])
-    coefficients, _, share, chance = least_squares.regress_residual(cube[:, None], value[use])
-    return share, chance, float(coefficients[0])
-
-
-def _cubic_response(fit: ZoneFit) -> Floats:
-    """Return G z^3 along the records (N)."""
-    layout = fit.objective.layout
-    denominator = layout.full_denominator(fit.theta[layout.denominator])
-    numerator = np.append(0.0, fit.theta[layout.numerators][: layout.n])
-    out = np.empty(fit.z.size)
-    for part in fit.objective.data.record_slices():
-        out[part] = lfilter(numerator, denominator, fit.z[part] ** 3)
-    return out

@@ -36,7 +36,7 @@ def _word_of(one: PlaceFit) -> str:
     shape = model.shape
     sensor = shape.sensor and model.part_numbers(theta, "sensor").sum() > VANISHING
     driven = shape.input and model.part_numbers(theta, "input").sum() > VANISHING
-    rubs = shape.inner and sum(_friction_levels(one)) > VANISHING
+    rubs = shape.inner and model.friction_levels(theta).sum() > VANISHING
     words = {"sensor": sensor, "input": driven, "inner": rubs}
     return WORDS[tuple(name for name, is_there in words.items() if is_there)]
 
@@ -94,30 +94,3 @@ def _start_from_contained(shape: PlaceShape, fits: dict[str, PlaceFit]) -> list[
     c = theta[best.model.base + WIDTHS :]
     c[: shape.free] = best.model.friction_coefficients(theta)[: shape.free]
     return [theta]
-
-
-def input_levels_of(fits: dict[str, PlaceFit]) -> dict[str, tuple[float, float]]:
-    """Return friction and the zone of the input, right and left, in units of the input,
-    scaled.
-
-    Args:
-        fits: by word.
-    """
-    levels = {}
-    for word, one in fits.items():
-        model, theta = one.model, one.theta
-        if word == "friction":
-            levels[word] = _friction_levels(one)
-        if model.shape.input:
-            right, left = model.part_numbers(theta, "input")
-            levels[word] = (float(right), float(left))
-    return levels
-
-
-def _friction_levels(one: PlaceFit) -> tuple[float, float]:
-    """Return friction right and left, in units of the input, scaled."""
-    model, theta = one.model, one.theta
-    b = theta[model.n : 2 * model.n]
-    force = abs(b.sum()) / max(abs(1 + model.friction_coefficients(theta).sum()), 1e-9)
-    right, left = model.part_numbers(theta, "inner") / max(force, 1e-9)
-    return float(right), float(left)

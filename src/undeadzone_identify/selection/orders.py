@@ -15,9 +15,6 @@ from scipy.stats import chi2
 from undeadzone.util.arrays import Flags, Floats, Integers, rows_since_start
 from undeadzone_identify.models import zone_fit
 from undeadzone_identify.models.least_squares import (
-    CHANCE,
-    HATS,
-    hat_functions,
     regress_residual,
     regression_residual,
 )
@@ -347,56 +344,6 @@ def known_autocorrelation(value: Floats, use: Flags, lags: int) -> Floats:
 
 
 # --- What the zone leaves
-
-
-class ResidualMap(NamedTuple):
-    """Residual y - E[y given z^] by z^.
-
-    Attributes:
-        centres: places of the hat functions (K) [scaled z].
-        curve, std: mean residual there, and its standard deviation (K) [scaled y].
-        share, chance: share of the residual's variance that the curve explains, and its p.
-        moving_share, moving_chance: the same for a curve times the direction of z^: a memory.
-    """
-
-    centres: Floats
-    curve: Floats
-    std: Floats
-    share: float
-    chance: float
-    moving_share: float
-    moving_chance: float
-
-    @property
-    def has_curve(self) -> bool:
-        """Return whether a map of z^ explains the residual of a dead zone."""
-        return self.share > SHARE and self.chance < CHANCE
-
-    @property
-    def has_memory(self) -> bool:
-        """Return whether the residual depends on the direction of z^."""
-        return self.moving_share > SHARE and self.moving_chance < CHANCE
-
-
-def fit_residual_map(fit: zone_fit.ZoneFit) -> ResidualMap:
-    """Fit the residual by z^ and by its direction.
-
-    Args:
-        fit: plant and zone of a record.
-
-    Returns:
-        The curve, how much it explains and how surely.
-    """
-    z = fit.z
-    ok = fit.objective.readings.ok
-    residual = fit.objective.readings.y - zone_fit.mean_reading(fit)
-    centres = np.unique(np.quantile(z[ok], np.linspace(0.01, 0.99, HATS)))
-    curves = hat_functions(z, centres)
-    speed = np.diff(z, prepend=z[0])
-    moving = curves * np.tanh(speed / (speed.std() + 1e-300))[:, None]
-    curve, std, share, chance = regress_residual(curves[ok], residual[ok])
-    _, _, moving_share, moving_chance = regress_residual(moving[ok], residual[ok])
-    return ResidualMap(centres, curve, std, share, chance, moving_share, moving_chance)
 
 
 # --- A zone against none

@@ -21,10 +21,12 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.logs.log import Options
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.estimates import Interval, student_quantile
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, regress_residual
+from undeadzone_identify.selection.adequacy import AT_SENSOR, Remainder, hat_columns
 from undeadzone_identify.selection.alternatives import (
     EVEN,
     LEAST_GAP,
+    WIDER,
     Element,
     Findings,
     impossible_words,
@@ -66,7 +68,7 @@ EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of
 FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 1.6  # times the count of any other reading: of 886 random servos 5 have more
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
-WIDER, FREEDOM = 1.25, 60  # of a friction's interval, as of a gap's
+FREEDOM = 60  # of a friction's interval, as of a gap's
 LEVEL = 0.004  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
@@ -280,11 +282,22 @@ def _compare_noisy_servo(case: Case, servo: ServoGap, found: Findings) -> Findin
     best = best_model_of("play", models) is models[-1]["play"]
     if not best or min(odds.get("play", 0.0), servo.gap_probability) <= LIKELY:
         return found
+    if _depends_on_position(servo):
+        return found
     if servo.is_gap_reported:
         return add_servo_element(case, servo, found)._replace(models=models, odds=odds)
     if found.verdict.word in MEMORY:  # whose gap may be known otherwise
         return found
     return _withhold_servo(servo, found)
+
+
+def _depends_on_position(servo: ServoGap) -> bool:
+    """Return whether the errors of a servo depend on where it is: then it is none."""
+    counted, one = servo.log.error_samples(False), servo.servo
+    z = servo.predict_readings(one)[0][counted]
+    errors, columns = servo.normalised_errors(one), hat_columns(z, AT_SENSOR)
+    share, chance = regress_residual(columns - columns.mean(axis=0), errors)[2:]
+    return Remainder("output", share, chance, errors[:0]).is_real
 
 
 def _servo_family(case: Case, servo: ServoGap) -> Family:

@@ -1,0 +1,101 @@
+"""Numbers of a fitted model with 95 % intervals, from every stage of its fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from undeadzone.nonlinearities.sensor import DIRECTIONS, heaviest
+from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.models.estimates import (
+    EstimateCovariance,
+    Interval,
+    central_differences,
+    perturb_each,
+)
+from undeadzone_identify.models.least_squares import FittedModel, Model
+
+FINEST = 2e-4  # rms of its signal: no interval of a width is narrower
+STEP = 1e-5  # of a parameter, for differences
+
+
+class Stage(Protocol):
+    """Log likelihood or sum of squares that a stage of a fit maximises."""
+
+    free: Integers
+
+    def robust_covariance(self, theta: Floats) -> EstimateCovariance:
+        """Return the robust covariance (I1) of the free parameters."""
+
+
+Stages = Sequence[tuple[Stage, Floats]]
+WIDTHS = np.array(list(DIRECTIONS.values()))
+
+
+class Measured(NamedTuple):
+    """Widths of an element, scaled.
+
+    Attributes:
+        intervals: right, left, width, centre.
+        degrees: least degrees of freedom of these.
+    """
+
+    intervals: dict[str, Interval]
+    degrees: float
+
+    def scale_by(self, factor: float) -> dict[str, Interval]:
+        """Return the intervals in other units."""
+        return {name: one.scale_by(factor) for name, one in self.intervals.items()}
+
+
+def measure_levels(
+    levels: Callable[[Floats], Floats], stages: Stages, misfits: Sequence[Floats] = ()
+) -> Measured:
+    """Measure right, left, width and centre of an element.
+
+    A half interval is the widest of the stages'. By how much the first and the last stage differ,
+    and how far the largest misfit moves the number, is added in quadrature.
+
+    Args:
+        levels: right and left by theta.
+        stages: objective and theta of each stage; the values are those of the last one.
+        misfits: changes of the free parameters of the first stage by remainders of the model.
+    """
+    halves, values, moved = [], [], np.zeros(len(WIDTHS))
+    for place, (target, theta) in enumerate(stages):
+        rows = WIDTHS @ _level_slopes(levels, theta, target.free)
+        spread = target.robust_covariance(theta)
+        halves.append([spread.half_and_degrees(row) for row in rows])
+        values.append(WIDTHS @ levels(theta))
+        if place == 0 and misfits:
+            moved = np.abs(rows @ np.array(misfits).T).max(axis=1)
+    intervals, least = {}, math.inf
+    for k, (name, row) in enumerate(DIRECTIONS.items()):
+        half, degrees = max(stage[k] for stage in halves)
+        apart = values[-1][k] - values[0][k]
+        wider = math.hypot(half, apart, moved[k], heaviest(row) * FINEST)
+        intervals[name] = Interval.from_half_width(float(values[-1][k]), wider)
+        least = min(least, degrees)
+    return Measured(intervals, least)
+
+
+def measure_fit(fit: FittedModel[Model], misfits: Sequence[Floats] = ()) -> Measured:
+    """Measure the element of a model: simulation errors first, then prediction errors.
+
+    Args:
+        fit: least squares of the readings.
+        misfits: as for `measure_levels`.
+    """
+    later = fit.prediction_fit
+    stages = [(one.squares, one.theta) for one in (fit, later)]
+    return measure_levels(fit.model.levels, stages, misfits)
+
+
+def _level_slopes(levels: Callable[[Floats], Floats], theta: Floats, free: Integers) -> Floats:
+    """Return the derivatives of both levels by the free parameters (2 x free)."""
+    steps = STEP * np.maximum(np.abs(theta[free]), 0.02)
+    points = perturb_each(theta, free, steps)[1:]
+    return central_differences(np.array([levels(one) for one in points]), steps).T

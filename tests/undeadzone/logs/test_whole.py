@@ -1,0 +1,53 @@
+"""Lines of JSON objects are a log, as a CSV of the same columns is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from undeadzone.errors import FileError
+from undeadzone.logs.whole import of_json_lines
+from undeadzone_identify.logs.log import read_log
+
+
+def lines_of(rows: list[object]) -> str:
+    return "\n".join(json.dumps(row) for row in rows)
+
+
+def test_json_lines_are_read_as_a_csv_of_the_same_columns(tmp_path: Path) -> None:
+    rows = [(0.1 * k, k % 7 - 3.0, 0.25 * k) for k in range(50)]
+    lines, table = tmp_path / "log.jsonl", tmp_path / "log.csv"
+    lines.write_text(
+        lines_of([dict(zip(("t [ms]", "u", "y"), row, strict=True)) for row in rows]) + "\n\n"
+    )
+    table.write_text("t [ms],u,y\n" + "\n".join(f"{t},{u},{y}" for t, u, y in rows))
+    read, same = read_log(lines), read_log(table)
+    for name in ("t", "u", "y"):
+        assert np.array_equal(getattr(read, name), getattr(same, name))
+
+
+def test_dates_are_seconds_and_missing_keys_are_missing_readings(tmp_path: Path) -> None:
+    path = tmp_path / "log.ndjson"
+    rows: list[object] = [
+        {"time": f"2026-11-25T10:00:{k:02d}Z", "u": k, "y": None if k == 3 else -k, "note": "x"}
+        for k in range(10)
+    ]
+    path.write_text(lines_of(rows).replace('"u": 5,', '"u": NaN,'))
+    columns = {title.name: column for title, column in of_json_lines(path)}
+    assert set(columns) == {"time", "u", "y"}
+    assert np.array_equal(np.diff(columns["time"]), np.ones(9))
+    assert np.flatnonzero(np.isnan(columns["y"])).tolist() == [3]
+    assert np.flatnonzero(np.isnan(columns["u"])).tolist() == [5]
+
+
+@pytest.mark.parametrize(
+    "text", ['{"t": 0}\n[1, 2]', '{"t": 0}\n{"t": ', '{"t": 0}\n' + "[" * 99999]
+)
+def test_a_line_that_is_no_object_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "log.jsonl"
+    path.write_text(text)
+    with pytest.raises(FileError, match="line 2: expected a JSON object"):
+        of_json_lines(path)
