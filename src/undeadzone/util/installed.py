@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from undeadzone.errors import DamagedPackage, InputError
 
 if TYPE_CHECKING:
@@ -80,6 +78,8 @@ def import_scipy() -> None:
     SciPy's array layer takes over every name of NumPy, which imports f2py, testing, random and
     others for that: more than half of the time of its import.
     """
+    import numpy as np
+
     space: dict[str, Any] = vars(np)
     public, listed = space["__all__"], space["__dir__"]
     space |= {"__all__": [name for name in public if name in space], "__dir__": lambda: [*space]}

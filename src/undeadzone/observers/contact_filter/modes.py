@@ -42,6 +42,7 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 Contacts = Sequence[Any]  # of each joint: 1, 0 or -1, or a symbol of 1 or -1
+LONG = 4000  # instructions of a shared graph from which on calls of it stay calls
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
@@ -481,11 +482,12 @@ def _move_modes(drive: Drive, q: Numbers, now: Sequence[Mode], u: Any) -> list[M
 
         def move(sides: Any, q: Numbers, one: Mode, u: Any, free: Any = free) -> Mode:
             """Return a mode a sample later."""
-            contact = [0 if is_free else sides[k] for k, is_free in enumerate(free)]
+            flanks = zip(ca.vertsplit(sides), free, strict=True)
+            contact = [side * (1 - is_free) for side, is_free in flanks]
             return _move_mode(drive, q, contact, one, u)
 
         calls = [(ca.SX(ca.DM(modes[k])), q, now[k], u) for k in alike]
-        after |= zip(alike, share_step_graph(move, calls), strict=True)
+        after |= zip(alike, share_step_graph(move, calls, LONG), strict=True)
     return [after[k] for k in range(len(modes))]
 
 

@@ -23,7 +23,6 @@ from undeadzone.util.arrays import Floats
 Result = TypeVar("Result")
 
 LEAST = 1e-6  # odds of a member against the best one, however wrong it was
-LONG = 4000  # instructions of a member from which on calls of it stay calls
 FALL = 4.0  # from one level of the disturbance to the next, if it is assumed
 DOUBTED = 3  # number of levels from which one lies above the assumption
 # Deviations, and the quantity that has them: a sum of fields.
@@ -129,12 +128,15 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
     return odds, share / ca.sum1(share)
 
 
-def share_step_graph(step: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> list[Result]:
+def share_step_graph(
+    step: Callable[..., Result], calls: Sequence[tuple[Any, ...]], long: float = np.inf
+) -> list[Result]:
     """Return the results of a step whose graph is built once, in symbols that calls replace.
 
     Args:
         step: of a member.
         calls: arguments of each, of equal shapes.
+        long: instructions of a graph from which on calls of it stay calls (default: none does).
     """
     if len(calls) == 1:
         return [step(*calls[0])]
@@ -146,7 +148,7 @@ def share_step_graph(step: Callable[..., Result], calls: Sequence[tuple[Any, ...
     shown = [ca.SX(leaf).sparsity() for _, leaf in tree.iterate_leaves(result)]
     out = _flatten_leaves(result)
     whence = _places_of_equals([out])
-    options = {"never_inline": ca.Function("count", [w], [out]).n_instructions() > LONG}
+    options = {"never_inline": ca.Function("count", [w], [out]).n_instructions() > long}
     firsts = [whence.index(k) for k in range(1 + max(whence))]
     graph = ca.Function("member", [w], [out[firsts]], ["w"], ["out"], options)
     begins = [places.index(k) for k in range(w.numel())]
@@ -156,7 +158,7 @@ def share_step_graph(step: Callable[..., Result], calls: Sequence[tuple[Any, ...
 
 def _flatten_leaves(value: Any) -> Any:
     """Return the numbers of all leaves as a column."""
-    return ca.vertcat(*(ca.SX(leaf).nz[:] for _, leaf in tree.iterate_leaves(value)))
+    return ca.vertcat(*(ca.vec(ca.SX(leaf)).nz[:] for _, leaf in tree.iterate_leaves(value)))
 
 
 def _split_leaves(shapes: Sequence[ca.Sparsity], column: Any) -> Iterator[Any]:
