@@ -16,6 +16,7 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile.graph import required_nodes
+from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import c_literal
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
@@ -137,8 +138,7 @@ def export(
     problem = resolve_scenario(scenario)
     began = time.monotonic()
     step = exported_step.build_step(problem, part, tunable)
-    double = build_code(step, single=False)
-    printed = build_code(step, single=True) if precision == "single" else double
+    printed = build_code(step, single=precision == "single")
     operations = sum(count_operations(printed.results).values())
     if told is not None and operations > MANY:
         seconds = SHARE * (time.monotonic() - began)
@@ -148,7 +148,7 @@ def export(
     steps = STEPS if printed.single else accuracy.MACHINE_STEPS
     rows = record_inputs(continue_scenario(scenario, steps), step)
     report = _initial_report(printed, text, labels, tunable)
-    report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
+    report["replaced_constants"] = constants_beyond_float(step) if printed.single else []
     report |= _accuracy_report(printed, text, rows)
     if to in FIRMWARE:
         found = fit_boards(report)
@@ -284,10 +284,10 @@ def _struct_bytes(printed: Code) -> dict[str, int]:
     return {name: each * total_size(structs[name]) for name in ("state", "in", "out", "params")}
 
 
-def constants_beyond_float(double: Code) -> list[str]:
-    """Return the numbers of the code in double that float cannot represent, with substitutes."""
+def constants_beyond_float(step: exported_step.ExportedStep) -> list[str]:
+    """Return the numbers in double of a step that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
-    for node in required_nodes(itertools.chain(*double.results)):
+    for node in required_nodes(itertools.chain(*build_portable_nodes(step.function, "float64"))):
         size = abs(node.constant_value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")

@@ -80,7 +80,7 @@ def test_a_unit_at_the_end_of_a_name_is_carried() -> None:
 )
 def test_names_with_units_or_ends_leave_open_what_is_open(header: str) -> None:
     titles = [split_unit(cell) for cell in header.split(",")]
-    with pytest.raises(FileError, match="Name it by columns=.y"):
+    with pytest.raises(FileError, match=r"Name it by columns=.y"):
         layout_of_titles(titles, None, None, {}, "log")
 
 
