@@ -209,11 +209,10 @@ def has_no_gap(servo: ServoGap) -> bool:
     Args:
         servo: whose gap is not given.
     """
-    alone = len(servo.reasons) == 1 and servo.gap.low <= 0
     is_small = servo.gap.high < LEAST_GAP * servo.log.y_scale
-    is_below_steps = servo.gap.high < servo.log.quantum * servo.log.y_scale
-    excluded = servo.gap_probability < UNLIKELY or is_below_steps
-    return alone and is_small and servo.is_integrating and excluded
+    excluded = servo.gap_probability < UNLIKELY or servo.gap.high < servo.least_gap
+    is_motor = servo.is_servo and servo.is_integrating and not servo.is_gap_reported
+    return is_motor and is_small and excluded
 
 
 def friction_of(servo: ServoGap) -> Interval | None:
@@ -246,7 +245,7 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
     models, odds = found.models, {word: 1.0}
     if (
         servo.gap_probability < UNLIKELY
-    ):  # else the gap is below the steps of the encoder, whatever its odds
+    ):  # else the gap is below the encoder's steps or noise, whatever its odds
         odds = {word: 1 - servo.gap_probability, "play": servo.gap_probability}
     if not servo.log.ticks:  # whose densities compare with those of other models
         density = _servo_family(case, servo)["play"]

@@ -161,6 +161,7 @@ class ServoGap(NamedTuple):
         covariance: of the servo's free numbers.
         gained: nats of the log likelihood by which the gap is better than none.
         reasons: why no gap is given; empty where one is.
+        is_servo: whether errors and crossings are those of a servo, be its gap known or not.
     """
 
     log: Observations
@@ -171,6 +172,13 @@ class ServoGap(NamedTuple):
     covariance: Floats
     gained: float
     reasons: tuple[str, ...]
+    is_servo: bool
+
+    @property
+    def least_gap(self) -> float:
+        """Return the gap below which none matters: an encoder's step, or the noise of readings."""
+        log = self.log
+        return (log.quantum if log.ticks else NOISES * reading_noise_rms(log)) * log.y_scale
 
     @property
     def is_gap_reported(self) -> bool:
@@ -273,9 +281,11 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         covariance=spread.covariance,
         gained=best.value - _value_without_gap(part, best),
         reasons=(),
+        is_servo=False,
     )
-    doubts = _collect_gap_doubts(found, spread, gaps)
-    return found._replace(reasons=(*doubts, *collect_odd_errors(part, slopes)))
+    moved, odd = _collect_motion_doubts(found, spread), collect_odd_errors(part, slopes)
+    reasons = (*moved, *_collect_gap_doubts(found, gaps), *odd)
+    return found._replace(reasons=reasons, is_servo=not moved and not odd)
 
 
 def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
@@ -374,15 +384,10 @@ def _correct_crossing_bias(
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
-def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) -> list[str]:
-    """Collect the reasons for which the gap itself is not reported."""
-    log, gap, crossings = found.log, found.gap, found.crossings
-    reasons = []
-    if found.reversals < REVERSALS:
-        reasons.append(
-            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
-            f" {REVERSALS} are the least; record with an input that reverses more often"
-        )
+def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
+    """Collect the reasons for which the gap itself is not known."""
+    gap, reasons = found.gap, []
+    fitted = float(found.servo.theta[At.GAP]) * found.log.y_scale
     if gap.low <= 0:
         reasons.append(
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
@@ -392,6 +397,19 @@ def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) 
         reasons.append(
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
+        )
+    if gap.low > 0 and np.max(np.abs(gaps * found.log.y_scale - fitted)) > SCATTERS * fitted:
+        reasons.append("logs simulated with the fit do not lead back to its gap")
+    return reasons
+
+
+def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str]:
+    """Collect the reasons for which the motion is hardly a servo's, be there a gap or not."""
+    log, crossings, reasons = found.log, found.crossings, []
+    if found.reversals < REVERSALS:
+        reasons.append(
+            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
+            f" {REVERSALS} are the least; record with an input that reverses more often"
         )
     if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
@@ -404,8 +422,6 @@ def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) 
             f"the crossings one by one say a gap of {crossings.median_gap:.4g}, all together"
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
-    if gap.low > 0 and np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
-        reasons.append("logs simulated with the fit do not lead back to its gap")
     return reasons
 
 
