@@ -46,6 +46,7 @@ NAMES = (
     "names",
     "strangers",
     "lost_motion",
+    "motors",
     "valves",
     "identify_known",
     "identify_speed",

@@ -4,8 +4,8 @@ MOTOR_LOGS: of each kind (4), MOTOR_FIRST: the first seed (100), MOTOR_RIVALS: 0
 that is told MuJoCo's model away, which takes most of the time.
 
 `mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is
-`mujoco.minimize.least_squares`, which is used here, on simulated readings, told all of the model but
-its numbers, from two gaps. Output error is the plain fit of order 2 with an integrator.
+`mujoco.minimize.least_squares`, which is used here, on simulated readings, told all of the model
+but its numbers, from two gaps. Output error is the plain fit of order 2 with an integrator.
 """
 
 from __future__ import annotations
@@ -74,11 +74,14 @@ def output_error(u: Floats, y: Floats) -> Answer:
     ones, t = np.ones(u.size), np.arange(u.size) * STEP
 
     def columns(ln_time: float) -> Floats:
-        keep = math.exp(-STEP / math.exp(ln_time))
-        rates = lfilter([0.0, 1 - keep], [1.0, -keep], np.column_stack([u, ones]), axis=0)
-        moved = np.cumsum(rates, axis=0) * STEP
-        slowing = math.exp(ln_time) * (1 - np.exp(-t / math.exp(ln_time)))
-        return np.column_stack([moved, ones, slowing])
+        time = math.exp(ln_time)
+        keep = math.exp(-STEP / time)
+        driven = np.column_stack([u, ones])
+        rates = lfilter([0.0, 1 - keep], [1.0, -keep], driven, axis=0)
+        lost = time * (1 - keep)
+        moved = np.cumsum(lost * rates + (STEP - lost) * driven, axis=0)
+        moved = np.vstack([np.zeros((1, 2)), moved[:-1]])
+        return np.column_stack([moved, ones, time * (1 - np.exp(-t / time))])
 
     def left(ln_time: float) -> float:
         each = columns(ln_time)
@@ -88,7 +91,7 @@ def output_error(u: Floats, y: Floats) -> Answer:
     grid = np.log(STEP * np.geomspace(1.0, 2000.0, 40))
     first = int(np.argmin([left(one) for one in grid]))
     around = grid[max(first - 1, 0)], grid[min(first + 1, grid.size - 1)]
-    best = minimize_scalar(left, bounds=around, method="bounded").x
+    best = float(minimize_scalar(left, bounds=around, method="bounded").x)
     spent = time.process_time() - begun
     return Answer("", None, math.nan, math.exp(best) / STEP, spent)
 

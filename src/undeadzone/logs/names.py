@@ -392,7 +392,7 @@ class _Header(NamedTuple):
         indexed = [title.name for title in self.titles if title.name.endswith("]")]
         if len(indexed) < 2:
             return ""
-        return f", in quotes: --columns 'y={indexed[0]},u={indexed[1]}'"
+        return f", as in --columns 'y={indexed[0]},u={indexed[1]}'"
 
     def count_columns(self, usual: Sequence[str]) -> int:
         """How many columns a signal seems to have: those with an index, else one."""

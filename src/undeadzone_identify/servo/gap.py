@@ -131,6 +131,7 @@ DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
 NOISES = 2.0  # rms of the noise by which they may besides
+HEARD = 3.0  # rms of the noise, below which friction that gives way is no other than a gap
 CLOSE = 0.02  # of the gap, by which they may in any case
 WIDEST = 0.5  # of the gap: half of an interval that is an answer
 SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
@@ -162,6 +163,7 @@ class ServoGap(NamedTuple):
         gained: nats of the log likelihood by which the gap is better than none.
         reasons: why no gap is given; empty where one is.
         is_servo: whether errors and crossings are those of a servo, be its gap known or not.
+        has_bursts: whether large errors follow large ones, as behind strikes of a heavy load.
     """
 
     log: Observations
@@ -173,12 +175,13 @@ class ServoGap(NamedTuple):
     gained: float
     reasons: tuple[str, ...]
     is_servo: bool
+    has_bursts: bool
 
     @property
     def least_gap(self) -> float:
         """Return the gap below which none matters: an encoder's step, or the noise of readings."""
         log = self.log
-        return (log.quantum if log.ticks else NOISES * reading_noise_rms(log)) * log.y_scale
+        return (log.quantum if log.ticks else HEARD * reading_noise_rms(log)) * log.y_scale
 
     @property
     def is_gap_reported(self) -> bool:
@@ -282,6 +285,7 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         gained=best.value - _value_without_gap(part, best),
         reasons=(),
         is_servo=False,
+        has_bursts=are_errors_in_bursts(slopes.e * np.exp(-slopes.log_s)),
     )
     moved, odd = _collect_motion_doubts(found, spread), collect_odd_errors(part, slopes)
     reasons = (*moved, *_collect_gap_doubts(found, gaps), *odd)
@@ -393,6 +397,11 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
             " at the motor's side hears little of the gap behind it)"
         )
+    elif not found.log.ticks and gap.high < found.least_gap:
+        reasons.append(
+            f"a gap would be below {gap.high:.3g}, within the noise of the readings: friction that"
+            " gives way before it slides looks the same"
+        )
     elif gap.half_width > WIDEST * gap.value:
         reasons.append(
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
@@ -423,6 +432,18 @@ def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
     return reasons
+
+
+def are_errors_in_bursts(errors: Floats) -> bool:
+    """Return whether squares of errors follow from squares before them (McLeod and Li 1983).
+
+    Args:
+        errors: of predictions, divided by their standard deviations (n).
+    """
+    squares = np.clip(errors - errors.mean(), -CLIP, CLIP) ** 2
+    seen = mean_lag_products(squares - squares.mean(), np.ones(squares.size, bool), 1 + FOLLOWING)
+    portmanteau = squares.size * float(np.sum((seen[1:] / seen[0]) ** 2))
+    return bool(chi2.sf(portmanteau, FOLLOWING) < CHANCE)
 
 
 def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
