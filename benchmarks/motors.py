@@ -27,7 +27,7 @@ from undeadzone.util.arrays import Floats
 
 FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there is one
 STARTS = (0.005, 0.04)  # gaps [rad]
-STEPS = 10  # of a fit in MuJoCo
+STEPS = 12  # of a fit in MuJoCo
 NO_NAME = ("undecided", "unclear")
 
 
@@ -58,7 +58,7 @@ def identified(u: Floats, y: Floats) -> Answer:
         return Answer("refused", None, math.nan, math.nan, time.process_time() - begun)
     seconds = time.process_time() - begun
     assert isinstance(found, uz.Identified)
-    friction = found.answer.friction
+    friction = found.answer.found.friction
     poles = [pole.real for pole in found.answer.poles if pole.real < 0]
     samples = -1 / (max(poles) * STEP) if poles else math.nan
     level = math.nan if friction is None else friction.value
@@ -130,6 +130,7 @@ def told_the_model(u: Floats, y: Floats, motor: Motor) -> Answer:
             first,
             residuals,
             bounds=[low[:, None].astype(float), high[:, None].astype(float)],
+            eps=1e-4,
             max_iter=STEPS,
             verbose=minimize.Verbosity.SILENT,
         )
