@@ -320,7 +320,7 @@ KINDS = {
     "limit of the input": Kind(curved(lambda u: np.clip(u, -0.9, 1.1)), ()),
     "play ahead, 12": Kind(play_ahead(0.5, 12.0), ("input_play",)),
     "play ahead, 2": Kind(play_ahead(0.9, 2.0), ("input_play",)),
-    "valve that sticks and slips": Kind(sticking, ("input_play",)),
+    "valve that sticks and slips": Kind(sticking, ("input_play", "stiction")),
     "rate limit of the input": Kind(curved(slow_rate), ("input_rate",)),
     "pulses about 1500": Kind(by_pulses, ("input_zone",)),
     "zone, mean of 4": Kind(sensed(lambda z: lfilter(np.ones(4) / 4, [1.0], zone(z)), BOTH), ZONE),

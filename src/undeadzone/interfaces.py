@@ -12,6 +12,7 @@ from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import Target
 from undeadzone.nonlinearities.limits import Limits, is_beyond_range
 from undeadzone.nonlinearities.sensor import inverse, present, side
+from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 
@@ -544,3 +545,33 @@ def require_graph(observer: Observer) -> Observer:
             "Use 'kalman' or 'censored' there"
         )
     return observer
+
+
+def wrap_observer(
+    observer: Observer,
+    field: str,
+    numbers: Any,
+    start: Callable[[Any], Any],
+    step: Callable[..., Any],
+) -> Observer:
+    """Return an observer around another one.
+
+    Args:
+        observer: the inner one.
+        field: name of the outer numbers, behind the inner ones.
+        numbers: tree of the outer numbers.
+        start: start(inner state) is the state at t = 0, with the inner one in its field `observer`.
+        step: the outer step, as of `Observer`.
+    """
+    kind = type(observer.params)
+
+    def init(q: Any) -> Any:
+        """Return the state at t = 0."""
+        return start(observer.init(tree.drop_last_field(q, kind)))
+
+    def project(q: Any, s: Any) -> Any:
+        """Return the state with the observer's part projected."""
+        return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
+
+    params = tree.append_field(observer.params, field, numbers)
+    return Observer(params, init, step, project, observer.traits)

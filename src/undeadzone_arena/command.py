@@ -228,13 +228,9 @@ def _announce_and_run(
     from undeadzone_arena.contest.effort import effort_text
     from undeadzone_arena.contest.entry import read_knob_numbers
     from undeadzone_arena.contest.leaderboard import FRAME
-    from undeadzone_arena.contest.methods import methods_for_scenarios, require_method
+    from undeadzone_arena.contest.trials import resolve_names
 
-    chosen = (
-        methods_for_scenarios(grounds.values())
-        if names is None
-        else [require_method(name) for name in names]
-    )
+    chosen = resolve_names(names, grounds)
     every = list(dict.fromkeys([*FRAME, *chosen]))
     print_line(f"arena: {effort_text(every, grounds, len(seeds), 'seed', processes)}", err=True)
     runs = len(grounds) * len(seeds) * len(every)
@@ -255,19 +251,12 @@ def _run_tuning(
 ) -> int:
     """Tune methods, write and print their numbers."""
     from undeadzone_arena.contest.effort import effort_text
-    from undeadzone_arena.contest.methods import (
-        method_registry,
-        methods_for_scenarios,
-        require_method,
-    )
+    from undeadzone_arena.contest.methods import method_registry
+    from undeadzone_arena.contest.trials import resolve_names
     from undeadzone_arena.contest.tune import tune_methods
     from undeadzone_arena.contest.tuned_file import save_tuned
 
-    chosen = (
-        methods_for_scenarios(grounds.values())
-        if names is None
-        else [require_method(name) for name in names]
-    )
+    chosen = resolve_names(names, grounds)
     adjustable = [name for name in chosen if method_registry()[name].knobs]
     print_line(
         f"arena: {effort_text(adjustable, grounds, budget, 'candidate', processes)}", err=True

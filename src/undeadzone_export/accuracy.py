@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -220,6 +221,8 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
         if name.endswith("cov"):
             mean = places[name.removesuffix("cov") + "mean"]
             matrix = _from_triangle(np.asarray(state[place], float), mean.stop - mean.start)
+            if not np.isfinite(matrix).all():
+                return -math.inf
             std = np.sqrt(np.abs(np.diagonal(matrix)))
             std[std == 0] = 1.0
             values.append(float(np.linalg.eigvalsh(matrix / np.outer(std, std))[0]))

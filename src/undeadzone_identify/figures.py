@@ -257,14 +257,13 @@ def _plot_residual_map(found_log: Identified) -> Figure:
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
     _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     unit = _unit_of_output(found_log)
-    finish_panel(
-        axes, "Residual by ẑ", label_with_unit("y - E[y | ẑ]", unit), label_with_unit("ẑ", unit)
-    )
+    by_z, y_label = label_with_unit("ẑ", unit), label_with_unit("y - E[y | ẑ]", unit)
+    finish_panel(axes, "Residual by ẑ", y_label, by_z, legend=0)
     axes = panels["static"]
     _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
     z, expected = _sensor_characteristic(found_log)
     axes.plot(z, expected, color=ink.ESTIMATE, label=MAPS.get(found_log.verdict, "dead zone"))
-    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), label_with_unit("ẑ", unit))
+    finish_panel(axes, "Reading by ẑ", label_with_unit("y", unit), by_z)
     return figure
 
 

@@ -34,7 +34,7 @@ from undeadzone_paper.example import (
     example_as_printed,
     example_as_repaired,
 )
-from undeadzone_paper.trials import SHARPNESS, pole_error
+from undeadzone_paper.trials import SHARPNESS, largest_absolute, pole_error
 
 SIGMA: Final = 1.0  # of (25)
 STAND_INS: Final = {
@@ -135,11 +135,6 @@ def _signals_of(run: Run) -> ErrorSignals:
     )
 
 
-def _largest(values: Floats) -> float:
-    """Return the largest absolute value."""
-    return float(np.abs(values).max())
-
-
 def _saturation_by_branches(z: Floats, right: Floats | float, left: Floats | float) -> Floats:
     """Return Sat of (4), branch by branch."""
     return np.where(z > right, right, np.where(z < -left, -left, z))
@@ -155,43 +150,51 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     taken_mended = (q.mended_chi * D).sum(axis=1)
     mended_side = np.stack([q.side > 0, q.side < 0], axis=1) * 1.0
     mended_branch = np.stack([q.z > D, q.z < -D], axis=1) * 1.0
-    side_error = _largest(mended_side - mended_branch)
-    offset_error = _largest((q.y - (q.z - taken_mended))[read])
+    side_error = largest_absolute(mended_side - mended_branch)
+    offset_error = largest_absolute((q.y - (q.z - taken_mended))[read])
     of_z = np.stack([p.z > 0, p.z < 0], axis=1) * 1.0
-    mended_sat = _largest((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
+    mended_sat = largest_absolute((np.abs(q.z - q.y) - np.abs(taken_mended))[read])
     return {
-        1: BothSides("y that was read, and Dz(x) by branches", _largest(p.y - branches), None),
+        1: BothSides(
+            "y that was read, and Dz(x) by branches", largest_absolute(p.y - branches), None
+        ),
         2: BothSides(
             "largest |Sat x|, and the least d_M of the bound",
-            max(0.0, _largest(sat) - abs(D - D)),
-            max(0.0, _largest(sat) - saturation_bound(D, D)),
+            max(0.0, largest_absolute(sat) - abs(D - D)),
+            max(0.0, largest_absolute(sat) - saturation_bound(D, D)),
         ),
-        3: BothSides("y that was read, and x - Sat(x)", _largest(p.y - (p.z - sat)), None),
+        3: BothSides("y that was read, and x - Sat(x)", largest_absolute(p.y - (p.z - sat)), None),
         4: BothSides(
-            "x - y that was read, and Sat(x) by branches", _largest(p.z - p.y - sat), None
+            "x - y that was read, and Sat(x) by branches", largest_absolute(p.z - p.y - sat), None
         ),
-        5: BothSides("chi_r, and whether x > d_r", _largest(of_z[:, 0] - branch[:, 0]), side_error),
+        5: BothSides(
+            "chi_r, and whether x > d_r", largest_absolute(of_z[:, 0] - branch[:, 0]), side_error
+        ),
         6: BothSides(
-            "chi_l, and whether x < -d_l", _largest(of_z[:, 1] - branch[:, 1]), side_error
+            "chi_l, and whether x < -d_l", largest_absolute(of_z[:, 1] - branch[:, 1]), side_error
         ),
         7: BothSides(
-            "sgn y, and the side, outside the zone", _largest((sign - p.side)[outside]), None
+            "sgn y, and the side, outside the zone",
+            largest_absolute((sign - p.side)[outside]),
+            None,
         ),
         8: BothSides(
-            "tanh(k_s y), and sgn y", _largest(np.tanh(SHARPNESS * p.y) - sign), side_error
+            "tanh(k_s y), and sgn y", largest_absolute(np.tanh(SHARPNESS * p.y) - sign), side_error
         ),
         9: BothSides(
-            "chi_r, and whether x > d_r", _largest(p.chi[:, 0] - branch[:, 0]), side_error
+            "chi_r, and whether x > d_r", largest_absolute(p.chi[:, 0] - branch[:, 0]), side_error
         ),
         10: BothSides(
-            "chi_l, and whether x < -d_l", _largest(p.chi[:, 1] - branch[:, 1]), side_error
+            "chi_l, and whether x < -d_l", largest_absolute(p.chi[:, 1] - branch[:, 1]), side_error
         ),
         11: BothSides(
-            "y, and x - chi_l d_l - chi_r d_r", _largest(p.y - (p.z - taken)), offset_error
+            "y, and x - chi_l d_l - chi_r d_r", largest_absolute(p.y - (p.z - taken)), offset_error
         ),
-        12: BothSides("y, and x - chi_bar d", _largest(p.y - (p.z - taken)), offset_error),
-        13: BothSides("|Sat|, and |chi_bar d|", _largest(np.abs(sat) - np.abs(taken)), mended_sat),
-        21: BothSides("chi_bar d, and Sat x", _largest(taken - sat), offset_error),
+        12: BothSides("y, and x - chi_bar d", largest_absolute(p.y - (p.z - taken)), offset_error),
+        13: BothSides(
+            "|Sat|, and |chi_bar d|", largest_absolute(np.abs(sat) - np.abs(taken)), mended_sat
+        ),
+        21: BothSides("chi_bar d, and Sat x", largest_absolute(taken - sat), offset_error),
     }
 
 
@@ -207,24 +210,28 @@ def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> di
     e = _innovation_on_side(q)
     read = q.side != 0
     mended = q.x_error @ C[0] - (q.mended_chi * q.d_error).sum(axis=1)
-    mended_difference = _largest(np.outer(e - mended, L_mended)[read])
+    mended_difference = largest_absolute(np.outer(e - mended, L_mended)[read])
     moved = "x^', and its right side"
     return {
-        14: BothSides("y that was read, and C x - Sat(C x)", _largest(p.y - p.z + z_sat), None),
+        14: BothSides(
+            "y that was read, and C x - Sat(C x)", largest_absolute(p.y - p.z + z_sat), None
+        ),
         15: BothSides(
             "A of (39), and A of (15)",
-            _largest(A - companion_form(np.zeros(len(A))).A),
-            _largest(A - companion_form(-A[-1]).A),
+            largest_absolute(A - companion_form(np.zeros(len(A))).A),
+            largest_absolute(A - companion_form(-A[-1]).A),
         ),
         16: BothSides(
             "x^', and x', if x^ = x and d^ = d",
             motion_at_truth(example_as_printed(1.0), p),
             motion_at_truth(example_as_repaired(1.0), p),
         ),
-        17: BothSides("y^, and y, if x^ = x and d^ = d", _largest(p.y - (p.z - z_sat)), None),
-        18: BothSides(moved, _largest(np.outer(p.e - of_18, L)), mended_difference),
-        19: BothSides(moved, _largest(np.outer(p.e - of_19, L)), mended_difference),
-        20: BothSides(moved, _largest(np.outer(p.e - of_20, L)), mended_difference),
+        17: BothSides(
+            "y^, and y, if x^ = x and d^ = d", largest_absolute(p.y - (p.z - z_sat)), None
+        ),
+        18: BothSides(moved, largest_absolute(np.outer(p.e - of_18, L)), mended_difference),
+        19: BothSides(moved, largest_absolute(np.outer(p.e - of_19, L)), mended_difference),
+        20: BothSides(moved, largest_absolute(np.outer(p.e - of_20, L)), mended_difference),
     }
 
 
@@ -245,7 +252,7 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
     apart = moved.x - model.move(model.params, x, u)
     function = ca.Function("apart", [x, u, y, side], [apart])
     values = function.map(len(s.u))(s.x.T, s.u[None], s.y[None], s.side[None])
-    return _largest(np.asarray(values))
+    return largest_absolute(np.asarray(values))
 
 
 def _innovation_on_side(q: ErrorSignals) -> Floats:
@@ -289,17 +296,19 @@ def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict
     mended = (first, second, third + twice)  # the sign of the last term is that of (23)
     compared = {
         number: BothSides(
-            "x~', and its right side", _largest(moved - form), _largest((moved_mended - same)[read])
+            "x~', and its right side",
+            largest_absolute(moved - form),
+            largest_absolute((moved_mended - same)[read]),
         )
         for number, form, same in zip((22, 23, 24), printed, mended, strict=True)
     }
     of_28 = p.x_error @ C[0] - (p.chi * p.d_error).sum(axis=1)
     of_28_mended = q.x_error @ C[0] - (q.mended_chi * q.d_error).sum(axis=1)
-    same = _largest((e - of_28_mended)[read])
+    same = largest_absolute((e - of_28_mended)[read])
     return {
         **compared,
-        27: BothSides("y~, and C (x - x^) - chi_bar (d - d^)", _largest(p.e - of_28), same),
-        28: BothSides("y~, and C x~ - chi_bar d~", _largest(p.e - of_28), same),
+        27: BothSides("y~, and C (x - x^) - chi_bar (d - d^)", largest_absolute(p.e - of_28), same),
+        28: BothSides("y~, and C x~ - chi_bar d~", largest_absolute(p.e - of_28), same),
     }
 
 
@@ -317,7 +326,7 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
     mended = q.y + (q.mended_chi * q.d_hat).sum(axis=1)
     of_26_mended = q.z - (q.mended_chi * q.d_error).sum(axis=1)
     unknown = ALPHA * float(B[:, 0] @ P @ L) * ((p.chi * p.d_error).sum(axis=1) + p.e)
-    halves = 2 * ALPHA * _largest(np.outer(p.e, B[:, 0] @ P))
+    halves = 2 * ALPHA * largest_absolute(np.outer(p.e, B[:, 0] @ P))
     return {
         25: BothSides(
             "rise of |d~|^2 / 2 by d^' with x^ = x, and 0 [1/s]",
@@ -326,10 +335,12 @@ def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[in
         ),
         26: BothSides(
             "y + chi_bar d^, and C {x - (d - d^) chi_bar}",
-            _largest(restored - of_26),
-            _largest((mended - of_26_mended)[read]),
+            largest_absolute(restored - of_26),
+            largest_absolute((mended - of_26_mended)[read]),
         ),
-        29: BothSides("u with d - d^ given, and by (28) with x^ = x", _largest(unknown), None),
+        29: BothSides(
+            "u with d - d^ given, and by (28) with x^ = x", largest_absolute(unknown), None
+        ),
         42: BothSides("alpha B'P [y~ y~], and -k_p y~ - k_d y~", halves, None),
     }
 
@@ -345,7 +356,7 @@ def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
     def unseen(run: Run) -> float:
         """Return the largest |x~| among samples with a V of 0."""
         silent = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-        return _largest((run.x - run.x_hat)[silent]) if silent.any() else 0.0
+        return largest_absolute((run.x - run.x_hat)[silent]) if silent.any() else 0.0
 
     return BothSides("|x~| where V = 0, and 0", unseen(resting), unseen(repaired))
 
@@ -393,12 +404,12 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     residual = drift.T @ P + P @ drift - 2 * ALPHA * P @ B @ B.T @ P + Q
     told = "V' along the run, and its right side"
     return {
-        31: BothSides(told, _largest(V_moved - of_31), None),
-        32: BothSides(told, _largest(V_moved - of_32), None),
-        33: BothSides(told, _largest(V_moved - of_33), None),
-        34: BothSides("left side, and -Q", _largest(residual), None),
-        35: BothSides(told, _largest(V_moved - of_35), None),
-        36: BothSides(told, _largest(V_moved - of_36), rise),
+        31: BothSides(told, largest_absolute(V_moved - of_31), None),
+        32: BothSides(told, largest_absolute(V_moved - of_32), None),
+        33: BothSides(told, largest_absolute(V_moved - of_33), None),
+        34: BothSides("left side, and -Q", largest_absolute(residual), None),
+        35: BothSides(told, largest_absolute(V_moved - of_35), None),
+        36: BothSides(told, largest_absolute(V_moved - of_36), rise),
     }
 
 
@@ -413,16 +424,20 @@ def _sides_of_example(p: ErrorSignals, linear: Matrices) -> dict[int, BothSides]
     of_38 = [-1.0, -2.0]
     return {
         37: BothSides(
-            "its coefficients, and those of (38)", _largest(of_37 - of_38), _largest(mended - of_38)
+            "its coefficients, and those of (38)",
+            largest_absolute(of_37 - of_38),
+            largest_absolute(mended - of_38),
         ),
-        38: BothSides("its coefficients, and A of (39)", _largest(A[1] - of_38), None),
-        39: BothSides("B, and that of (38)", _largest(B[:, 0] - [0.0, 1.0]), None),
+        38: BothSides("its coefficients, and A of (39)", largest_absolute(A[1] - of_38), None),
+        39: BothSides("B, and that of (38)", largest_absolute(B[:, 0] - [0.0, 1.0]), None),
         40: BothSides(
             "poles of A - L C, and (-4, -10)",
             pole_error(linear, L_PRINTED),
             pole_error(linear, observer_gain(linear, POLES, None).ravel()),
         ),
         41: BothSides(
-            "A x^, and its right side", _largest(moved - of_41), _largest(moved - mended_41)
+            "A x^, and its right side",
+            largest_absolute(moved - of_41),
+            largest_absolute(moved - mended_41),
         ),
     }

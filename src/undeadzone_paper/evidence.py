@@ -172,7 +172,7 @@ class Runner(NamedTuple):
         )
 
 
-def gather_evidence(progress: Callable[[int], None] | None = None) -> Evidence:
+def gather_evidence(progress: Callable[[int], None] | None) -> Evidence:
     """Run all cases. Only nominal runs are repeated with half the step.
 
     Args:

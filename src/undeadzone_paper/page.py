@@ -95,7 +95,7 @@ class AuditFigures(NamedTuple):
 
 
 def write_audit_figures(
-    paper: Paper, folder: Path, progress: Callable[[int], None] | None = None
+    paper: Paper, folder: Path, progress: Callable[[int], None] | None
 ) -> AuditFigures:
     """Write the figures as SVG. Raises FileError.
 
@@ -137,9 +137,7 @@ def write_audit_figures(
     )
 
 
-def write_audit_page(
-    paper: Paper, images: AuditFigures, path: Path, origin: Origin | None = None
-) -> Path:
+def write_audit_page(paper: Paper, images: AuditFigures, path: Path, origin: Origin | None) -> Path:
     """Write one self-contained HTML page with all results. Raises FileError.
 
     Args:

@@ -109,7 +109,7 @@ class VariantCount(NamedTuple):
     diverge: int
 
 
-def run_variants(progress: Callable[[int], None] | None = None) -> list[Outcome]:
+def run_variants(progress: Callable[[int], None] | None) -> list[Outcome]:
     """Run every variant, 4 plants x 3 starts x 48, with r = 5 sin 2 pi t.
 
     Args:

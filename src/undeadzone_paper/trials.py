@@ -135,8 +135,8 @@ def _sensor_claims(e: Evidence) -> Numbers:
     signed_form = z + D * (side < 0) - D * (side > 0)  # the same with d_l = -D
     corrected = z - offset(side, D, D)
     decomposition = {
-        POSITIVE: _largest_absolute(y - printed_form),
-        NEGATIVE: _largest_absolute(y - signed_form),
+        POSITIVE: largest_absolute(y - printed_form),
+        NEGATIVE: largest_absolute(y - signed_form),
     }
     taken_off = float(np.abs(saturation(z, D, D)).max())
     widths = {
@@ -149,7 +149,7 @@ def _sensor_claims(e: Evidence) -> Numbers:
         "with x the input": _worst_value(_input_deviation, e.printed[BEGUN]),
     }
     return {
-        "decomposition": ClaimNumbers(decomposition, _largest_absolute(y - corrected)),
+        "decomposition": ClaimNumbers(decomposition, largest_absolute(y - corrected)),
         "width-bound": ClaimNumbers(widths, max(0.0, taken_off - saturation_bound(D, D))),
         "figure-1": ClaimNumbers(figure_1, _worst_value(_output_deviation, e.repaired)),
         "indicators": ClaimNumbers(_single_case(smooth), _worst_value(m.side_error, e.repaired)),
@@ -160,7 +160,7 @@ def _slope_claim(e: Evidence) -> Numbers:
     """Compute the numbers of the claim on m: errors of a reading divided by m, and effects."""
     z = np.linspace(-5.0, 5.0, 1001)
     divided = deadzone(z, D, D, SLOPE) / SLOPE
-    of_reading = _largest_absolute(divided - deadzone(z, D, D))
+    of_reading = largest_absolute(divided - deadzone(z, D, D))
     return {
         "unit-slope": ClaimNumbers(
             _single_case(of_reading), m.width_difference(e.repaired[0], e.scaled)
@@ -170,15 +170,15 @@ def _slope_claim(e: Evidence) -> Numbers:
 
 def _output_deviation(run: Run) -> float:
     """Return the largest difference of y from the dead zone of the plant's output [y]."""
-    return _largest_absolute(run.y - deadzone(run.z, D, D))
+    return largest_absolute(run.y - deadzone(run.z, D, D))
 
 
 def _input_deviation(run: Run) -> float:
     """Return the largest difference of y from the dead zone of the plant's input [y]."""
-    return _largest_absolute(run.y - deadzone(run.u, D, D))
+    return largest_absolute(run.y - deadzone(run.u, D, D))
 
 
-def _largest_absolute(values: Floats) -> float:
+def largest_absolute(values: Floats) -> float:
     """Return the largest absolute value."""
     return float(np.abs(values).max())
 
@@ -558,7 +558,7 @@ def _smooth_sign(s: float) -> float:
     return float(np.tanh(SHARPNESS * s))
 
 
-def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float = 1e-3) -> float:
+def calm_share(switch: Callable[[float], float]) -> float:
     """Return the share of steps without a jump of a sliding mode's u by half its gain [1].
 
     The plant (39) is held at 0 from x = (1, 0): s = 2 x1 + x2, u = x1 - gain switch(s), the state
@@ -566,9 +566,8 @@ def calm_share(switch: Callable[[float], float], gain: float = 5.0, step: float 
 
     Args:
         switch: in place of the sign of s
-        gain: of the switched part
-        step: of sampling [s]
     """
+    gain, step = 5.0, 1e-3  # of the switched part; of sampling [s]
     Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), step)
     x, inputs = np.array([1.0, 0.0]), []
     for _ in range(round(5.0 / step)):

@@ -60,7 +60,7 @@ def squares(
 
 def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
     path, told = tmp_path / "kept", list[int]()
-    words = f"5 squares are kept in {path}; continue with --resume"
+    words = f"5 squares are kept in {path}; continue with resume=True"
     with pytest.raises(Terminated, match=words):
         squares(path, told=told, stop=5)
     assert squares(path, told=told) == [k * k for k in range(10)]
@@ -105,10 +105,10 @@ def test_what_cannot_be_continued_is_refused(tmp_path: Path, monkeypatch: Any) -
     path = tmp_path / "kept"
     squares(path)
     with pytest.raises(
-        FileError, match=r"squares of a stopped run are there\. Continue it with --r"
+        FileError, match=r"squares of a stopped run are there\. Continue it with resume=True"
     ):
         squares(path, resume=False)
-    with pytest.raises(InputError, match=r"holds another problem \(a differ\)"):
+    with pytest.raises(InputError, match=r"holds another problem \(a: 1 there, 2 here\)"):
         Answers(path, {"a": 2}, "squares", True)
     monkeypatch.setattr("undeadzone.util.answers.package_versions", lambda: {"numpy": "1.0"})
     with pytest.raises(InputError, match="numpy"):
@@ -255,9 +255,9 @@ def test_a_log_that_is_refused_keeps_nothing(tmp_path: Path) -> None:
         identify(**log | {"y": np.maximum(log["y"], 0.0)}, integrators=1, keep=path)
     assert not path.exists()
     identify(**log, order=1, keep=path)
-    with pytest.raises(FileError, match="Continue it with --resume"):
+    with pytest.raises(FileError, match="Continue it with resume=True"):
         identify(**log, order=1, keep=path)
-    with pytest.raises(InputError, match=r"another problem \(options differ\)"):
+    with pytest.raises(InputError, match=r"another problem \(options.order: 1 there, 2 here"):
         identify(**log, order=2, keep=path, resume=True)
 
 

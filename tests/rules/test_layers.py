@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 from pathlib import Path
 from types import ModuleType
 
@@ -65,9 +66,27 @@ FLOORS = {
         ("page",),
         ("command",),
     ),
+    undeadzone_arena: (
+        ("approximators", "gain_defaults", "unscented"),
+        ("compensators", "controllers", "observers"),
+        ("contest",),
+        ("command",),
+    ),
+    undeadzone_paper: (
+        ("equations", "law", "letters", "observer"),
+        ("example",),
+        ("diagrams", "measures", "printed"),
+        ("arm", "theorem"),
+        ("evidence", "figures"),
+        ("trials",),
+        ("both_sides", "claims", "facts"),
+        ("audit",),
+        ("page",),
+        ("report",),
+        ("command",),
+    ),
 }
 each_package = pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.__name__)
-each_house = pytest.mark.parametrize("package", FLOORS, ids=lambda package: package.__name__)
 
 
 @functools.cache
@@ -127,13 +146,13 @@ def circle(arrows: dict[str, set[str]]) -> set[str]:
     return set(left)
 
 
-@each_house
+@each_package
 def test_every_room_has_its_floor(package: ModuleType) -> None:
     rooms = {room(path) for path in texts(package)} - {"__init__", "__main__"}
     assert sorted(rooms) == sorted(name for floor in FLOORS[package] for name in floor)
 
 
-@each_house
+@each_package
 def test_imports_point_down(package: ModuleType) -> None:
     found = {}
     for path, text in texts(package).items():
@@ -177,6 +196,25 @@ def test_the_rooms_of_methods_hold_methods_alone(room: str) -> None:
     for name in sorted(files):
         text = (ROOT / room / f"{name}.py").read_text(encoding="utf-8")
         assert "tag=" in text, f"{room}/{name}.py is no method"
+
+
+def is_option(text: str) -> bool:
+    """Whether a text of the code names an option of the command line, such as --columns."""
+    return re.search(r"(?:^|[ (:])--[a-z]", text) is not None
+
+
+def test_rooms_below_the_command_line_name_no_option() -> None:
+    """They name arguments of functions; `cli.ending.name_options` makes options of them."""
+    found = []
+    for path, text in texts(undeadzone).items():
+        if room(path) in ("cli", "report", "__main__"):  # pages show whole commands
+            continue
+        for node in once.nodes(text):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found += [f"{path}:{node.lineno}"] * is_option(node.value)
+    assert found == []
+    assert is_option("name them by --columns t=1")
+    assert not is_option("margin -- a number")
 
 
 def packages(text: str) -> set[str]:

@@ -285,7 +285,7 @@ def test_a_confined_scenario_names_no_file_outside(tmp_path: Path, key: str, pat
     if within:
         read(mine, folder)
         return
-    with pytest.raises(InputError, match=f"^{key}: names a file outside of .*--confine"):
+    with pytest.raises(InputError, match=f"^{key}: names a file outside of .*the only folder"):
         read(mine, folder)
 
 

@@ -20,7 +20,6 @@ from undeadzone.errors import FileError, InputError
 from undeadzone.logs import whole
 from undeadzone.scenario.reader import parse, read
 from undeadzone.simulation.simulate import simulate
-from undeadzone_arena.contest.processes import SAFE, process_pool
 from undeadzone_export.exported_step import to_identifier
 from undeadzone_export.exporting import export
 
@@ -50,14 +49,6 @@ def test_no_process_of_a_contest_runs_modules_of_the_working_folder(folder: Path
     assert not (folder / "RAN").exists()
     assert not (folder / "a" / "results.json.partial").exists()
     assert (folder / "a" / "report.html").exists()
-
-
-def test_a_pool_leaves_the_environment_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv(SAFE, raising=False)
-    with process_pool(1) as workers:
-        assert workers.submit(abs, -2).result() == 2
-        assert os.environ[SAFE] == "1"
-    assert SAFE not in os.environ
 
 
 def test_figures_are_the_same_in_every_folder(

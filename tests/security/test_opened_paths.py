@@ -201,11 +201,11 @@ def test_what_is_bound_opens_nothing_that_leads_out(tmp_path: Path, old: str) ->
     )
     a, b, whole, c, d, loop, outside, written = done.stdout.splitlines()
     assert (a, b, whole) == ("alpha", "alpha", "alpha")
-    assert c == "a link that leads out of up (--untrusted)"
+    assert c == "a link that leads out of the untrusted folder up"
     assert "hard links" in d
     assert "symbolic links" in loop
     assert outside == "tok3n"  # the user named it, outside of the folder
-    assert "a link that leads out of up" in written
+    assert "a link that leads out of the untrusted folder up" in written
     assert [path.name for path in (tmp_path / "home").iterdir()] == ["secret"]
 
 

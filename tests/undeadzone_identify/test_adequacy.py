@@ -138,7 +138,7 @@ def test_a_filter_behind_the_zone_is_no_friction(tmp_path: Path) -> None:
     path = tmp_path / "zone.toml"
     path.write_text(answer.scenario())
     record = pd.DataFrame({"t": STEP * np.arange(log.u.size), "y": log.y, "u": log.u})
-    estimated = uz.estimate(path, record).to_pandas().filter(regex="^z")
+    estimated = uz.estimate(path, record).to_pandas().filter(like="z")
     assert np.isfinite(estimated.to_numpy()).all()
     assert not estimated.empty
 
@@ -218,7 +218,7 @@ def test_classes_that_remain_have_widths_and_an_option_that_decides() -> None:
     assert answer.verdict == "undecided"
     levels = answer.numbers()["levels"]
     assert set(levels) == {"input_zone", "filtered_zone"}
-    assert "say --place actuator" in str(answer.summary())
+    assert "use --place actuator" in str(answer.summary())
     placed = asked(log.u, log.y, place="actuator")
     assert placed.verdict == "input_zone"
     assert placed.width is not None

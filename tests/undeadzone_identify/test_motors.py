@@ -78,7 +78,7 @@ def test_times_in_the_first_column_of_a_matrix(tmp_path: Path) -> None:
     t = 0.001 * np.arange(200)
     rows = np.column_stack([t, np.sin(t), np.cos(t)])
     savemat(tmp_path / "drive.mat", {"J": 1.0, "data": rows})
-    with pytest.raises(FileError, match=r"as in --columns 'y=data\[1\],u=data\[2\]'"):
+    with pytest.raises(FileError, match=r'as in columns="y=data\[1\],u=data\[2\]"'):
         read_log(tmp_path / "drive.mat")
     log = read_log(tmp_path / "drive.mat", "y=data[2],u=data[1]")
     assert np.array_equal(log.t, t)

@@ -459,7 +459,9 @@ def test_friction_is_not_sold_as_a_zone_of_the_sensor() -> None:
     answer = uz.identify(t=t, u=u, y=y, order=1)
     assert answer.verdict == "friction"
     assert not answer.zone
-    assert answer.right is None
+    for level in (answer.right, answer.left):
+        assert level is not None
+        assert level.low < 0.4 < level.high  # of friction, in the input's unit
 
 
 # --- answers

@@ -150,7 +150,7 @@ def optimise_storage(
     family: Family,
     cost: Floats,
     start: Floats,
-    extra: Extra = no_constraints,
+    extra: Extra,
     deep: bool = False,
     passes: int = 2,
 ) -> Solution | None:

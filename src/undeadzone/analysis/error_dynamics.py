@@ -1,7 +1,7 @@
 """Error dynamics: switching, adaptation, and the scaling that solvers use.
 
 Errors obey x~' = A x~ - L e, d~' = Gamma S'e with the innovation e = theta (C x~ - S d~), 0 <=
-theta <= 1, where the measured side determines S: +1 at d_r of an output read on the right, -1 at
+theta <= 1. The measured side determines S: +1 at d_r of an output read on the right, -1 at
 d_l on the left, e = 0 inside the zone. Sampled: the same with (x~+ - x~)/Ts in place of x~', A =
 (Ad - I)/Ts, L and Gamma per second (delta form).
 """
@@ -37,7 +37,7 @@ class Dynamics(NamedTuple):
     Ts: float | None
 
     @property
-    def steps(self) -> list[Floats]:
+    def largest_gain_steps(self) -> list[Floats]:
         """Return Ts S Gamma S' (p x p) for the branch patterns that no other pattern
         dominates.
 
@@ -84,7 +84,7 @@ class Dynamics(NamedTuple):
         """
         n, p = self.L.shape
         supplies, sizes = [], []
-        for step in self.steps:
+        for step in self.largest_gain_steps:
             own = [
                 (0, 1, self.C.T * W),
                 (1, 1, -2 * np.diag(W)),

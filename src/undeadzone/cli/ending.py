@@ -48,6 +48,10 @@ END_SIGNALS: Final = [
     if hasattr(signal, name)  # Windows has no SIGHUP
 ]
 AGAIN: Final = 0.02  # [s] after which a signal comes again that was lost
+# Arguments that messages of functions name; their options have the same names.
+ARGUMENT: Final = re.compile(
+    r'\b(columns|force|out|replay|resume)=(?:True|"?(NAME|NUMBER|(?<=")[^"]*)"?)'
+)
 LONGEST: Final = 200  # characters of an unexpected exception's message that are shown
 
 
@@ -230,13 +234,18 @@ def _end_at_once(number: int, frame: FrameType | None) -> None:
 
 def _report_refusal(message: str, where: str = "undeadzone") -> int:
     """Print the error in the input, and return the exit code."""
-    print_line(f"{where}: {message}", err=True)
+    print_line(f"{where}: {name_options(message)}", err=True)
     return BAD_INPUT
+
+
+def name_options(message: str) -> str:
+    """Return a message with the options of the command line for the arguments of functions."""
+    return ARGUMENT.sub(lambda found: f"--{found[1]} {found[2] or ''}".rstrip(), message)
 
 
 def _report_interruption(how: str, kept: str, code: int) -> int:
     """Print that a command was stopped, with the saved results, and return the exit code."""
-    print_line(": ".join(filter(None, (f"undeadzone: {how}", kept))), err=True)
+    print_line(": ".join(filter(None, (f"undeadzone: {how}", name_options(kept)))), err=True)
     return code
 
 

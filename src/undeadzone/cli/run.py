@@ -172,10 +172,12 @@ def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]
 
 def _count_simulated_steps(scenario: uz.Scenario) -> int:
     """Return the number of simulated steps over all observers and repetitions."""
-    from undeadzone.simulation.simulate import steps
+    from undeadzone.simulation.simulate import count_progress_steps
 
     observers = 1 if scenario.compare is None else 2
-    return observers * steps(scenario) + steps(scenario, check_step=False)
+    return observers * count_progress_steps(scenario) + count_progress_steps(
+        scenario, check_step=False
+    )
 
 
 def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:

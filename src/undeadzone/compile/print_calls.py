@@ -119,7 +119,12 @@ class CalledPart:
         return found
 
     def _common_array(self, row: Row) -> tuple[object, ...]:
-        """Return the array of a row's nodes and their distances from the first, or ("",)."""
+        """Return the array of a row's nodes and their distances from the first, or ("",).
+
+        A truth has no array: where it stands among numbers, its address has another type.
+        """
+        if not row[0].is_real:
+            return ("",)
         places = [self._places.get(node) for node in row]
         known = [place for place in places if place is not None]
         if len(known) < len(row) or len({place.array for place in known}) > 1:

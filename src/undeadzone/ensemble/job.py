@@ -46,8 +46,20 @@ class Layout(NamedTuple):
         return range(block * self.block, min((block + 1) * self.block, self.runs))
 
 
-class Job(Protocol):
-    """Work cut into blocks: the rows of a block (runs x columns) depend on its index alone."""
+class Work(Protocol):
+    """Work cut into blocks: the result of a block depends on its index alone."""
+
+    def block(self, index: int, threads: int | None = None) -> Any:
+        """Return the result of one block, callable from several threads.
+
+        Args:
+            index: of the block
+            threads: on which to compute (default: one per processor)
+        """
+
+
+class Job(Work, Protocol):
+    """Work of an ensemble: the result of a block is its rows (runs x columns)."""
 
     @property
     def layout(self) -> Layout:
@@ -128,8 +140,8 @@ def batch_size(seconds: float, size: int, left: int, threads: int) -> int:
     return max(1, min(int(LONGEST / seconds), LARGEST // size, enough))
 
 
-def compute_blocks(job: Job, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
-    """Return the seconds that blocks took, and their rows."""
+def compute_blocks(job: Work, blocks: Sequence[int]) -> tuple[float, list[Any]]:
+    """Return the seconds that blocks took, and their results."""
     began = time.perf_counter()
     rows = [job.block(block, threads=1) for block in blocks]
     return time.perf_counter() - began, rows

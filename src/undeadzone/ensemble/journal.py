@@ -11,16 +11,15 @@ import hashlib
 import io
 import json
 import os
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from undeadzone.ensemble.job import Layout
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.answers import load_saved_problem
+from undeadzone.util.answers import load_saved_problem, require_same_problem
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import convert_write_errors, lock_file, write_all_bytes
 from undeadzone.util.versions import package_versions
@@ -30,7 +29,6 @@ SECTOR = 512  # [bytes] unit in which a system counts the size of a file on disk
 NUMBER = 8  # [bytes] of a float64 and of a checksum
 OTHER_HEADER = 2**20  # [bytes] that the header of another problem may be longer
 WORDS = ("is not an unfinished ensemble", "an unfinished ensemble is there")
-CURE = "delete it to start anew, or choose another name"
 
 
 class Store(NamedTuple):
@@ -150,7 +148,7 @@ def open_store(path: Path, layout: Layout, resume: bool = False) -> Store:
         fresh = not there.strip(b"\0")
         if not fresh:
             problem = load_saved_problem(path, _header_line(there), "ensemble", WORDS, resume)
-            require_same_problem(path, problem, json.loads(_header_line(header)), CURE)
+            require_same_problem(path, problem, json.loads(_header_line(header)))
         store = Store(path, layout, file, len(header), np.empty(0, bool))
         with convert_write_errors(path):
             _set_size(path, file, store.size_in_bytes, fresh)
@@ -171,32 +169,6 @@ def _build_header(layout: Layout) -> bytes:
 def _header_line(beginning: bytes) -> bytes:
     """Return the line of JSON with which a file begins."""
     return beginning.partition(b"\n")[0]
-
-
-def require_same_problem(
-    path: Path, there: dict[str, Any], here: dict[str, Any], cure: str
-) -> None:
-    """Raise InputError if a file contains another problem than this.
-
-    Args:
-        path: of the file
-        there: what determines the numbers that it holds
-        here: what determines those to be computed
-        cure: what to do about it
-    """
-    differing = [key for key in here | there if there.get(key) != here.get(key)]
-    if differing:
-        found = "; ".join(
-            _describe_difference(key, there.get(key), here.get(key)) for key in differing
-        )
-        raise InputError(f"{path}: holds another problem ({found}); {cure}")
-
-
-def _describe_difference(key: str, there: object, here: object) -> str:
-    """Return the first lines in which two values differ."""
-    lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
-    was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
-    return f"{key}: {was!s:.60} there, {now!s:.60} here"
 
 
 def _block_checksum(block: int, data: bytes) -> bytes:

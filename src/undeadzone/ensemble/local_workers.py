@@ -1,9 +1,9 @@
 """Blocks computed by processes of this computer, connected by pipes.
 
 No port is opened, so nobody else can give them work. A batch of a worker that dies is computed
-again by another one. A worker is this module's `main`: it computes the batches that come through
-its standard input, sends answers through its former standard output, and ends when its input does,
-so that it does not outlive the process that started it.
+again by another one. A worker runs `answer_requests`: it computes the batches that come through its
+standard input, sends answers through its former standard output, and ends when its input does, so
+that it does not outlive the process that started it.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, nullcontext, suppress
 from queue import SimpleQueue
 from typing import Any, BinaryIO, Final, NamedTuple
 
-from undeadzone.ensemble.job import Job, Pool, compute_blocks
+from undeadzone.ensemble.job import Pool, Work, compute_blocks
 from undeadzone.errors import ClusterError
-from undeadzone.util.arrays import Floats
 
 STOPPED: Final = "local workers: stopped"
 DEATHS: Final = 4  # workers that may die at the same blocks before these are given up
@@ -31,7 +30,7 @@ DEATHS: Final = 4  # workers that may die at the same blocks before these are gi
 # but from where this process imports.
 BEGIN: Final = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from undeadzone.ensemble.local_workers import main; main()"
+    "from undeadzone.ensemble.local_workers import answer_requests; answer_requests()"
 )
 
 
@@ -54,7 +53,7 @@ class _Crew(NamedTuple):
 
 
 @contextmanager
-def open_local_pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
+def open_local_pool(prepare: Callable[[], Work], workers: int) -> Iterator[Pool]:
     """Provide local workers, all of which are stopped at the end.
 
     Args:
@@ -83,7 +82,45 @@ def open_local_pool(prepare: Callable[[], Job], workers: int) -> Iterator[Pool]:
             _kill_worker(worker)
 
 
-def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Floats]]:
+class Calls(NamedTuple):
+    """Calls of a function: a block of work each.
+
+    Attributes:
+        function: of an importable module.
+        arguments: of each call, by number.
+    """
+
+    function: Callable[..., Any]
+    arguments: Mapping[int, tuple[Any, ...]]
+
+    def block(self, index: int, threads: int | None = None) -> Any:
+        """Return the result of a call (threads: not used)."""
+        return self.function(*self.arguments[index])
+
+
+def iterate_results(
+    workers: int, function: Callable[..., Any], arguments: Mapping[int, tuple[Any, ...]]
+) -> Iterator[tuple[int, Any]]:
+    """Yield number and result of each call, in order of completion.
+
+    Whoever stops in between, by Ctrl-C or SIGTERM too, waits for no call.
+
+    Args:
+        workers: number of processes.
+        function: of an importable module, that computes.
+        arguments: of each call, by number.
+
+    Raises:
+        ClusterError: workers died at the same call again and again.
+    """
+    with open_local_pool(functools.partial(Calls, function, arguments), workers) as pool:
+        waiting = {pool.submit([number]): number for number in arguments}
+        for future in as_completed(waiting):
+            _, (result,) = future.result()
+            yield waiting[future], result
+
+
+def _await_result(crew: _Crew, workers: int, blocks: Sequence[int]) -> tuple[float, list[Any]]:
     """Return the result of `job.compute_blocks` on a worker.
 
     Raises the worker's exception, or ClusterError.
@@ -190,7 +227,7 @@ def _kill_worker(worker: subprocess.Popen[bytes]) -> None:
                 pipe.close()
 
 
-def main() -> None:
+def answer_requests() -> None:
     """Answer every batch with the result of `job.compute_blocks`, or with its exception."""
     answers = _redirect_stdout()
     payload = pickle.load(sys.stdin.buffer)
@@ -222,7 +259,7 @@ def _queue_requests(requests: BinaryIO, asked: SimpleQueue[Any]) -> None:
         os._exit(0)
 
 
-def _pickle_answer(prepared: Callable[[], Job], blocks: list[int]) -> bytes:
+def _pickle_answer(prepared: Callable[[], Work], blocks: list[int]) -> bytes:
     """Return the pickled answer to a batch (prepared: returns the job)."""
     try:
         return pickle.dumps(compute_blocks(prepared(), blocks))

@@ -110,4 +110,4 @@ def _leave_store(store: journal.Store) -> str:
         return ""
     store.close()
     runs = f"{store.runs_done} of {store.layout.runs} runs"
-    return f"{runs} are kept in {store.path}; continue with --resume"
+    return f"{runs} are kept in {store.path}; continue with resume=True"

@@ -18,7 +18,7 @@ import undeadzone
 from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble import run_blocks, saved
 from undeadzone.ensemble.batch import Batch, prepare_batch
-from undeadzone.ensemble.journal import Store, require_same_problem
+from undeadzone.ensemble.journal import Store
 from undeadzone.ensemble.metrics import EDGES, Bands, error_bands, interleave_widths, true_width
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
@@ -34,6 +34,7 @@ from undeadzone.simulation.collect import collect
 from undeadzone.simulation.loop import Params
 from undeadzone.simulation.simulate import name_outputs
 from undeadzone.util import toml, tree
+from undeadzone.util.answers import require_same_problem
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone.util.progress import notebook_progress
 
@@ -186,7 +187,7 @@ def _load_finished(path: Path, batch: Batch) -> Ensemble | None:
         return None
     there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_build_info(batch))
     require_same_problem(
-        path, there, here, "leave --resume out to replace it, or choose another name"
+        path, there, here, "leave resume=True out to replace it, or choose another name"
     )
     return saved
 

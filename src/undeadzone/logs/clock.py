@@ -67,7 +67,7 @@ class Run(NamedTuple):
 class Clock:
     """Puts the lines of a live log on the steps of a scenario, block after block.
 
-    What comes out is the same in whatever blocks the lines come in.
+    The result does not depend on the blocks in which lines arrive.
 
     Args:
         step: of the scenario [s].
@@ -110,8 +110,8 @@ class Clock:
             last: whether no more will come.
 
         Raises:
-            FileError: they are another step apart, or one is a fault and `strict` is set. What
-                was good before has been given out by then.
+            FileError: they are another step apart, or one is a fault and `strict` is set. The
+                good samples before it have been given out by then.
         """
         faults = list(unread)
         if timed:
@@ -144,14 +144,14 @@ class Clock:
             yield from self._judge_times(samples.select_rows(slice(0)), last=True)
 
     def _test(self, t: Floats) -> None:
-        """Compare the usual step of the first lines. Raises FileError where it is another one."""
+        """Compare the usual step of the first lines. Raises FileError if it differs."""
         room = max(TESTS) - self._first.size
         self._first = np.append(self._first, t[:room])
         if t.size and room and self._first.size in TESTS:
             require_step(self.measured, self._step, TESTS[self._first.size], self._source)
 
     def _judge_times(self, samples: Samples, last: bool) -> Iterator[Piece]:
-        """Yield the samples among lines with times, so far as they can be told."""
+        """Yield the samples among lines with times, as far as they are certain."""
         if self._waiting is not None:
             samples = join_samples([self._waiting, samples])
             self._waiting = None
@@ -171,7 +171,7 @@ class Clock:
             yield self._piece(samples, runs)
 
     def _runs(self, samples: Samples, last: bool) -> Iterator[Run]:
-        """What the lines are, in order; one that needs the line after it may have to wait."""
+        """Yield the lines by kind, in order; one that needs the line after it may have to wait."""
         t, size, k = samples.t, len(samples.t), 0
         ends = np.append(np.flatnonzero(self._steps(t[:-1], t[1:]) != 1) + 1, size)
         while k < size:
@@ -189,10 +189,10 @@ class Clock:
             k = end
 
     def _kind(self, steps: float, t: float, after: float | None) -> str:
-        """What a line is that is not one step after the last sample: `jump`, `time`, or a sample.
+        """Return the kind of a line not one step after the last sample: `jump`, `time` or a sample.
 
         Args:
-            steps: from the last sample to it; 0 where it does not fit.
+            steps: from the last sample to it; 0 if it does not fit.
             t: its time [s].
             after: that of the line after it [s]; None: it is the last one.
         """
@@ -208,7 +208,7 @@ class Clock:
         return "jump" if has_begun else ""
 
     def _steps(self, before: float | Floats, t: float | Floats) -> Floats:
-        """How many steps times are after others (of any shape); 0 where they do not fit."""
+        """Return the number of steps from times to others (of any shape); 0 if they do not fit."""
         return whole_steps(np.subtract(t, before), self._step)
 
     def _piece(self, samples: Samples, runs: Sequence[Run]) -> Piece:
@@ -222,7 +222,7 @@ class Clock:
         return Piece(runs[0].kind == "jump", fill_gaps(regular, steps, self._step))
 
     def _fault(self, samples: Samples, run: Run) -> Fault:
-        """What is wrong with the time of a line."""
+        """Return the fault in the time of a line."""
         k = run.rows.start
         where = f"t = {samples.t[k]:.9g} s"
         if run.kind == "jump":

@@ -1,6 +1,6 @@
 """Columns of a log, and which is which: by names that a user gives, else by usual ones of t, y, u.
 
-A title holds a name and a unit, which says how long a unit of time is.
+A title holds a name and a unit, which gives the length of a unit of time.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ _SHOWN: Final = 12  # names in a message
 
 
 class Title(NamedTuple):
-    """What a header says of a column: its name, its unit ("" if none)."""
+    """Title of a column in a header: its name, its unit ("" if none)."""
 
     name: str
     unit: str
@@ -97,12 +97,12 @@ def numbers(key: str, value: Any, kinds: str) -> Floats:
     """Return an array of floats, NaN and infinite ones among them.
 
     Args:
-        key: what the user calls it.
+        key: name for messages.
         value: anything that NumPy makes an array of.
         kinds: NumPy's letters of the types that count as numbers.
 
     Raises:
-        InputError: for rows of different lengths, and what is no number.
+        InputError: for rows of different lengths, and values that are not numbers.
     """
     try:
         array = np.asarray(value)
@@ -114,18 +114,18 @@ def numbers(key: str, value: Any, kinds: str) -> Floats:
 
 
 class Layout(NamedTuple):
-    """Where a log has what.
+    """Columns of the signals of a log.
 
     Attributes:
         time: number of the column of times; None: there are none.
-        date: number of the column of dates, where times of day have one of their own.
+        date: number of the column of dates, if times of day have one of their own.
         readings: numbers of the columns of the readings (p).
         inputs: numbers of the columns of the inputs (m).
-        seconds: length of a unit of time [s]; None where times count samples.
-        reading_titles, input_titles: what the header says of these columns.
-        said: in words, which column was taken for what.
-        reference: number of the column of the reference; None: there is none, or nobody asks.
-        of_the_trade: whether a name of a trade told a column, which the user should hear of.
+        seconds: length of a unit of time [s]; None if times count samples.
+        reading_titles, input_titles: titles of these columns.
+        said: in words, the column of each signal.
+        reference: number of the column of the reference; None: there is none, or it is not needed.
+        of_the_trade: whether a name of a trade decided on a column, which the user should know.
     """
 
     time: int | None
@@ -165,7 +165,7 @@ class Layout(NamedTuple):
 
 
 def parse_columns(text: str | None) -> dict[str, str]:
-    """Return the columns that --columns names, by signal.
+    """Return the columns that a text names, by signal.
 
     Args:
         text: `y=angle,u=voltage,r=wanted`, `t=1,y[0]=2,y[1]=3,u=4`; None: nothing is named.
@@ -181,13 +181,13 @@ def parse_columns(text: str | None) -> dict[str, str]:
         key, equals, name = (piece.strip() for piece in part.partition("="))
         if not equals or not name or not re.fullmatch(r"[tr]|[yu](\[\d+\])?", key):
             raise InputError(
-                "--columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
+                "columns: expected t=NAME, y=NAME, u=NAME, r=NAME or y[0]=NAME, with commas, "
                 f"found {part!r}"
             )
         if key in ("y", "u"):
             key += "[0]"
         if key in chosen:
-            raise InputError(f"--columns: {key} is named twice")
+            raise InputError(f"columns: {key} is named twice")
         chosen[key] = name
     return chosen
 
@@ -195,17 +195,17 @@ def parse_columns(text: str | None) -> dict[str, str]:
 def layout_of_titles(
     titles: Sequence[Title], p: int | None, m: int | None, chosen: Mapping[str, str], source: str
 ) -> Layout:
-    """Where a log with a header has what.
+    """Return the columns of the signals of a log with a header.
 
     Args:
-        titles: what its header says.
+        titles: of its header.
         p, m: numbers of readings and inputs that the plant has; None: as many as are named, and
             the reference if there is one.
         chosen: columns that the user names; see `parse_columns`.
         source: the log, for messages.
 
     Raises:
-        FileError: a column cannot be told, or is used twice; names near it are listed.
+        FileError: a column is not known, or is used twice; names near it are listed.
     """
     _refuse_others(chosen, p, m)
     header = _Header(titles, chosen, source)
@@ -221,7 +221,7 @@ def layout_of_titles(
 def layout_of_numbers(
     width: int, p: int | None, m: int | None, chosen: Mapping[str, str], source: str
 ) -> Layout:
-    """Where a log without a header has what: the user says it, by numbers.
+    """Return the columns of a log without a header, which the user names by number.
 
     Args:
         width: how many columns there are.
@@ -234,15 +234,15 @@ def layout_of_numbers(
     """
     if not chosen:
         raise FileError(
-            f"{source}: without a header nobody can tell which column is which. Add one, t,y,u, or "
-            "name the columns by number: --columns t=1,y=2,u=3"
+            f"{source}: without a header the order of columns is not known. Add one, t,y,u, or "
+            'name the columns by number: columns="t=1,y=2,u=3"'
         )
     titles = [Title(str(k + 1), "") for k in range(width)]
     return layout_of_titles(titles, p, m, chosen, source)
 
 
 class _Header(NamedTuple):
-    """What a header says of the columns, and which of them the user names.
+    """Titles of the columns, and the columns that the user names.
 
     Attributes:
         titles: of the columns.
@@ -299,14 +299,14 @@ class _Header(NamedTuple):
         return FileError(f"{self.source}: column {name!r} would be used twice")
 
     def find_time_column(self) -> int | None:
-        """Return the number of the column of times; None where there is none. Raises FileError."""
+        """Return the number of the column of times; None if there is none. Raises FileError."""
         if "t" in self.chosen:
             return self.column_of_name("t")
         for name in TIMES:
             same = self.find_equal_names(name)
             if len(same) > 1:
                 many = f"several columns are named {name!r}"
-                raise FileError(f"{self.source}: {many}; --columns t=NUMBER")
+                raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
             if same:
                 return same[0]
         return next((k for k, title in enumerate(self.titles) if _is_time_with_unit(title)), None)
@@ -319,7 +319,7 @@ class _Header(NamedTuple):
         Args:
             signal: y or u.
             count: how many there are; None: as many as are named.
-            usual: names that say it without doubt.
+            usual: names without doubt.
             taken: columns that are something else.
         """
         if signal == "y" and self.is_driven_by_output():
@@ -330,7 +330,7 @@ class _Header(NamedTuple):
         named = [key for key in wanted if key in self.chosen]
         if named and len(named) < count:
             missing = next(key for key in wanted if key not in self.chosen)
-            raise InputError(f"--columns: {missing} is missing. Expected {count} of {signal}")
+            raise InputError(f"columns: {missing} is missing. Expected {count} of {signal}")
         if named:
             return [self.column_of_name(key) for key in wanted]
         for name in usual:
@@ -340,16 +340,16 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}. Say which by --columns "
-                    f"{wanted[0]}=NAME"
+                    f"{_list_columns([self.titles[k] for k in columns])}. Name them by "
+                    f'columns="{wanted[0]}=NAME"'
                 )
         if columns := self.of_the_trade(signal, count, taken):
             return columns
         require_table(self.source)
         raise FileError(
-            f"{self.source}: no name says which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{self.hint_near_names(usual)}. Say which "
-            f"by --columns {self.to_be_named()}{self.example()}"
+            f"{self.source}: no name shows which column holds {signal}. There are "
+            f"{_list_columns(self.titles)}{self.hint_near_names(usual)}. Name it "
+            f'by columns="{self.to_be_named()}"{self.example()}'
         )
 
     def is_driven_by_output(self) -> bool:
@@ -358,7 +358,7 @@ class _Header(NamedTuple):
         return not drives and bool(self.of_the_trade("y", 1, ()))
 
     def of_the_trade(self, signal: str, count: int, taken: Sequence[int]) -> list[int]:
-        """Return the columns that a name of a trade tells; none where it tells too many or few."""
+        """Return the columns that bear a name of a trade; none if they are too many or few."""
         plain = [_plain(title.name) for title in self.titles]
         for names in OF_READINGS if signal == "y" else OF_INPUTS:
             same = [k for k, name in enumerate(plain) if name in names and k not in taken]
@@ -370,7 +370,7 @@ class _Header(NamedTuple):
         return pair[-1:] * (signal == "y") or pair[:1] if len(pair) == 2 and count == 1 else []
 
     def drive_of_servo(self, inputs: Sequence[int], taken: Sequence[int | None]) -> list[int]:
-        """Return the column of the current of a servo that is told a position; none for others."""
+        """Return the column of the current of a servo that follows a position; none for others."""
         told = [_plain(self.titles[k].name) for k in inputs]
         if len(told) != 1 or told[0] not in GOALS:
             return []
@@ -379,7 +379,7 @@ class _Header(NamedTuple):
         return same if len(same) == 1 else []
 
     def to_be_named(self) -> str:
-        """What --columns must say of the signals that no name of a column tells: y=NAME,u=NAME."""
+        """Return the names that are missing for signals without a known column: y=NAME,u=NAME."""
         wanted = [f"{signal}={name}" for signal, name in self.chosen.items()]
         for signal, usual in (("y", READINGS), ("u", INPUTS)):
             told = any(self.usual(name, 1) for name in usual) or self.of_the_trade(signal, 1, ())
@@ -388,11 +388,11 @@ class _Header(NamedTuple):
         return ",".join(wanted).replace("[0]", "")
 
     def example(self) -> str:
-        """An example of --columns, quoted for a shell, if names have brackets."""
+        """Return an example of columns, if names have brackets, which a shell wants quoted."""
         indexed = [title.name for title in self.titles if title.name.endswith("]")]
         if len(indexed) < 2:
             return ""
-        return f", as in --columns 'y={indexed[0]},u={indexed[1]}'"
+        return f', as in columns="y={indexed[0]},u={indexed[1]}"'
 
     def count_columns(self, usual: Sequence[str]) -> int:
         """How many columns a signal seems to have: those with an index, else one."""
@@ -435,7 +435,7 @@ class _Header(NamedTuple):
             return int(name) - 1
         how = "several columns are named" if same else "no column"
         raise FileError(
-            f"{self.source}: --columns {key}: {how} {name!r}. "
+            f"{self.source}: columns, {key}: {how} {name!r}. "
             f"There are {_list_columns(self.titles)}"
             f"{self.hint_near_names([name])}"
         )
@@ -451,7 +451,7 @@ class _Header(NamedTuple):
 
 
 def has_time(titles: Sequence[Title]) -> bool:
-    """Return whether a name says that a column holds times.
+    """Return whether a name is that of a column of times.
 
     Args:
         titles: of the columns.
@@ -460,20 +460,20 @@ def has_time(titles: Sequence[Title]) -> bool:
 
 
 def _plain(name: str) -> str:
-    """Return a name in small letters, with blanks for what stands between its words."""
+    """Return a name in small letters, with blanks between its words."""
     apart = re.sub(r"([a-z])(Ms|Us|Ns)$", r"\1 \2", name)
     return " ".join(re.sub(r"[_.\-/\s]+", " ", apart).lower().split())
 
 
 def _is_time_with_unit(title: Title) -> bool:
-    """Return whether a name says that it is a time, and in which unit: `t_ms`, `millis`."""
+    """Return whether a name contains a time and its unit: `t_ms`, `millis`."""
     name = _plain(title.name)
     found = _TIME_WITH_UNIT.fullmatch(name)
     return name in _ITSELF_A_TIME or (found is not None and found[1] in SECONDS)
 
 
 def _seconds(title: Title, source: str) -> float | None:
-    """Return the length of a unit of time [s]; None where it counts samples. Raises FileError."""
+    """Return the length of a unit of time [s]; None if it counts samples. Raises FileError."""
     unit = title.unit.lower()
     found = _NAME_WITH_UNIT.fullmatch(_plain(title.name))
     if not unit and found is not None and found[1] in SECONDS:
@@ -496,7 +496,7 @@ def _refuse_others(chosen: Mapping[str, str], p: int | None, m: int | None) -> N
         known += [f"{signal}[{i}]" for i in range(count)]
     for key in chosen:
         if key not in known:
-            raise InputError(f"--columns: the plant has no {key}. It has {', '.join(known[2:])}")
+            raise InputError(f"columns: the plant has no {key}. It has {', '.join(known[2:])}")
 
 
 def require_table(source: str) -> None:

@@ -68,11 +68,11 @@ class RunningEnds:
         self._upper.add(y, ok)
         self._lower.add(-y, ok)
 
-    def ends(self, quantum: float = 0.0) -> RangeEnds:
-        """Return the values at which readings stick on their way, as where an amplifier ends.
+    def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
+        """Return the values at which readings stick on their way, as at the end of an amplifier.
 
         At the top of a slow or rounded motion readings are alike too; there they do not come to a
-        sudden stop. Noise repeats no reading but where the range ends.
+        sudden stop. Noise repeats no reading except at the end of the range.
 
         Args:
             quantum: of the readings; 0: none.
@@ -87,7 +87,7 @@ class RunningEnds:
         return RangeEnds(low, high, count)
 
 
-def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
+def range_ends(y: Floats, ok: np.ndarray, quantum: float) -> RangeEnds:
     """Return the values at which the readings of a whole log stick; see `RunningEnds.ends`.
 
     Args:
@@ -97,7 +97,7 @@ def range_ends(y: Floats, ok: np.ndarray, quantum: float = 0.0) -> RangeEnds:
     """
     running = RunningEnds()
     running.add(y, ok)
-    return running.ends(quantum)
+    return running.find_range_ends(quantum)
 
 
 class _End:

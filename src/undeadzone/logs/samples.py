@@ -58,7 +58,7 @@ class Samples(NamedTuple):
     """Samples of a log.
 
     Attributes:
-        t: times (N) [s], or sample numbers; NaN where there is none or the line cannot be read.
+        t: times (N) [s], or sample numbers; NaN if there is none or the line cannot be read.
         y: readings (N x p), NaN if one is missing.
         u: inputs (N x m), NaN if one is missing.
         lines: number of each line in the log (N).
@@ -80,7 +80,7 @@ class Samples(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What is wrong with a line.
+    """Fault of a line.
 
     Attributes:
         line: its number.
@@ -94,7 +94,7 @@ class Fault(NamedTuple):
 
 
 class Faults:
-    """What was wrong with lines so far, by kind.
+    """Faults of the lines so far, by kind.
 
     Args:
         source: the log, for messages.
@@ -102,7 +102,7 @@ class Faults:
 
     Attributes:
         counts: how many faults there were of each of `KINDS`.
-        why: what the first of them is; empty if there is none.
+        why: description of the first of them; empty if there is none.
     """
 
     KEPT: Final = ("counts", "why")
@@ -146,7 +146,7 @@ class LogReader:
             or by the first line alone, in whatever pieces they come.
 
     Attributes:
-        layout: where the log has what; None before its first sample.
+        layout: columns of the signals; None before the first sample.
         faults: the lines that could not be read.
         latest: these among the lines that came last.
         ahead: lines ahead of the header that were skipped.
@@ -232,13 +232,13 @@ class LogReader:
         return [(k, line) for k, line in numbered if is_content(line)]
 
     def _layout(self, dialect: Dialect) -> Layout:
-        """Where the log has what. Raises FileError."""
+        """Return the columns of the signals. Raises FileError."""
         if dialect.titles is not None:
             return layout_of_titles(dialect.titles, self._p, self._m, self._chosen, self._source)
         return layout_of_numbers(dialect.width, self._p, self._m, self._chosen, self._source)
 
     def _require_readable(self, dialect: Dialect, layout: Layout, lines: Numbered) -> None:
-        """Raise FileError where the first line without a header says nothing of the columns."""
+        """Raise FileError if the first line without a header cannot be read."""
         if dialect.titles is None and lines:
             number, line = lines[0]
             found = self._row(number, line, dialect, layout)
@@ -296,8 +296,8 @@ class LogReader:
             self._stamps = stamps_of([text, *whole])
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
-                    f"{self._source}, line {number}: nothing tells which number of {text!r} is the "
-                    "month. Write dates as 2026-04-03"
+                    f"{self._source}, line {number}: it is not known which number of {text!r} "
+                    "is the month. Write dates as 2026-04-03"
                 )
             return
 
@@ -402,7 +402,7 @@ def join_samples(blocks: Iterable[Samples]) -> Samples:
 
 
 def oldest_first(samples: Samples) -> Samples:
-    """Samples in the order of time, where the log has the newest first throughout."""
+    """Return the samples in the order of time, if the log has the newest first throughout."""
     t = samples.t[np.isfinite(samples.t)]
     if t.size < 2 or not (np.diff(t) < 0).all():
         return samples
@@ -415,7 +415,7 @@ def count_in_words(count: int) -> str:
 
 
 def _at_once(lines: list[str], dialect: Dialect, layout: Layout) -> Floats | None:
-    """Return the numbers of the columns that are used, read by NumPy; None where a line is not
+    """Return the numbers of the columns that are used, read by NumPy; None if a line is not
     plain.
     """
     if dialect.separator == " " or any(len(line) > LONGEST_LINE for line in lines):
@@ -500,7 +500,7 @@ def place_on_steps(samples: Samples, timed: bool, step: float, source: str) -> P
 def without_repeats(samples: Samples) -> tuple[Samples, int]:
     """Return samples without those that repeat the time before, and how many these were.
 
-    Where more than a tenth do, times are written too coarsely: then all stay, and are refused.
+    If more than a tenth do, times are written too coarsely: then all stay, and are refused.
 
     Args:
         samples: of a log, in its order.
@@ -525,7 +525,7 @@ def _require_order(intervals: Floats, samples: Samples, source: str) -> None:
 
 
 def whole_steps(intervals: Floats, step: float) -> Floats:
-    """How many steps intervals are (of any shape); 0 where they do not fit.
+    """Return the number of steps in intervals (of any shape); 0 if they do not fit.
 
     Args:
         intervals: between samples [s].
@@ -586,14 +586,14 @@ def fill_gaps(samples: Regular, steps: Floats, step: float) -> Regular:
 
 
 def usual_step(intervals: Floats) -> float | None:
-    """Return the lower median of intervals [s], for gaps only lengthen them; None where there are
+    """Return the lower median of intervals [s], as gaps only lengthen them; None if there are
     none.
     """
     return float(np.quantile(intervals, 0.5, method="lower")) if intervals.size else None
 
 
 def require_step(usual: float | None, step: float, tolerance: float, source: str) -> None:
-    """Raise FileError where the samples of a log are another step apart than the scenario says.
+    """Raise FileError if the step of a log differs from the step of the scenario.
 
     Args:
         usual: time between its samples [s]; None: not known.
@@ -609,7 +609,7 @@ def require_step(usual: float | None, step: float, tolerance: float, source: str
 
 
 def _unit_hint(ratio: float) -> str:
-    """What to do where the steps differ by a power of 1000: times in another unit, perhaps."""
+    """Return the remedy for steps that differ by a power of 1000: perhaps times in another unit."""
     for power, unit in ((1000.0, "ms"), (1e6, "us"), (1e9, "ns")):
         if abs(ratio / power - 1) < TOLERANCE:
             return f"; if its times are in {unit}, say so in the header: t [{unit}]"

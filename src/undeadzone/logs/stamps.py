@@ -35,7 +35,7 @@ class Stamps(NamedTuple):
 
     Attributes:
         dated: whether with a date; else they are times of day.
-        day_first: whether 3/4/2026 is in April; None: nothing tells, and no such date is read.
+        day_first: whether 3/4/2026 is in April; None: it is not known, and no such date is read.
     """
 
     dated: bool
@@ -56,7 +56,7 @@ class Stamps(NamedTuple):
 
 
 def stamps_of(texts: Iterable[str]) -> Stamps | None:
-    """How times are written; None where they are none that can be read.
+    """Return the notation of times; None if they cannot be read.
 
     Args:
         texts: the first ones.
@@ -73,7 +73,7 @@ def stamps_of(texts: Iterable[str]) -> Stamps | None:
 
 
 def is_ambiguous(text: str, stamps: Stamps) -> bool:
-    """Return whether a date does not say which number is the month, as 3/4/2026."""
+    """Return whether the month of a date is ambiguous, as in 3/4/2026."""
     found = STAMP.fullmatch(text.strip())
     if found is None or found["a"] is None or stamps.day_first is not None:
         return False
@@ -105,7 +105,7 @@ def over_midnight(t: Floats, before: float) -> Floats:
 
 
 def _day(found: re.Match[str], day_first: bool | None) -> int | None:
-    """Return days since 1970; None where there is no such day, or which it is cannot be told."""
+    """Return days since 1970; None if there is no such day, or if it is ambiguous."""
     a, b, c = found["a"], found["b"], found["c"]
     if len(a) == 4:
         year, month, day = a, b, c
@@ -122,7 +122,7 @@ def _day(found: re.Match[str], day_first: bool | None) -> int | None:
 
 
 def _of_day(found: re.Match[str]) -> float | None:
-    """Return seconds since midnight, UTC where a zone is named; None where there is no such
+    """Return seconds since midnight, UTC if a zone is named; None if there is no such
     time.
     """
     if found["h"] is None:

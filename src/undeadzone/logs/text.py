@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs.names import Title, split_unit
-from undeadzone.util.files import LARGEST_RUN, failure_reason, open_plain
+from undeadzone.util.files import failure_reason, open_plain
 
 BLOCK: Final = 1 << 22  # bytes of a file that are read at once
 LONGEST_LINE: Final = 65_536  # characters of a line; a longer one is no line of numbers
@@ -46,7 +46,7 @@ _ESCAPED: Final = re.compile("[\udc80-\udcff]+")
 BRACKETED: Final = re.compile(r"^\[.*\]$|^\(.*\)$")
 
 
-def blocks_of(path: Path, largest: int = LARGEST_RUN) -> Iterator[tuple[bytes, bool]]:
+def blocks_of(path: Path, largest: int) -> Iterator[tuple[bytes, bool]]:
     """Yield the bytes of a file in blocks, each with whether it is the last. Raises FileError.
 
     Args:
@@ -73,7 +73,7 @@ class Text:
     character more than `LONGEST_LINE`: that says enough of it, and an endless one fills no memory.
 
     Args:
-        source: where the bytes come from, for messages.
+        source: origin of the bytes, for messages.
     """
 
     def __init__(self, source: str) -> None:
@@ -105,7 +105,7 @@ class Text:
         return lines
 
     def _require_text(self, lines: Sequence[str], rest: str) -> None:
-        """Raise FileError where the first line with content is no text, or begins as none."""
+        """Raise FileError if the first line with content is not, or does not begin as, a text."""
         for k, line in enumerate((*lines, rest)):
             if not is_content(line[: LONGEST_LINE + 1]):
                 continue
@@ -140,7 +140,7 @@ def _western(found: re.Match[str]) -> str:
 
 
 def flaw(line: str) -> tuple[str, str]:
-    """Why a line can be none of numbers, whatever it holds, as kind and words; else empty.
+    """Return why a line cannot contain numbers, as kind and words; else empty texts.
 
     Args:
         line: with content.
@@ -160,7 +160,7 @@ class Dialect(NamedTuple):
         width: cells in a line.
         titles: of the columns; None without a header.
         heads: lines before the numbers: none, the names, or names and units.
-        mark: the decimal mark of all its numbers; "" where nothing told it.
+        mark: the decimal mark of all its numbers; "" if it is not known.
         grouped: whether some of its numbers surely have a mark between thousands.
     """
 
@@ -258,7 +258,7 @@ def parse_cell(cell: str, mark: str) -> float | None:
 
 
 def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) -> tuple[str, bool]:
-    """Return the decimal mark of all numbers of a text, "" where nothing tells it, and whether
+    """Return the decimal mark of all numbers of a text, "" if no line shows it, and whether
     some surely have the other mark between thousands.
 
     Args:
@@ -290,14 +290,14 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     if open_one and not live:
         whole, decimal = open_one.replace(",", ""), open_one.replace(",", ".")
         raise FileError(
-            f"{source}: nothing tells whether {open_one} is {whole} or {decimal}. Write numbers "
-            "with a decimal point, and nothing between thousands"
+            f"{source}: it is not known whether {open_one} is {whole} or {decimal}. Write "
+            "numbers with a decimal point, and nothing between thousands"
         )
     return "", False
 
 
 def lines_ahead(lines: Sequence[str]) -> int:
-    """Return how many lines stand ahead of the header, which say something else.
+    """Return how many lines stand ahead of the header, which have another content.
 
     The header has two names or more, no number, and as many cells as most lines behind it.
 

@@ -66,7 +66,7 @@ def samples_of(
         source: the log, for messages.
 
     Raises:
-        FileError: it cannot be read, or a column cannot be told.
+        FileError: it cannot be read, or a column is uncertain.
     """
     columns = _columns(log)
     if not columns:
@@ -99,7 +99,7 @@ def samples_of_arrays(t: Any, y: Any, u: Any, p: int, m: int, step: float) -> Sa
         step: of the scenario [s].
 
     Raises:
-        InputError: an array of another shape, or what is not numeric.
+        InputError: an array of another shape, or not numeric.
     """
     readings = _rows("y", y, p)
     inputs = _rows("u", u, m)
@@ -143,7 +143,7 @@ def _usable(t: Floats, y: Floats, u: Floats) -> Samples:
 
 
 def _sensible(values: Floats) -> Floats:
-    """Return the values, NaN where one is infinite or too large."""
+    """Return the values, NaN in place of infinite or too large ones."""
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) <= LARGEST, values, np.nan)
 
@@ -266,8 +266,8 @@ def of_mat(path: Path) -> Columns:
 def _require_small(content: bytes) -> None:
     """Raise ValueError for a .mat file whose compressed elements unpack to more than any log.
 
-    A file of version 5 has a head of 128 bytes and then elements: four bytes say the type, four the
-    length. The lengths inside of an element may lie, so what it unpacks to is counted.
+    A file of version 5 has a head of 128 bytes and then elements: four bytes of type, four of
+    length. The lengths inside of an element may lie, so its unpacked bytes are counted.
     """
     order: Literal["little", "big"] = "little" if content[126:128] == b"IM" else "big"
     at, left = 128, LARGEST_MATRICES

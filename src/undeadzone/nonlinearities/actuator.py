@@ -20,7 +20,14 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.limits import pairs
 from undeadzone.nonlinearities.play import apply_backlash
-from undeadzone.util.arrays import LARGEST, Array, Floats, require_array, require_nonnegative
+from undeadzone.util.arrays import (
+    LARGEST,
+    Array,
+    Floats,
+    require_array,
+    require_nonnegative,
+    require_ranges,
+)
 
 Pairs = list[float | list[float]]
 
@@ -282,6 +289,5 @@ def _range(key: str, value: Any, m: int) -> Floats | None:
     if given.shape not in ((2,), (m, 2)) or (given.ndim == 1 and m == 2):
         return None
     ranges = np.broadcast_to(given, (m, 2))
-    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
-        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {value}")
+    require_ranges(key, ranges, value)
     return ranges

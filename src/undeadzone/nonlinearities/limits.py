@@ -1,7 +1,7 @@
-"""The range of a reading: y stays within [lo, hi], and at a limit it only bounds what it reads.
+"""The range of a reading: y stays within [lo, hi], and at a limit it only bounds the output.
 
-What asks for a reading takes NumPy arrays or CasADi expressions alike. How a user gives pairs of
-numbers, one or one for each, is checked here for all that are given so.
+Functions of a reading take NumPy arrays or CasADi expressions alike. Pairs of numbers that a user
+gives, one or one for each, are checked here for all of them.
 """
 
 from __future__ import annotations

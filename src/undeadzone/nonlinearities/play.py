@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from undeadzone.errors import InputError, ShapeError
-from undeadzone.util.arrays import Floats, describe_shape, require_array
+from undeadzone.util.arrays import Floats, describe_shape, require_array, require_ranges
 
 KEY = "sensor.play"
 SHARE = 0.16  # of a quarter period of the plant: over which motion is judged by default
@@ -143,6 +143,5 @@ def gaps_of(given: Any, p: int, key: str = KEY) -> tuple[Floats, Floats | None]:
             f"{describe_shape(value.shape)}"
         )
     ranges = np.broadcast_to(value, (p, 2, 2)).swapaxes(0, 1).reshape(2 * p, 2)
-    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
-        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {value.tolist()}")
+    require_ranges(key, ranges, value.tolist())
     return ranges.mean(axis=1).reshape(2, p), ranges

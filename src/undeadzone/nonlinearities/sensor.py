@@ -260,7 +260,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             sampled time; default: there is none [z].
         load_friction: input that Coulomb friction behind a play takes while it moves, of a plant of
             one input and one output; a pair is a range, which observers estimate [u].
-        load_inertia: input that what is behind a play takes per acceleration; it tells whether the
+        load_inertia: input that a load behind a play takes per acceleration; it shows whether the
             load rests in its gap (p) [u s^2/z].
         rounding: how far about an edge observers take the characteristic for round, 0 if its edges
             are sharp (p) [z] (default 7 % of the smaller middle of the declared ranges). A

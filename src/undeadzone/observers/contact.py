@@ -93,7 +93,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
     Attributes:
         half: claimed range [lo, hi] of half the gap, or one per joint [rad].
         payload: claimed range [lo, hi] of the payload [kg], within which it may change by a random
-            walk of 0.1 of the range per sqrt(s); default: as the model says.
+            walk of 0.1 of the range per sqrt(s); default: that of the model.
         centre: standard deviation of the gears' centre about the model's, one or one per joint
             [rad]: of an encoder's zero, and of its eccentricity, for which the centre walks by 5e-4
             rad/sqrt(s); 0: the zero was found at the link.
@@ -109,7 +109,7 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             joints, what makes 0.5 rad/s^2.
         drift: random walk of the half gaps up to a deviation of 0.07 of the claimed range
             [rad / sqrt(s)]; default 3e-5, of separate joints 4.5e-4.
-        compliance: standard deviation of where a flank gives way to, which no reading tells [rad].
+        compliance: standard deviation of the place to which a flank gives way [rad].
         starts: how many filters a joint has, of which each counts by how well it foretold the
             readings: they begin with all of the range of half the gap, with its lower and with its
             upper half (1 to 3).
@@ -355,8 +355,8 @@ class Setup(NamedTuple):
 
     Attributes:
         groups: joints of each filter.
-        drives: the plant as the filter asks, of each group.
-        ones: each group alone; none where there is one.
+        drives: the plant as the filter needs it, of each group.
+        ones: each group alone; none if there is one group.
         model: the model.
         gears: of the model.
         kind: of the sensor.
@@ -466,7 +466,7 @@ def _weigh_filters(
 
     Args:
         odds: log odds before the sample, of each joint.
-        each: what the readings make of each filter, of each joint.
+        each: evidence of the readings for each filter, of each joint.
     """
     after, shares = [], []
     for before, told in zip(odds, each, strict=True):

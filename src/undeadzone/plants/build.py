@@ -114,7 +114,7 @@ def _build_undelayed(plant: Plant, key: str) -> System:
     return System(linear, _move_linear, _output_linear, linear, nonlinear=False)
 
 
-def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
+def initial_state(plant: Plant, system: System) -> Floats:
     """Return x(0) (n), zeros by default, for gears also from a state of the links alone.
 
     Raises ShapeError.
@@ -122,8 +122,8 @@ def initial_state(plant: Plant, system: System, key: str = "plant") -> Floats:
     if system.gears is not None:
         from undeadzone.plants.robots.build import require_geared_start
 
-        return require_geared_start(system.gears, plant.x0, f"{key}.x0")
-    return _vector_or_zeros(f"{key}.x0", plant.x0, system.n, "one per state")
+        return require_geared_start(system.gears, plant.x0, "plant.x0")
+    return _vector_or_zeros("plant.x0", plant.x0, system.n, "one per state")
 
 
 def _require_one_form(plant: Plant, key: str) -> str:

@@ -57,8 +57,8 @@ def write_estimation(
     result: Estimation,
     folder: Path,
     figures: bool,
-    tables: bool = True,
-    origin: html.Origin | None = None,
+    tables: bool,
+    origin: html.Origin | None,
 ) -> list[Path]:
     """Write the files of an estimation from a log.
 

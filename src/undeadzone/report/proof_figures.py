@@ -54,9 +54,7 @@ def plot_positive_realness(proof: Certificate) -> Figure:
     For several outputs the eigenvalues of its Hermitian part under the weights W. Sampled,
     1 + G - Ts gamma / 2 on the unit circle. The model must be stable: the margin finite.
     """
-    w = _curve_frequencies(proof.dynamics)
-    worst_at = np.inf if proof.frequency is None else proof.frequency
-    H = _response_under_weights(proof.dynamics, proof.W, w)
+    w, worst_at, H = _response_curve(proof)
     what = "1 + G" if proof.dynamics.Ts is None else "1 + G − Ts γ/2"
     if H.shape[1] > 1:
         figure, panels = create_panels([["real"]], _realness_verdict(proof, worst_at), height=4.0)
@@ -76,9 +74,7 @@ def plot_positive_realness(proof: Certificate) -> Figure:
 
 def draw_least_real_part(axes: Axes, proof: Certificate) -> None:
     """Draw the real part of 1 + G, or the eigenvalues of its Hermitian part, over frequency."""
-    w = _curve_frequencies(proof.dynamics)
-    worst_at = np.inf if proof.frequency is None else proof.frequency
-    H = _response_under_weights(proof.dynamics, proof.W, w)
+    w, worst_at, H = _response_curve(proof)
     _draw_eigenvalues(axes, w, H, proof.margin, worst_at)
     finish_panel(axes, _realness_verdict(proof, worst_at), "", "ω [rad/s]", legend=0)
 
@@ -88,6 +84,13 @@ def _realness_verdict(proof: Certificate, worst_at: float) -> str:
     at = "for ω → ∞" if np.isinf(worst_at) else f"at {worst_at:.4g} rad/s"
     verdict = "certified" if proof.certified else "not certified"
     return f"Positive realness: the least real part is {proof.margin:.4g} {at}; {verdict}"
+
+
+def _response_curve(proof: Certificate) -> tuple[Floats, float, np.ndarray]:
+    """Return frequencies, that of the least real part (inf without one), and the responses."""
+    w = _curve_frequencies(proof.dynamics)
+    worst_at = np.inf if proof.frequency is None else proof.frequency
+    return w, worst_at, _response_under_weights(proof.dynamics, proof.W, w)
 
 
 def _curve_frequencies(errors: Dynamics) -> Floats:
@@ -100,7 +103,7 @@ def _curve_frequencies(errors: Dynamics) -> Floats:
 def _response_under_weights(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w <= inf [rad/s]."""
     Ts, root = errors.Ts, np.sqrt(W)
-    at_infinity = np.eye(root.size) - errors.steps[0] / 2
+    at_infinity = np.eye(root.size) - errors.largest_gain_steps[0] / 2
     H = frequency_response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
     return H.response_values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
 

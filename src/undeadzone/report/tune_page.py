@@ -42,7 +42,7 @@ COLUMNS: Final = 3
 STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
 
 
-def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) -> list[Path]:
+def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None) -> list[Path]:
     """Write history.svg, around.svg and report.html to a folder. Raises FileError.
 
     Args:
@@ -57,7 +57,7 @@ def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None = None) 
     return html.write_page(drawn, folder, lambda images: tune_page(result, images, origin))
 
 
-def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None = None) -> str:
+def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None) -> str:
     """Return the page (images: SVGs by name, else see `write_tuned`)."""
     shown = html.encode_pictures(images, CAPTIONS)
     what = result.what

@@ -16,20 +16,16 @@ from undeadzone.results.info import LogInfo
 from undeadzone.results.sheet import Row
 from undeadzone.results.signals import (
     LOG,
-    Signals,
-    get_signal,
     last_values,
-    list_attributes,
     output_names,
 )
-from undeadzone.util import shown
-from undeadzone.util.arrays import Floats, to_json_value
+from undeadzone.util.arrays import to_json_value
 from undeadzone.util.shown import Block, Rows
 from undeadzone.util.text import label_with_unit
 
 
-@dataclasses.dataclass(frozen=True, eq=False, init=False)
-class Estimation:
+@dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
+class Estimation(files.SignalResult):
     """Estimates of an observer from a log, one row per sample.
 
     Each signal is an attribute, None if the method does not estimate it: those of a log, and those
@@ -78,22 +74,9 @@ class Estimation:
         estimate, Run
     """
 
-    signals: Signals
     info: LogInfo
 
-    def __init__(
-        self, info: LogInfo, signals: Signals | None = None, **given: Floats | None
-    ) -> None:
-        before = {} if signals is None else signals.arrays
-        object.__setattr__(self, "info", info)
-        object.__setattr__(self, "signals", Signals(LOG, {**before, **given}))
-
     layout: ClassVar = LOG
-    __dir__ = list_attributes
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a signal by name, None if it is not estimated. Raises AttributeError."""
-        return get_signal(self, name)
 
     @property
     def consistent(self) -> bool | None:
@@ -121,18 +104,6 @@ class Estimation:
     def blocks(self) -> list[Block]:
         """Return the tables that `undeadzone estimate` prints."""
         return blocks_from_log(self.info)
-
-    __repr__ = shown.format_result
-    _repr_html_ = shown.result_to_html
-
-    plot = shown.plot
-    """Draw it."""
-
-    columns = files.columns
-    unit = files.unit
-    to_pandas = files.to_pandas
-    save = files.save
-    table_size = property(files.table_size)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Estimation:

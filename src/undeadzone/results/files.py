@@ -1,23 +1,23 @@
-"""Result as a table, and its files: signals with their info, exact to the last bit.
-
-What takes a result here is a method of it: of a run, and of what an observer makes of a log.
+"""Result of a run or of a log: signals with their info, its table, and its files, exact to the
+last bit.
 """
 
 from __future__ import annotations
 
 import csv
+import dataclasses
 import hashlib
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, ClassVar, Final
 
 import msgspec
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.signals import Layout, Signals, signal_unit, signals_from_columns
-from undeadzone.util import files
+from undeadzone.util import files, shown
 from undeadzone.util.arrays import Floats
 from undeadzone.util.files import LARGEST_RUN, Name, failure_reason, replace_file, to_path
 from undeadzone.util.text import escape_controls, escape_json_controls
@@ -30,59 +30,92 @@ NO_SUM: Final = 64 * "0"
 NOT_A_RUN: Final = (*files.NO_ARRAYS, StopIteration, msgspec.DecodeError)
 
 
-def columns(result: Any) -> dict[str, Floats]:
-    """Return every scalar signal by column name: t, y[0], ..., d_right[0], d_left[0], ..., V."""
-    found: dict[str, Floats] = result.signals.columns()
-    return found
+@dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
+class SignalResult:
+    """Signals, which are attributes by name, and the facts about them.
 
-
-def unit(result: Any, name: str) -> str:
-    """Return the unit of a signal or of a column.
-
-    Args:
-        result: whose signal it is.
-        name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
+    Attributes:
+        signals: all of them by name.
+        info: facts besides the signals.
     """
-    return signal_unit(name, result.info.units)
 
+    signals: Signals
+    info: Any
 
-def to_pandas(result: Any) -> Any:
-    """Return a pandas DataFrame indexed by t, a column per scalar signal (needs pandas)."""
-    import pandas as pd
+    layout: ClassVar[Layout]
 
-    table = columns(result)
-    t = pd.Index(table.pop("t"), name="t")
-    return pd.DataFrame(table, index=t)
+    def __init__(self, info: Any, signals: Signals | None = None, **given: Floats | None) -> None:
+        before = {} if signals is None else signals.arrays
+        object.__setattr__(self, "info", info)
+        object.__setattr__(self, "signals", Signals(self.layout, {**before, **given}))
 
+    def __getattr__(self, name: str) -> Any:
+        """Return a signal by name, None if the result lacks it.
 
-def table_size(result: Any) -> float:
-    """Return the approximate size of the `.csv` of a result [bytes]."""
-    return DIGITS * sum(float(column.size) for column in columns(result).values())
+        Raises:
+            AttributeError: such a result cannot have it.
+        """
+        if name not in self.layout.names:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+        return self.signals.arrays.get(name)
 
+    def __dir__(self) -> list[str]:
+        """Return the names of attributes, signals included."""
+        return [*object.__dir__(self), *self.layout.names]
 
-def save(result: Any, path: Name) -> Path:
-    """Write the signals to a file and return its path.
+    __repr__ = shown.format_result
+    _repr_html_ = shown.result_to_html
 
-    Args:
-        result: whose signals they are.
-        path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
-            first line after #).
+    plot = shown.plot
+    """Draw it."""
 
-    Returns:
-        The path.
+    def columns(self) -> dict[str, Floats]:
+        """Return every scalar signal by column name: t, y[0], ..., d_right[0], ..., V."""
+        return self.signals.columns()
 
-    Raises:
-        FileError: it cannot be written.
-        InputError: the name ends otherwise.
-    """
-    path, info = to_path(path), drop_computing_time(result.info)
-    if path.suffix == ".npz":
-        _write_npz(path, info, result.signals.arrays)
-    elif path.suffix == ".csv":
-        _write_csv(path, info, columns(result))
-    else:
-        raise InputError(f"{path}: the name must end in .npz or .csv")
-    return path
+    def unit(self, name: str) -> str:
+        """Return the unit of a signal or of a column.
+
+        Args:
+            name: of the signal, `x_hat`, or of the column, `x_hat[0]`.
+        """
+        return signal_unit(name, self.info.units)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas DataFrame indexed by t, a column per scalar signal (needs pandas)."""
+        import pandas as pd
+
+        table = self.columns()
+        t = pd.Index(table.pop("t"), name="t")
+        return pd.DataFrame(table, index=t)
+
+    @property
+    def table_size(self) -> float:
+        """Return the approximate size of the `.csv` [bytes]."""
+        return DIGITS * sum(float(column.size) for column in self.columns().values())
+
+    def save(self, path: Name) -> Path:
+        """Write the signals to a file and return its path.
+
+        Args:
+            path: ending in `.npz`, or in `.csv` (17 digits, units in the header, the info as a
+                first line after #).
+
+        Returns:
+            The path.
+
+        Raises:
+            FileError: it cannot be written.
+            InputError: the name ends otherwise.
+        """
+        path, info = to_path(path), drop_computing_time(self.info)
+        if path.suffix == ".npz":
+            _write_npz(path, info, self.signals.arrays)
+        elif path.suffix == ".csv":
+            _write_csv(path, info, self.columns())
+        else:
+            raise InputError(f"{path}: the name must end in .npz or .csv")
+        return path
 
 
 def drop_computing_time(info: Any) -> Any:

@@ -21,17 +21,14 @@ from undeadzone.results.scales import LIMIT, Scales, largest_scaled_signals
 from undeadzone.results.sheet import Row, rows_to_json
 from undeadzone.results.signals import (
     RUN,
-    Signals,
     final_rejections,
-    get_signal,
     last_values,
-    list_attributes,
     list_summary_signals,
     output_names,
 )
 from undeadzone.util.arrays import Floats, to_json_value, to_scalar_or_list
 from undeadzone.util.earlier import SCHEMA, translate_stds
-from undeadzone.util.shown import Block, Rows, format_result, plot, result_to_html
+from undeadzone.util.shown import Block, Rows
 from undeadzone.util.text import count_noun, interval_95, label_with_unit
 
 LAST: Final = 2.0  # [s] over which errors are measured
@@ -45,8 +42,8 @@ ERRORS: Final = {  # over the end of a run: names on a terminal, and on a page
 INEXACT: Final = 0.01  # of the largest |z|: an integration error above this is a failure
 
 
-@dataclasses.dataclass(frozen=True, eq=False, init=False)
-class Run:
+@dataclasses.dataclass(frozen=True, eq=False, init=False, repr=False)
+class Run(files.SignalResult):
     """Signals of a run, one row per sample.
 
     Each signal is an attribute, None if the method does not estimate it or the plant does not have
@@ -106,23 +103,9 @@ class Run:
         simulate, plot
     """
 
-    signals: Signals
     info: Info
 
-    def __init__(self, info: Info, signals: Signals | None = None, **given: Floats | None) -> None:
-        before = {} if signals is None else signals.arrays
-        object.__setattr__(self, "info", info)
-        object.__setattr__(self, "signals", Signals(RUN, {**before, **given}))
-
     layout: ClassVar = RUN
-    __dir__ = list_attributes
-
-    def __getattr__(self, name: str) -> Any:
-        """Return a signal by name, None if the run does not have it.
-
-        Raises AttributeError.
-        """
-        return get_signal(self, name)
 
     @property
     def last(self) -> slice:
@@ -296,18 +279,6 @@ class Run:
         """Return the tables that `undeadzone run` prints."""
         return blocks_from_run(self)
 
-    __repr__ = format_result
-    _repr_html_ = result_to_html
-
-    plot = plot
-    """Draw it."""
-
-    columns = files.columns
-    unit = files.unit
-    to_pandas = files.to_pandas
-    save = files.save
-    table_size = property(files.table_size)
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
         """Read a run saved as `.npz` or `.csv`, exactly as it was.
@@ -339,7 +310,7 @@ def _root_mean_square(values: Floats) -> float:
 def _gap_intervals(run: Run) -> dict[str, Any]:
     """Return the 95 % interval of each gap of gears for JSON, or nothing without such gaps.
 
-    It is the declared range where the gap cannot be known.
+    It is the declared range if the gap cannot be known.
     """
     if not run.info.halves:
         return {}

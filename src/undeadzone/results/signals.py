@@ -152,22 +152,6 @@ class Signals:
         return {name: {"estimate": float(value), "std": float(std)} for name, value, std in ends}
 
 
-def get_signal(result: Any, name: str) -> Any:
-    """Return a signal by name, None if the result lacks it (`__getattr__` of results).
-
-    Raises:
-        AttributeError: such a result cannot have it.
-    """
-    if name not in type(result).layout.names:
-        raise AttributeError(f"{type(result).__name__} has no attribute {name!r}")
-    return result.signals.arrays.get(name)
-
-
-def list_attributes(result: Any) -> list[str]:
-    """Return the names of attributes, signals included (`__dir__` of results)."""
-    return [*object.__dir__(result), *type(result).layout.names]
-
-
 def last_values(signals: Mapping[str, Floats], *names: str) -> dict[str, Any]:
     """Return the last rows of signals for a summary. Missing signals are left out.
 

@@ -118,7 +118,7 @@ def with_entry(key: str, present: Any, index: str, value: Any) -> Floats:
     return array
 
 
-def numbers(scenario: Any) -> dict[str, Number]:
+def find_option_numbers(scenario: Any) -> dict[str, Number]:
     """Return every number in the options of a scenario's observer and controller, by address."""
     found: dict[str, Number] = {}
 

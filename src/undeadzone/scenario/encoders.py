@@ -76,8 +76,8 @@ def require_gears(kind: str, options: Any, system: System) -> None:
 def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
     """Return the options of an observer, with pairs of coupled joints as groups.
 
-    Only for a filter joint by joint that was given no groups. Where more than two joints turn about
-    nearly one axis they stay apart, and a run says that their gaps cannot be known.
+    Only for a filter joint by joint that was given no groups. If more than two joints turn about
+    nearly one axis they stay apart, and a run shows that their gaps cannot be known.
 
     Args:
         options: of the observer.

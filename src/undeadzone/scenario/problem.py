@@ -141,22 +141,22 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     if scenario.region is not None:
         build_box(scenario.region, model)
     return Problem(
-        with_units(scenario, true),
-        plant,
-        model,
-        flow,
-        sensor,
-        observer,
-        controller,
-        reference,
-        disturbance,
-        tracked,
-        x0,
-        steps,
-        path,
-        actuator,
-        belief,
-        _compensator(scenario, model, belief),
+        scenario=with_units(scenario, true),
+        plant=plant,
+        model=model,
+        flow=flow,
+        sensor=sensor,
+        observer=observer,
+        controller=controller,
+        reference=reference,
+        disturbance=disturbance,
+        tracked=tracked,
+        x0=x0,
+        steps=steps,
+        path=path,
+        actuator=actuator,
+        belief=belief,
+        compensator=_compensator(scenario, model, belief),
     )
 
 

@@ -131,7 +131,7 @@ _STAND_INS: Final = {
 }
 _OTHER_FILES: Final = {  # files given in place of a scenario, and their right command
     ".csv": "; a log goes to undeadzone identify, or, behind the scenario, to estimate",
-    ".npz": "; a run of an ensemble is shown by --replay NUMBER",
+    ".npz": "; a run of an ensemble is shown by replay=NUMBER",
     ".py": "; run a program with python",
     ".urdf": "; undeadzone arm shows a robot, and writes a scenario for it",
     ".json": "; a scenario is a TOML file: undeadzone init mine.toml",
@@ -238,7 +238,9 @@ def confine_files(scenario: Scenario, folder: Path) -> Scenario:
                 f"{key}: the file has further names, maybe outside of {folder}. Copy it there"
             )
         if not real.is_relative_to(root):
-            raise InputError(f"{key}: names a file outside of {folder}, to which --confine keeps")
+            raise InputError(
+                f"{key}: names a file outside of {folder}, the only folder that is read"
+            )
         return str(real)
 
     return _with_files(scenario, confine_path)

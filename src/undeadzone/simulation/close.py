@@ -232,7 +232,7 @@ def close(problem: Problem) -> loop.Loop:
         InputError: a Taylor series was chosen, and the loop is not linear on its branches.
     """
     plant, simulation = problem.plant, problem.scenario.simulation
-    params, state, instant = numbers(problem), _state(problem), _instant(problem)
+    params, state, instant = loop_numbers(problem), _state(problem), _instant(problem)
     p_column, p = tree.create_symbols(params, "p")
     s_column, s = tree.create_symbols(state, "s")
     own = problem.observer, problem.controller
@@ -259,7 +259,7 @@ def close(problem: Problem) -> loop.Loop:
     return loop.Loop(whole, state, params, shapes, instant, parts)
 
 
-def numbers(problem: Problem) -> loop.Params:
+def loop_numbers(problem: Problem) -> loop.Params:
     """Return the numbers of a loop."""
     plant, sensor = problem.plant, problem.sensor
     none, ahead, undoing = np.empty(0), sensor.play, problem.compensator

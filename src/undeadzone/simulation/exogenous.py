@@ -137,7 +137,7 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
     if problem.disturbance is not None:
         return problem.disturbance.output_at(t)
     share = (grid.rows % grid.refine + fraction)[:, None] / grid.refine
-    return between(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
+    return interpolate_line(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
 
 
 def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
@@ -208,7 +208,7 @@ def random_disturbance(problem: Problem) -> tuple[Floats, float] | None:
     return rms, signal.correlation_time
 
 
-def between(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
+def interpolate_line(first: Floats, last: Floats, fraction: Floats | float) -> Floats:
     """Return the straight line from first to last, exactly first at fraction 0 and last at 1."""
     return first * (1.0 - fraction) + last * fraction
 

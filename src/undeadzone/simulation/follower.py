@@ -264,7 +264,7 @@ class Follower:
         """
         remarks = self._repeated_readings()
         for i, running in enumerate(self._ends):
-            ends = running.ends()
+            ends = running.find_range_ends()
             if ends.has_ends:
                 remarks.append(
                     f"{ends.number} readings of output {i} stick at an end of their range, where "
@@ -278,7 +278,7 @@ class Follower:
         noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
         active = self._counts[:2].sum(axis=0)
         # Readings at an end of their range repeat as well, and have a remark of their own.
-        ended = [i for i, running in enumerate(self._ends) if running.ends().has_ends]
+        ended = [i for i, running in enumerate(self._ends) if running.find_range_ends().has_ends]
         noisy[ended] = False
         for i in np.flatnonzero(noisy & (self._repeats > FEWEST_REPEATS * active)):
             share = 100 * self._repeats[i] / active[i]

@@ -51,7 +51,7 @@ def _misreadings(y: Floats, u: Floats, known: int) -> Iterator[tuple[str, Floats
         known: samples by which the scenario has the inputs act late.
     """
     if y.shape == u.shape:
-        yield "readings and inputs are exchanged: --columns names them", u, y
+        yield "readings and inputs are exchanged: name their columns", u, y
     yield "the inputs, or the readings, have the other sign", y, -u
     for factor in (1e-3, 1e3):
         yield f"the readings are in another unit: times {factor:g} they fit", y * factor, u

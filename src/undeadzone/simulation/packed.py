@@ -10,7 +10,7 @@ import numpy as np
 
 from undeadzone.interfaces import Reading, require_graph
 from undeadzone.scenario.problem import Problem
-from undeadzone.simulation.close import no_target, numbers
+from undeadzone.simulation.close import loop_numbers, no_target
 from undeadzone.simulation.loop import Loop
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats, Integers
@@ -32,7 +32,7 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
         observer=observer.init(observer.params),
         controller=controller.init(controller.params),
     )
-    return tree.pack_tree(state), tree.pack_tree(numbers(problem._replace(observer=observer)))
+    return tree.pack_tree(state), tree.pack_tree(loop_numbers(problem._replace(observer=observer)))
 
 
 def changed_params(loop: Loop, others: Iterable[Floats]) -> Integers:

@@ -100,7 +100,9 @@ def simulate_scenario(
     """Simulate a scenario with the arguments of `simulate`, and return the run and its problem."""
     began = time.perf_counter()
     problem = resolve_scenario(scenario)
-    with notebook_progress(progress, "simulating", steps(scenario, check_step)) as advance:
+    with notebook_progress(
+        progress, "simulating", count_progress_steps(scenario, check_step)
+    ) as advance:
         if controller is not None:
             problem = _under(controller, problem, engine)
         # As lanes an observer in Python is refused when the loop is closed.
@@ -113,7 +115,7 @@ def simulate_scenario(
     return Simulated(run, problem, start)
 
 
-def steps(scenario: Scenario, check_step: bool = True) -> int:
+def count_progress_steps(scenario: Scenario, check_step: bool = True) -> int:
     """Return the number of steps that `simulate` reports to its progress callback."""
     times = 3 if check_step and scenario.simulation.time == "continuous" else 1
     return round(times * scenario.simulation.duration / max(scenario.simulation.step, 1e-12))
@@ -322,7 +324,7 @@ def compare(
             "compare: this scenario has no [compare]. Name there the observer whose run is to be "
             'shown beside the first, such as method = "luenberger"'
         )
-    with notebook_progress(progress, "simulating", 2 * steps(scenario)) as advance:
+    with notebook_progress(progress, "simulating", 2 * count_progress_steps(scenario)) as advance:
         return beside(scenario, simulate(scenario, progress=advance), advance)
 
 

@@ -150,7 +150,7 @@ class Check:
     def summary(self) -> dict[str, Any]:
         """Return the numbers, ready for JSON: lists for several outputs.
 
-        None replaces numbers that are not finite. They are those of `undeadzone check --json`, see
+        None replaces numbers that are not finite. They are those of the command, see
         docs/json.md.
         """
         verdicts = [{name: getattr(one, name) for name in DIRECTIONS} for one in self.known]

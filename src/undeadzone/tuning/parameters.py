@@ -14,8 +14,8 @@ from undeadzone.errors import InputError, StructureError, UndeadzoneError
 from undeadzone.scenario.address import (
     Number,
     entries_there,
+    find_option_numbers,
     matching,
-    numbers,
     similar,
     stem,
     with_numbers,
@@ -110,7 +110,7 @@ def resolve_parameters(entries: Mapping[str, Range], scenario: Scenario) -> tupl
             "tune: nothing to tune. Name a number and its bounds in a table [tune]: "
             f"{TABLE.example}"
         )
-    known = numbers(scenario)
+    known = find_option_numbers(scenario)
     tuned: dict[str, Parameter] = {}
     for address, bounds in entries.items():
         for name in numbers_of_address(address, known):
@@ -169,7 +169,7 @@ def fill_default_gains(scenario: Scenario, what: Tune) -> Scenario:
     L = gains[0].ravel() if problem.model.p == 1 else gains[0]
     observer = msgspec.structs.replace(observer, L=L)
     scenario = msgspec.structs.replace(scenario, observer=observer)
-    known, moved = numbers(scenario), {}
+    known, moved = find_option_numbers(scenario), {}
     for address in of_gains:
         low, high = what.entries[address].between
         for name in numbers_of_address(address, known):
@@ -186,7 +186,7 @@ def require_parameters(what: Tune, scenarios: tuple[Scenario, ...]) -> tuple[Par
     start = {p.name: p.start for p in tuned}
     for scenario in scenarios:
         resolve_scenario(scenario)
-        missing = start.keys() - numbers(scenario).keys()
+        missing = start.keys() - find_option_numbers(scenario).keys()
         if missing:
             place = TABLE.entry_name(min(missing))
             raise InputError(f"{place}: scenario {scenario.title!r} has no such number")

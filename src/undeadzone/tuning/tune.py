@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from undeadzone.errors import InputError
 from undeadzone.numerics.optimise import minimise_by_cmaes
-from undeadzone.scenario.address import numbers
+from undeadzone.scenario.address import find_option_numbers
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Tune
@@ -32,7 +32,7 @@ from undeadzone.tuning.parameters import (
 )
 from undeadzone.tuning.result import SimulatedCandidate, Tuned, choose_best, validate_best
 from undeadzone.util import toml
-from undeadzone.util.answers import Answers
+from undeadzone.util.answers import MemoryAnswers, open_answers
 from undeadzone.util.arrays import Floats, require_number, require_seed, require_series
 from undeadzone.util.progress import notebook_progress
 
@@ -118,34 +118,24 @@ def tune(
     on = Objective(what, names, scenarios, frames, threads).prepare_runs(points, seed)
     with (
         notebook_progress(progress, "tuning", what.budget, "candidates") as advance,
-        _open_answers(on, keep, resume, seed) as kept,
+        open_answers(
+            keep, functools.partial(_describe_search, on, seed), "candidates", resume
+        ) as kept,
     ):
         search = Search(on, tuned, [], advance, kept)
         search.spend_budget(start, seed)
         return validate_best(on, tuned, search.candidates, seed)
 
 
-@contextlib.contextmanager
-def _open_answers(
-    on: Objective, keep: Path | None, resume: bool, seed: int
-) -> Iterator[Answers | None]:
-    """Provide the costs of candidates, stored in a file, or None without a file.
-
-    Arguments as of `tune`.
-    """
-    if keep is None:
-        yield None
-        return
-    problem = {  # all data that the cost of a candidate depends on, without the budget
+def _describe_search(on: Objective, seed: int) -> dict[str, Any]:
+    """Return all data that the cost of a candidate depends on, without the budget."""
+    return {
         "scenarios": [toml.to_toml(scenario) for scenario in on.scenarios],
         "files": [digests(scenario) for scenario in on.scenarios],
         "tune": msgspec.to_builtins(msgspec.structs.replace(on.what, budget=0, held_out=0)),
         "frames": [list(frame) for frame in on.frames],
         "seed": seed,
     }
-    kept = Answers(keep, problem, "candidates", resume)
-    with kept.hold_file():
-        yield kept
 
 
 def _move_singly(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
@@ -220,14 +210,14 @@ class Search(NamedTuple):
         parameters: tuned numbers
         candidates: those simulated so far, in order (the list grows)
         progress: called with the number of candidates just simulated
-        kept: costs of candidates of an earlier run, on disk (None: nothing is kept)
+        kept: costs of candidates, of an earlier run too
     """
 
     objective: Objective
     parameters: tuple[Parameter, ...]
     candidates: list[SimulatedCandidate]
     progress: Callable[[int], None]
-    kept: Answers | None
+    kept: MemoryAnswers
 
     @property
     def cheapest_candidate(self) -> SimulatedCandidate:
@@ -275,8 +265,6 @@ class Search(NamedTuple):
 
     def _compute_costs(self, points: Floats, problems: list[Problems]) -> Floats:
         """Return the costs of candidates, computed or from the file."""
-        if self.kept is None:
-            return self.objective.candidate_costs(problems)
 
         def compute(missing: list[int]) -> Iterator[tuple[int, float]]:
             """Yield the missing costs by index."""
@@ -464,7 +452,7 @@ def _resolve_axes(scenario: Scenario, grid: Mapping[str, npt.ArrayLike]) -> dict
 
     Raises InputError.
     """
-    known = numbers(scenario)
+    known = find_option_numbers(scenario)
     axes: dict[str, Floats] = {}
     for address, values in grid.items():
         axes |= dict.fromkeys(numbers_of_address(address, known), require_series(address, values))

@@ -13,12 +13,15 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from undeadzone.errors import FileError, InputError, Terminated, UndeadzoneError
 from undeadzone.util.files import LARGEST_TABLE, convert_write_errors, lock_file, write_all_bytes
 from undeadzone.util.versions import package_versions
+
+CURE: Final = "delete it to start anew, or choose another name"
 
 
 @contextmanager
@@ -67,9 +70,37 @@ def load_saved_problem(
         raise FileError(f"{path}: {no_such_file}. Choose another name or delete it") from None
     if not resume:
         raise FileError(
-            f"{path}: {is_there}. Continue it with --resume, or delete it to start anew"
+            f"{path}: {is_there}. Continue it with resume=True, or delete it to start anew"
         )
     return there
+
+
+def require_same_problem(
+    path: Path, there: dict[str, Any], here: dict[str, Any], cure: str = CURE
+) -> None:
+    """Raise InputError if a file contains another problem than this.
+
+    Args:
+        path: of the file
+        there: what determines the numbers that it holds
+        here: what determines those to be computed
+        cure: what to do about it
+    """
+    found = "; ".join(_list_differences("", there, here))
+    if found:
+        raise InputError(f"{path}: holds another problem ({found}); {cure}")
+
+
+def _list_differences(name: str, there: Any, here: Any) -> Iterator[str]:
+    """Yield the first lines in which two values differ, by key of their tables."""
+    if isinstance(there, dict) and isinstance(here, dict):
+        for key in here | there:
+            path = f"{name}.{key}" if name else key
+            yield from _list_differences(path, there.get(key), here.get(key))
+    elif there != here:
+        lines = zip_longest(str(there).splitlines(), str(here).splitlines(), fillvalue="nothing")
+        was, now = next((pair for pair in lines if pair[0] != pair[1]), (there, here))
+        yield f"{name}: {was!s:.60} there, {now!s:.60} here"
 
 
 # --- Answers on disk
@@ -77,7 +108,35 @@ def load_saved_problem(
 SUM = 16  # hexadecimal digits of a checksum
 
 
-class Answers:
+class MemoryAnswers:
+    """Answers to questions, each computed once."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, Any] = {}
+
+    def compute_missing(
+        self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
+    ) -> list[Any]:
+        """Return the answers to questions.
+
+        Missing answers are computed, and saved as they arrive.
+
+        Args:
+            questions: values that JSON knows.
+            compute: takes the numbers of those to be answered, gives (number, answer).
+        """
+        texts = [json.dumps(question) for question in questions]
+        missing = [k for k, text in enumerate(texts) if text not in self._known]
+        for k, answer in compute(missing) if missing else ():
+            self._save(texts[k], answer)
+            self._known[texts[k]] = answer
+        return [self._known[text] for text in texts]
+
+    def _save(self, question: str, answer: Any) -> None:
+        """Save an answer. In memory it is known already."""
+
+
+class Answers(MemoryAnswers):
     """Open file of results, locked against other processes, created if missing.
 
     Args:
@@ -95,31 +154,16 @@ class Answers:
     def __init__(
         self, path: Path, problem: Mapping[str, Any], unit: str, resume: bool = False
     ) -> None:
+        super().__init__()
         self._path, self._unit = path, unit
-        self._known: dict[str, Any] = {}
         self._is_first = not path.parent.exists()
         with lock_file(path, "a+", LARGEST_TABLE) as self._file:
             self._load_or_begin({"answers": unit, **problem, **package_versions()}, resume)
 
-    def compute_missing(
-        self, questions: Sequence[Any], compute: Callable[[list[int]], Iterator[tuple[int, Any]]]
-    ) -> list[Any]:
-        """Return the answers to questions.
-
-        Missing answers are computed, and saved as they arrive.
-
-        Args:
-            questions: values that JSON knows.
-            compute: takes the numbers of those to be answered, gives (number, answer).
-        """
-        texts = [json.dumps(question) for question in questions]
-        missing = [k for k, text in enumerate(texts) if text not in self._known]
-        for k, answer in compute(missing) if missing else ():
-            write_all_bytes(
-                self._path, self._file, _to_checked_line(json.dumps([texts[k], answer]))
-            )
-            self._known[texts[k]] = answer
-        return [self._known[text] for text in texts]
+    def _save(self, question: str, answer: Any) -> None:
+        """Write an answer to the file."""
+        line = _to_checked_line(json.dumps([question, answer]))
+        write_all_bytes(self._path, self._file, line)
 
     @contextmanager
     def hold_file(self) -> Iterator[None]:
@@ -158,13 +202,7 @@ class Answers:
         lines = [line for line in map(_parse_line, content.split(b"\n")) if line is not None]
         words = f"holds no kept {self._unit}", f"{self._unit} of a stopped run are there"
         there = load_saved_problem(self._path, lines[0] if lines else "", "answers", words, resume)
-        here = json.loads(head)
-        other = sorted(key for key in here | there if here.get(key) != there.get(key))
-        if other:
-            raise InputError(
-                f"{self._path}: holds another problem ({', '.join(other)} differ). "
-                "Delete it to start anew, or choose another name"
-            )
+        require_same_problem(self._path, there, json.loads(head))
         for line in lines[1:]:
             question, answer = json.loads(line)
             self._known[question] = answer
@@ -178,7 +216,31 @@ class Answers:
         if not self._known:
             self.delete_file()
             return ""
-        return f"{len(self._known)} {self._unit} are kept in {self._path}; continue with --resume"
+        return (
+            f"{len(self._known)} {self._unit} are kept in {self._path}; continue with resume=True"
+        )
+
+
+@contextmanager
+def open_answers(
+    path: Path | None, describe: Callable[[], Mapping[str, Any]], unit: str, resume: bool
+) -> Iterator[MemoryAnswers]:
+    """Provide answers that are saved in a file, or kept in memory without a file.
+
+    Args:
+        path: of the file (None: none).
+        describe: gives the `problem` of `Answers`.
+        unit, resume: see `Answers`.
+
+    Raises:
+        FileError or InputError: as `Answers`.
+    """
+    if path is None:
+        yield MemoryAnswers()
+        return
+    answers = Answers(path, describe(), unit, resume)
+    with answers.hold_file():
+        yield answers
 
 
 def _to_checked_line(text: str) -> bytes:

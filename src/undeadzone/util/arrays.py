@@ -327,3 +327,15 @@ def _matrix_text(rows: int | None, columns: int | None) -> str:
 def _in_brackets(why: str) -> str:
     """Return the explanation of an expected shape in brackets, "" if it is empty."""
     return f" ({why})" if why else ""
+
+
+def require_ranges(key: str, ranges: Floats, value: object) -> None:
+    """Raise InputError unless 0 <= lo < hi in every range.
+
+    Args:
+        key: name of the value, for messages.
+        ranges: pairs [lo, hi] (N x 2).
+        value: as the user gave it.
+    """
+    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
+        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {value}")

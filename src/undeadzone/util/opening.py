@@ -79,7 +79,7 @@ def open_descriptor(path: str | os.PathLike[str], flags: int, mode: int = 0o600)
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
         os.close(descriptor)
-        raise OSError("hard links show this file elsewhere too (--untrusted); copy it")
+        raise OSError("hard links show this file elsewhere too; copy it into the untrusted folder")
     return descriptor
 
 
@@ -100,7 +100,7 @@ def _resolve(bound: Bound, path: Path, flags: int) -> Path:
     real = Path(os.path.realpath(path if follows else path.parent))
     real = real if follows else real / path.name
     if not real.is_relative_to(bound.real):
-        raise OSError(f"a link that leads out of {bound.named} (--untrusted)")
+        raise OSError(f"a link that leads out of the untrusted folder {bound.named}")
     return real.relative_to(bound.real)
 
 

@@ -1,7 +1,7 @@
 """Protection of edited files: a command replaces only texts and folders as undeadzone wrote them.
 
 A text of its own holds a remark with a digest of all the rest. A folder of its own has a
-manifest that holds a digest of every file. All else is the user's: it stays, unless --force is set.
+manifest that holds a digest of every file. All else is the user's: it stays, unless `force` is set.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 from undeadzone.errors import FileError
 from undeadzone.util.files import LARGEST_RUN, convert_write_errors, read_bytes, write_text
 
-CURE: Final = "choose another name or --out, or replace it with --force"
+CURE: Final = "choose another name or out=NAME, or replace it with force=True"
 REMARK: Final = "undeadzone wrote this file, and replaces it until someone edits it: "
 _SIGNED: Final = re.compile(re.escape(REMARK) + "([0-9a-f]{64})")
 

@@ -12,10 +12,10 @@ import os
 import textwrap
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
-import undeadzone as uz
 from undeadzone.errors import InputError
+from undeadzone.util.installed import list_registered_places, load_object
 from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
@@ -55,12 +55,15 @@ def source_to_html(words: str) -> str:
 def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | None = None) -> Figure:
     """Return the figure that `uz.plot` draws for a result (a method of every result).
 
+    The function that draws is found by its entry point, as this package imports none above it.
+
     Args:
         result: what `uz.plot` takes.
         path: the file to write, a PNG, PDF or SVG by its suffix (None writes none).
         ax: axes that take the most informative panel (None: a new figure with all panels).
     """
-    return uz.plot(result, path, ax)
+    draw = load_object("plot", list_registered_places("undeadzone.figures")["plot"])
+    return cast("Figure", draw(result, path, ax))
 
 
 def format_result(result: Any) -> str:
@@ -74,7 +77,7 @@ def result_to_html(result: Any) -> str:
     """
     shown = blocks_to_html(result.blocks())
     try:
-        figure = uz.plot(result)
+        figure = plot(result)
     except InputError:  # nothing in it can be drawn
         return shown
     buffer = io.BytesIO()

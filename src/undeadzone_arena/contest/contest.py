@@ -18,7 +18,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.statistics.intervals import LEVEL
 from undeadzone.util import shown
-from undeadzone.util.answers import Answers
+from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import to_json_value
 from undeadzone.util.files import write_text
 from undeadzone.util.progress import notebook_progress
@@ -246,7 +246,7 @@ def run_contest(
     scenarios: Mapping[str, Scenario],
     seeds: Sequence[int],
     numbers: Numbers,
-    processes: int | None = None,
+    processes: int | None,
     progress: Callable[[int], None] | None = None,
     keep: Path | None = None,
     resume: bool = False,
@@ -266,22 +266,20 @@ def run_contest(
     Raises:
         InputError: or a subclass.
     """
-    with notebook_progress(progress, "arena", None) as advance:
-        compete = functools.partial(
-            score_methods,
+    describe = functools.partial(result_dependencies, scenarios, seeds, numbers)
+    with (
+        notebook_progress(progress, "arena", None) as advance,
+        open_answers(keep, describe, "results", resume) as kept,
+    ):
+        results = score_methods(
             methods,
             scenarios,
             seeds,
             numbers=numbers,
             processes=processes,
             progress=advance,
+            kept=kept,
         )
-        if keep is None:
-            results = compete()
-        else:
-            kept = Answers(keep, result_dependencies(scenarios, seeds, numbers), "results", resume)
-            with kept.hold_file():
-                results = compete(kept=kept)
     references = {name for name, method in method_registry().items() if method.reference}
     rows = rank_methods(results, references)
     own = methods if isinstance(methods, Mapping) else NOTHING

@@ -110,9 +110,7 @@ def compress_regret(regret: Floats) -> Floats:
     return np.where(np.abs(regret) <= half, regret, np.sign(regret) * (CAP - half**2 / size))
 
 
-def rank_methods(
-    results: Sequence[Result], references: Container[str] = (), seed: int = 0
-) -> list[Row]:
+def rank_methods(results: Sequence[Result], references: Container[str] = ()) -> list[Row]:
     """Sort the methods by median regret, and equals by the worst.
 
     If a method is not applicable, the regret of the naive observer counts.
@@ -120,7 +118,6 @@ def rank_methods(
     Args:
         results: of the runs.
         references: names of the methods that are lines to compare with.
-        seed: of the resampling.
     """
     found = compute_regrets(results)
     counted = {
@@ -132,8 +129,8 @@ def rank_methods(
     rows = []
     for name, regret in counted.items():
         own = [result for result in results if result.method == name]
-        median, worst = regret_intervals(regret, seed)
-        behind, _ = regret_intervals(regret - best, seed)
+        median, worst = regret_intervals(regret)
+        behind, _ = regret_intervals(regret - best)
         times = _step_times(results, name)
         ratios = [times[scenario] / naive[scenario] for scenario in times]
         rows.append(

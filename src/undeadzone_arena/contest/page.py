@@ -89,7 +89,7 @@ HEAD: Final = (
 
 
 def write_arena(
-    contest: Contest, runs: Sequence[Trace], folder: Path, origin: Origin | None = None
+    contest: Contest, runs: Sequence[Trace], folder: Path, origin: Origin | None
 ) -> list[Path]:
     """Write the figures as SVG and report.html to a folder. Raises FileError.
 

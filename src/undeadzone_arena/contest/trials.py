@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from undeadzone.compile import interpret
+from undeadzone.ensemble.local_workers import iterate_results
 from undeadzone.errors import UndeadzoneError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import digests
@@ -20,7 +21,7 @@ from undeadzone.simulation import sample_by_sample as live
 from undeadzone.simulation.loop import Loop, Outputs
 from undeadzone.simulation.simulate import close_problem, name_outputs
 from undeadzone.util import toml, tree
-from undeadzone.util.answers import Answers
+from undeadzone.util.answers import MemoryAnswers
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.entry import enter_method
 from undeadzone_arena.contest.entry import read_knob_numbers as built_in
@@ -35,7 +36,6 @@ from undeadzone_arena.contest.methods import (
 )
 from undeadzone_arena.contest.metric import Result, measure_run
 from undeadzone_arena.contest.prior_knowledge import Setting, build_setting
-from undeadzone_arena.contest.processes import iterate_results
 from undeadzone_arena.contest.scenario_sets import arena_scenarios as scenarios_of
 
 FEW: Final = 8  # trials for which a process is worth starting
@@ -145,7 +145,7 @@ def score_methods(
     numbers: Numbers | None = None,
     processes: int | None = None,
     progress: Callable[[int], None] | None = None,
-    kept: Answers | None = None,
+    kept: MemoryAnswers | None = None,
 ) -> list[Result]:
     """Run methods on scenarios, with the reference lines (FRAME), and return the results.
 
@@ -157,14 +157,14 @@ def score_methods(
         numbers: of the knobs, by method (None: those that come with the package).
         processes: at once (None: one per processor).
         progress: called with the number of runs just done.
-        kept: results of an earlier run on disk, of methods of the catalogue (None: none).
+        kept: results of an earlier run, of methods of the catalogue (None: none).
 
     Raises:
         InputError: or a subclass.
     """
     own = methods if isinstance(methods, Mapping) else {}
     grounds = scenarios_of("held_out") if scenarios is None else scenarios
-    names = list(dict.fromkeys([*FRAME, *_resolve_names(methods, grounds)]))
+    names = list(dict.fromkeys([*FRAME, *resolve_names(methods, grounds)]))
     values = built_in() if numbers is None else numbers
     jobs = []
     for title, scenario in grounds.items():
@@ -179,11 +179,8 @@ def score_methods(
             if progress is not None:
                 progress(len(results))
 
-    if kept is None:
-        by_number = dict(compute(list(range(len(jobs)))))
-        plain = [by_number[k] for k in range(len(jobs))]
-    else:
-        plain = kept.compute_missing([[job.title, job.name] for job in jobs], compute)
+    questions = [[job.title, job.name] for job in jobs]
+    plain = (kept or MemoryAnswers()).compute_missing(questions, compute)
     every: list[Result] = []
     for results in plain:
         every += msgspec.convert(results, list[Result])
@@ -202,7 +199,7 @@ def result_dependencies(
     }
 
 
-def _resolve_names(
+def resolve_names(
     methods: Sequence[str] | Mapping[str, Method] | None, grounds: Mapping[str, Scenario]
 ) -> list[str]:
     """Return the names of methods. Raises InputError for an unregistered name."""

@@ -10,15 +10,15 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from undeadzone.ensemble.local_workers import iterate_results
 from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.schema import Scenario
-from undeadzone.util.answers import Answers
+from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.leaderboard import CAP, FRAME, compute_regrets
 from undeadzone_arena.contest.methods import Method, method_registry, middle_knobs
 from undeadzone_arena.contest.metric import Result
 from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
-from undeadzone_arena.contest.processes import iterate_results
 from undeadzone_arena.contest.trials import result_dependencies, run_trial
 from undeadzone_arena.contest.tuned_file import Tuned, TunedMethod
 
@@ -30,7 +30,7 @@ SPREAD: Final = 0.25  # first steps of the search, as a share of a range
 def tune_methods(
     names: Sequence[str],
     grounds: Mapping[str, Scenario],
-    budget: int = BUDGET,
+    budget: int,
     seeds: Sequence[int] = SEEDS,
     search: int = 0,
     processes: int | None = None,
@@ -61,7 +61,7 @@ def tune_methods(
 
     def compute(missing: list[int]) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield the tuned numbers of methods as they finish."""
-        count = os.cpu_count() if processes is None else processes
+        count = (os.cpu_count() or 1) if processes is None else processes
         rest = dict(grounds), frame, budget, tuple(seeds), search
         tasks = {k: (adjustable[k], *rest) for k in missing}
         for k, found in iterate_results(count, _tune_method, tasks):
@@ -69,14 +69,12 @@ def tune_methods(
             if progress is not None:
                 progress(1)
 
-    if keep is None:
-        by_number = dict(compute(list(range(len(adjustable)))))
-        plain = [by_number[k] for k in range(len(adjustable))]
-    else:
-        problem = result_dependencies(grounds, seeds, {}) | {"budget": budget, "search": search}
-        kept = Answers(keep, problem, "methods", resume)
-        with kept.hold_file():
-            plain = kept.compute_missing(adjustable, compute)
+    def describe() -> dict[str, Any]:
+        """Return all data that the tuned numbers depend on."""
+        return result_dependencies(grounds, seeds, {}) | {"budget": budget, "search": search}
+
+    with open_answers(keep, describe, "methods", resume) as kept:
+        plain = kept.compute_missing(adjustable, compute)
     methods = msgspec.convert(dict(zip(adjustable, plain, strict=True)), dict[str, TunedMethod])
     return Tuned(
         budget=budget, seeds=list(seeds), search=search, scenarios=list(grounds), methods=methods

@@ -16,7 +16,7 @@ from undeadzone.interfaces import Controller, Estimate
 from undeadzone.plants.system import System, fastest_pole
 from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number, require_positive
-from undeadzone_arena.controllers.sliding_mode import sliding_surface
+from undeadzone_arena.controllers.sliding_mode import sliding_surface, surface_errors
 
 STEADY = 0.5  # k in layers per step, up to which s does not chatter
 USUAL = 10.0  # rate of the surface and on it, in fastest poles of the plant
@@ -86,9 +86,7 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
             p: RobustAdaptiveParams, s: RobustAdaptiveState, estimate: Estimate, target: Target
         ) -> tuple[RobustAdaptiveState, Any]:
             """Return the state's derivative or, when sampled, its next value, and u."""
-            moved = model.move(p.model, estimate.x, target.u_ff)
-            apart = moved - model.move(p.model, target.x_ref, target.u_ff)
-            distance = p.G @ (estimate.x - target.x_ref)
+            apart, distance = surface_errors(model, p, estimate, target)
             pull = ca.fmax(ca.fmin(distance / p.layer, 1.0), -1.0)
             outside = distance - p.layer * pull
             forced = target.u_ff - p.G @ apart

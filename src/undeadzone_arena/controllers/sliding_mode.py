@@ -76,9 +76,7 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
             p: SlidingModeParams, s: Any, estimate: Estimate, target: Target
         ) -> tuple[Any, Any]:
             """Return the unchanged state and u (m)."""
-            moved = model.move(p.model, estimate.x, target.u_ff)
-            apart = moved - model.move(p.model, target.x_ref, target.u_ff)
-            distance = p.G @ (estimate.x - target.x_ref)
+            apart, distance = surface_errors(model, p, estimate, target)
             pull = p.gain * ca.fmax(ca.fmin(model.per_step * distance / p.boundary, 1.0), -1.0)
             return s, target.u_ff - p.G @ apart + p.keep * distance - pull
 
@@ -144,3 +142,17 @@ def sliding_surface(model: System, poles: Array) -> Floats:
         M = state_gain(reduced, poles, model.Ts)
     G = moved.T + M @ free.T
     return np.asarray(np.linalg.solve(G @ B, G / size))
+
+
+def surface_errors(model: System, p: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
+    """Return the motion of the error under u_ff, as of `move` (n), and s (m).
+
+    Args:
+        model: the model.
+        p: numbers of the controller, `model` and `G` among them.
+        estimate: of the state.
+        target: state and input of the reference.
+    """
+    moved = model.move(p.model, estimate.x, target.u_ff)
+    apart = moved - model.move(p.model, target.x_ref, target.u_ff)
+    return apart, p.G @ (estimate.x - target.x_ref)

@@ -132,7 +132,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         if self.place in ("actuator", "plant") and self.integrators:
             raise InputError(
                 f"place: {self.place} is not asked of a plant with --integrators. Leave it out: a"
-                " motor's friction is told from a gap by itself"
+                " motor's friction is separated from a gap by itself"
             )
         if self.kind == "jump" and self.integrators:
             raise InputError("kind: a jump sensor's readings show z. It has no --integrators")
@@ -324,7 +324,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
             samples, layout = _read_csv_samples(path, chosen, strict, remarks)
     if layout.time is None:
         raise FileError(
-            f"{name}: no name says which column holds the times. Say which by --columns t=NAME"
+            f"{name}: no name says which column holds the times. Name it by --columns t=NAME"
         )
     log = log_from_samples(samples, layout, name)
     return log._replace(remarks=(*log.remarks, *remarks))

@@ -140,7 +140,7 @@ ZEROS = 0.01  # share of silent readings that shows noise ahead of the zone
 LEAST = 1e-100  # of the largest value of a column, whose square must not vanish
 OFTEN = 5  # times the next reading's count, by which a silence comes back
 BLIPS = 0.025  # share of zeros between which a single other reading shows noise behind the zone
-FAR_EDGE = 100.0  # rms of y: an edge that is never reached
+FAR_EDGE = 100.0  # rms of y: an edge that does not exist
 SIDES = {"right": 1, "left": -1}
 NEAREST = 20  # passages of an edge whose least readings tell the density there
 FEWEST = 4
@@ -243,7 +243,7 @@ def _require_silence_at_zero(grid: Grid) -> None:
     if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
         raise InputError(
             f"log: the reading {value:.9g} comes back exactly in {100 * count / y.size:.0f} % of"
-            f" the samples: is the sensor silent there, and not at 0? then say --zero {value:.9g}"
+            f" the samples. If the sensor is silent there, and not at 0, use --zero {value:.9g}"
         )
 
 
@@ -374,15 +374,18 @@ def _width_limits(data: RecordData, options: Options) -> WidthLimits:
     for name, sign in SIDES.items():
         low, high = options.parse_bounds(name)
         if low == np.inf:
-            if np.any(data.side[data.ok] == sign):
-                raise InputError(
-                    f"{name}: inf says that this edge does not exist, but readings lie beyond it"
-                )
+            _require_no_reading(data, sign, name)
             low = high = FAR_EDGE * data.y_scale
         limits.append((low / data.y_scale, high / data.y_scale))
     tied = options.integrators > 0 and options.right is None and options.left is None
     right, left = limits
     return WidthLimits(right, left, tied=tied)
+
+
+def _require_no_reading(data: RecordData, sign: int, name: str) -> None:
+    """Require that no reading lies beyond an edge that does not exist. Raise InputError."""
+    if np.any(data.side[data.ok] == sign):
+        raise InputError(f"{name}: inf means that no edge exists, but readings lie beyond it")
 
 
 # --- The edges of a jump sensor
@@ -419,6 +422,10 @@ def _estimate_edge(data: RecordData, sign: int, name: str, options: Options) -> 
     """Estimate an edge with its intervals, scaled. Raise InputError."""
     least = _least_by_passage(data, sign)
     low, high = options.parse_bounds(name)
+    if low == math.inf:
+        _require_no_reading(data, sign, name)
+    if not least.size and not low == high < math.inf:
+        return JumpEdge(*[FAR_EDGE] * 4)
     if low == high and math.isfinite(low):
         known = low / data.y_scale
         if least.size and least[0] < known * (1 - 1e-9):

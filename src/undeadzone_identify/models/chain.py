@@ -30,7 +30,7 @@ from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 TAPS = 4  # of a filter behind the zone, beside the first
 WIDEST = 6.0  # rms of z, that an edge is away at most
 VANISHING = 0.01  # rms of its signal, below which an element counts for none
-STRAIGHT = 0.05  # rms of a curve, below which what a line leaves of it counts for none
+STRAIGHT = 0.05  # rms of a curve, below which its part beyond a line counts for none
 FLATTEST = 0.1  # slope of one side over the other's, at least
 SHARPEST = 1e-4  # rms of z, over which an edge is round at least
 ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
@@ -44,7 +44,7 @@ class InputElement(NamedTuple):
     """An element of the input.
 
     Attributes:
-        passes: what it makes of u (N) and its numbers.
+        passes: its output by u (N) and its numbers.
         low, high: bounds of the numbers.
         scanned: numbers that are tried first, a linear plant behind each.
         words: how it reads with its numbers.
@@ -74,18 +74,18 @@ def exponential_of_input(u: Floats, p: Floats) -> Floats:
 
 
 def play_of_input(u: Floats, p: Floats) -> Floats:
-    """What a play of gap p passes on of u, at first without touching."""
+    """Return u behind a play of gap p, at first without contact."""
     half = p[:1] / 2
     return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
 
 
 def rate_of_input(u: Floats, p: Floats) -> Floats:
-    """Return what follows u by at most p a sample."""
+    """Return u behind a limit of its rate, p a sample."""
     return limit_rate(u, float(p[0]))
 
 
 def limit_rate(u: Floats, most: float) -> Floats:
-    """Return what follows u (N) by at most so much a sample."""
+    """Return a signal (N) behind a limit of its rate, so much a sample."""
     out, at = np.empty(u.size), float(u[0])
     for k, value in enumerate(u.tolist()):
         at = min(max(value, at - most), at + most)
@@ -117,7 +117,7 @@ INPUTS = {
 
 
 def zone_of_input(u: Floats, p: Floats) -> Floats:
-    """Return what lies above p_1, and what lies below p_0."""
+    """Return the parts of u above p_1 and below p_0."""
     return np.asarray(np.maximum(u - p[1], 0.0) + np.minimum(u - p[0], 0.0))
 
 
@@ -201,17 +201,17 @@ class ChainModel:
         return z
 
     def _pass_input(self, u: Floats, theta: Floats) -> Floats:
-        """Return what the element of the input makes of u (N)."""
+        """Return u behind the element of the input (N)."""
         return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant alone, driven by what its input passes on."""
+        """Return the linear plant alone, driven by u behind the element of the input."""
         data = self.simulator.data
         parts = [self._pass_input(data.u[part, 0], theta) for part in self.simulator.records]
         return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
-        """What is read of z without noise (N)."""
+        """Return the readings of z without noise (N)."""
         y = z
         if self.shaped:
             (right, left), (slope, rounding) = theta[self.edges], theta[self.shape]
@@ -247,7 +247,7 @@ class ChainModel:
         return y, rows
 
     def class_word(self, theta: Floats) -> str:
-        """Return the verdict's word for what is there: an element that vanishes is not.
+        """Return the verdict's word; an element that vanishes counts for none.
 
         Args:
             theta: its numbers.
@@ -282,14 +282,14 @@ class ChainModel:
         return float(f[0] / (1 - f[0]) if self.lags else f @ np.arange(1, self.taps + 1))
 
     def _bend(self, theta: Floats) -> float:
-        """Return what a line leaves of the curve along the log, in the curve's rms."""
+        """Return the rms of the curve about its best line, in the curve's rms."""
         u = self.simulator.data.u[:, 0]
         curve = INPUTS[str(self.element)].passes(u, theta[self.inputs])
         line = np.polyval(np.polyfit(u, curve, 1), u)
         return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
 
     def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
-        """Return what the model is, with its numbers.
+        """Describe the model with its numbers.
 
         Args:
             theta: its numbers.
@@ -305,7 +305,7 @@ class ChainModel:
             return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
         if self.element == "rate":
             most = theta[self.inputs][0] * u_scale
-            return f"what the input drives follows it by at most {most:.4g} a sample"
+            return f"the drive follows the input by at most {most:.4g} a sample"
         right, left = theta[self.edges] * y_scale
         late = f"behind it a filter that is late by {self.lag(theta):.2g} samples"
         if not self.shaped:

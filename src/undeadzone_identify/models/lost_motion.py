@@ -58,7 +58,7 @@ class Positions(NamedTuple):
         u: the position ahead of the gap (N).
         y: the position behind it (N).
         input_quantum, quantum: by which u and y are rounded; 0 if they are not.
-        is_told: whether u is a goal, exact as it is written.
+        is_goal: whether u is a goal, exact as it is written.
     """
 
     t: Floats
@@ -66,7 +66,7 @@ class Positions(NamedTuple):
     y: Floats
     input_quantum: float = 0.0
     quantum: float = 0.0
-    is_told: bool = False
+    is_goal: bool = False
 
 
 class Structure(NamedTuple):
@@ -320,7 +320,7 @@ class MotionFit:
             low, high = _crossing(gaps, costs, limit, -1), _crossing(gaps, costs, limit, 1)
         data, rounded = self.data, 0.0
         coarse = abs(found.gain) * data.input_quantum > COARSER * data.quantum
-        if data.is_told or coarse:  # motion that is read dithers what is rounded
+        if data.is_goal or coarse:  # motion that is read dithers what is rounded
             unseen = max(data.quantum**2 - 12 * found.rms**2, 0.0)
             rounded = math.sqrt(unseen) / max(abs(found.gain), 1e-300)
         else:  # but where u turns its rounding stays until the gap is crossed

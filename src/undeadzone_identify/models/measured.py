@@ -61,8 +61,8 @@ def measure_levels(
 
     Args:
         levels: right and left by theta.
-        stages: what was maximised, and its theta; values are those of the last one.
-        misfits: by how much what the model leaves moves the free parameters of the first stage.
+        stages: objective and theta of each stage; the values are those of the last one.
+        misfits: changes of the free parameters of the first stage by remainders of the model.
     """
     halves, values, moved = [], [], np.zeros(len(WIDTHS))
     for place, (target, theta) in enumerate(stages):

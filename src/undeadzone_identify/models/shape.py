@@ -20,6 +20,7 @@ from undeadzone_identify.models.measured import measure_levels
 DROP = 1.92  # of the log likelihood, at the ends of a 95 % interval
 GRID = np.geomspace(1.0, 64.0, 13)  # of roundings, over the least that is tried
 FINEST = 0.005  # of the zone's width: the least rounding that is tried
+UNSEEN_LAG = 0.1  # samples, within which a lag is not separated from the plant
 STEPS = 6  # of the climb of the other numbers
 
 
@@ -53,9 +54,11 @@ def measure_shape(fit: ChainFit, y_scale: float, step: float) -> SensorShape:
         return np.array([theta[model.shape.start], model.lag(theta)])
 
     stages = [(one.squares, one.theta) for one in (fit, later)]
-    told = measure_levels(numbers, stages).intervals
+    intervals = measure_levels(numbers, stages).intervals
+    lag = intervals["left"]  # within a part of a sample it is that of the plant's numerators
+    wider = Interval.from_half_width(lag.value, math.hypot(lag.half_width, UNSEEN_LAG))
     return SensorShape(
-        profile_rounding(later).scale_by(y_scale), told["right"], told["left"].scale_by(step)
+        profile_rounding(later).scale_by(y_scale), intervals["right"], wider.scale_by(step)
     )
 
 

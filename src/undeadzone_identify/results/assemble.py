@@ -11,6 +11,7 @@ from undeadzone.errors import InputError
 from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import Grid
+from undeadzone_identify.logs.prepare import FAR_EDGE
 from undeadzone_identify.models.estimates import Interval, student_quantile
 from undeadzone_identify.models.kalman import AT_INPUT, NAMES
 from undeadzone_identify.models.kalman_fit import KalmanFit, filter_innovations
@@ -476,6 +477,8 @@ def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
             " plant model does not fit, and the intervals are doubled; try a higher --order, or"
             " shift the input by the delay"
         )
+    for name in absent_edges(answer.case):
+        remarks.append(f"no reading lies beyond a {name} edge: the sensor is taken to have none")
     for name in answer.case.unreached:
         remarks.append(
             f"no reading lies beyond the {name} edge: record with a larger input, or say"
@@ -535,9 +538,27 @@ def _jump_widths(case: Case) -> Shown:
         low, high = edge.low * scale - wider, edge.high * scale + wider
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
+    if absent_edges(case):
+        none: Shown = dict.fromkeys(DIRECTIONS)
+        own = zip(("right", "left"), sides, strict=True)
+        return none | dict(filter(lambda side: side[0] not in absent_edges(case), own))
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
     apart = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
     return {"right": right, "left": left, "width": width, "centre": apart.scale_by(0.5)}
+
+
+def absent_edges(case: Case) -> list[str]:
+    """Return the sides on which the sensor has no edge: by the user, or a jump sensor's readings.
+
+    Args:
+        case: the log.
+    """
+    sides = []
+    for k, side in enumerate(("right", "left")):
+        is_far = case.jump_edges is not None and case.jump_edges[k].value == FAR_EDGE
+        if is_far or case.options.parse_bounds(side)[0] == math.inf:
+            sides.append(side)
+    return sides
 
 
 def _log_unit_widths(answer: Answer, wider: float) -> Shown:
@@ -581,6 +602,8 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     Raises:
         InputError: the width has no upper bound.
     """
+    if side in absent_edges(answer.case):
+        return 0.5 * FAR_EDGE * answer.scale, 1.5 * FAR_EDGE * answer.scale
     edge = answer.right if side == "right" else answer.left
     assert isinstance(edge, Interval)
     low, high = answer.case.options.parse_bounds(side)

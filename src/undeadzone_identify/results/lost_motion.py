@@ -90,7 +90,7 @@ class IdentifiedMotion:
                         "lag": found.lag * found.structure.lags,
                         "reversals": one.reversals,
                         "rms": found.rms,
-                        "with_friction": one.is_told and parts is None,
+                        "with_friction": one.is_goal and parts is None,
                         "parts": None if parts is None else parts._asdict(),
                     },
                     "record": {
@@ -115,7 +115,7 @@ class IdentifiedMotion:
         if one.parts is not None:
             return f"Backlash: {describe_interval(one.parts.gap, unit)}"
         lost = describe_interval(one.gap, unit)
-        if one.is_told:
+        if one.is_goal:
             return f"Lost motion: {lost}, gap and friction of the servo together"
         return f"Backlash: {lost}"
 

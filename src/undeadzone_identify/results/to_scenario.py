@@ -17,10 +17,16 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import escape_controls, fill_words
 from undeadzone_identify.logs.grid import rounding_step
+from undeadzone_identify.logs.prepare import FAR_EDGE
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman import AT_OUTPUT
 from undeadzone_identify.models.plant import input_noise_gain
-from undeadzone_identify.results.assemble import Answer, prior_element_range, prior_width_range
+from undeadzone_identify.results.assemble import (
+    Answer,
+    absent_edges,
+    prior_element_range,
+    prior_width_range,
+)
 from undeadzone_identify.results.to_continuous import continuous_with_spread
 from undeadzone_identify.selection.alternatives import UNSEEN, Element
 from undeadzone_identify.selection.decision import MEMORY
@@ -126,14 +132,12 @@ def _shape_fields(answers: Sequence[Answer]) -> dict[str, str]:
         "slope_std": [(one.slope, 1.0) for one in shapes],
         "lag": [(one.lag, 0.0) for one in shapes],
     }
-    return {
-        name: _toml_numbers(
-            math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows
-        )
-        if all(math.isfinite(one.high) for one, _ in rows)
-        else ""
-        for name, rows in values.items()
-    }
+    fields = dict.fromkeys(values, "")
+    for name, rows in values.items():
+        stds = [math.hypot(one.value - usual, one.half_width / 2) for one, usual in rows]
+        if all(map(math.isfinite, stds)):
+            fields[name] = _toml_numbers(stds)
+    return fields
 
 
 def _width_lines(zones: Sequence[tuple[Interval, Interval]]) -> str:
@@ -214,6 +218,8 @@ def _toml_numbers(values: Iterable[float]) -> str:
 
 def _interval_remark(edges: Sequence[Interval]) -> str:
     """Return the 95 % intervals of all outputs, for a remark."""
+    if all(edge.low == edge.high for edge in edges):
+        return "none: it is known, or so far away that it is no edge"
     return "; ".join(f"{edge.low:.6g} to {edge.high:.6g}" for edge in edges)
 
 
@@ -232,6 +238,11 @@ def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     right, left = answer.right, answer.left
     if answer.element is not None and answer.element.edges is not None:
         right, left = answer.element.edges
+    absent, far = absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3)
+    if right is None and "right" in absent:
+        right = far
+    if left is None and "left" in absent:
+        left = far
     if right is None or left is None:
         raise InputError("scenario: both widths must be known")
     return _require_nonnegative(answer, right, left)

@@ -348,7 +348,9 @@ def _describe_shape(shape: SensorShape, unit: str) -> str:
     rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
     if shape.rounding.low > 0:
         rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
-    slope, lag = describe_interval(shape.slope, ""), describe_interval(shape.lag, " s")
+    slope, lag = describe_interval(shape.slope, ""), f"at most {max(shape.lag.high, 0.0):.3g} s"
+    if shape.lag.low > 0:
+        lag = describe_interval(shape.lag, " s")
     return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
 
 
@@ -365,7 +367,7 @@ def describe_possible(answer: Answer) -> list[str]:
             for name, interval in shown.items()
             if interval is not None
         ]
-        known = f"; if you know that, say {one.option}" if one.option else ""
+        known = f"; if you know this, use {one.option}" if one.option else ""
         lines.append(f"if it is {MODELS[word]}: {', '.join(numbers)}{known}")
     return lines
 

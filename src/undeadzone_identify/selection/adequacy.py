@@ -1,9 +1,9 @@
-"""Does the likeliest model hold what the log shows? Score tests of what it leaves.
+"""Score tests of the innovations of the likeliest model.
 
-Odds compare models with each other: the best of them may still be wrong. A right model's
-innovations depend on nothing that is known. So they are regressed on what a wrong model would
-leave, after whatever a change of the model's own numbers explains is taken out (Rao 1948; White
-1982). One regression a direction and no fit is needed.
+Odds compare models with each other: the best of them may still be wrong. The innovations of a right
+model are independent of all known signals. They are regressed on the traces of wrong models, after
+the effect of the model's own parameters is removed (Rao 1948; White 1982). One regression a
+direction and no fit is needed.
 
 References:
     H. White (1982), doi:10.2307/1912526
@@ -28,16 +28,16 @@ LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may b
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
-BEHIND = 5  # lags of what is read
+BEHIND = 5  # lags of the readings
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
-SURE = 2.0  # deviations, from which a weight of what is left counts
+SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
 DEPENDS = {
     "input": "the size of the input",
     "output": "the size of the output",
     "turns of the input": "the direction in which the input moved last",
     "turns of the output": "the direction in which the output moved last",
-    "behind": "what was read a few samples before",
+    "behind": "the readings a few samples before",
     "spring": "the size of the output as a force on the plant",
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
@@ -55,7 +55,7 @@ SEEN = {
     "behind": "the sensor may smooth its readings; record them with its filter off",
     "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
     " record with a smaller input",
-    "rate of the input": "what the input drives may be limited in its rate; record with an input"
+    "rate of the input": "the drive of the input may be limited in its rate; record with an input"
     " that changes more slowly",
     "rate of the output": "the sensor may be limited in its rate; record with an input that changes"
     " more slowly",
@@ -64,7 +64,7 @@ SEEN = {
 
 
 class Remainder(NamedTuple):
-    """What a model's innovations depend on.
+    """Dependence of a model's innovations on a known signal.
 
     Attributes:
         on: the direction, of `DEPENDS`.
@@ -85,35 +85,36 @@ class Remainder(NamedTuple):
         return is_large or (self.share > SHARE and self.chance < CHANCE)
 
     def in_words(self, model: str) -> tuple[str, str]:
-        """Return what was seen, and what that may be and how it is found out.
+        """Return the finding, and the recording that shows its cause.
 
         Args:
             model: the model in words.
         """
         explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, p < 0.001)"
-        seen = f"what the best one, {model}, leaves depends on {explained}"
+        seen = f"the residual of the best one, {model}, depends on {explained}"
         return f"none of the known models explains this log: {seen}; nothing is named", SEEN[
             self.on
         ]
 
 
 def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:
-    """Return what a model's innovations depend on most, if that is real; else None.
+    """Return the largest dependence of a model's innovations, if it is real; else None.
 
     Args:
         remainders: of the model.
         word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something. That of friction holds within a sample, so it leaves more than others.
+            something. That of friction holds by the sample, so it leaves more by the output.
     """
     if word == "jump":
         return None
-    least = LARGE_SHARE if word == "friction" else SHARE
-    real = [one for one in remainders if one.is_real and one.share > least]
+    coarse = "output" if word == "friction" else ""
+    least = {coarse: LARGE_SHARE}
+    real = [one for one in remainders if one.is_real and one.share > least.get(one.on, SHARE)]
     return max(real, key=lambda one: one.share, default=None)
 
 
 def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
-    """Return what a model's innovations depend on, direction by direction.
+    """Return the dependence of a model's innovations on each direction.
 
     Args:
         fit: the model; one that leaves next to nothing is not wrong.
@@ -142,11 +143,11 @@ def find_remainders(fit: FittedModel[Model]) -> list[Remainder]:
 
 
 def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
-    """Return what the model's own numbers leave of columns, each with rms 1 and of no other.
+    """Return the parts of columns beyond the model's own parameters, orthogonal, of rms 1.
 
     Returns:
-        What is left (N x K), of no column where they explain all; and by how much the model's own
-        numbers take the place of each (P x K).
+        The parts (N x K), no column if the parameters explain all; and the change of the parameters
+        that stands for each (P x K).
     """
     as_own = np.linalg.lstsq(own, columns, rcond=1e-10)[0]
     left = columns - own @ as_own
@@ -160,7 +161,7 @@ def _left_over(own: Floats, columns: Floats) -> tuple[Floats, Floats]:
 
 
 def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
-    """Return what a wrong model would leave, by direction (N x K each)."""
+    """Return the traces of wrong models, by direction (N x K each)."""
     model, theta = fit.model, fit.theta
     data, z = model.simulator.data, model.output(theta)
     read, u = model.noise_free_readings(z, theta), data.u[:, 0]
@@ -214,7 +215,7 @@ def _late(signal: Floats, lag: int) -> Floats:
 
 
 def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:
-    """Return what the plant makes of columns at its first input (N x K)."""
+    """Return the response of the plant to columns at its first input (N x K)."""
     layout, theta = fit.model.simulator.layout, fit.theta
     numerator = np.append(0.0, theta[layout.numerators][: layout.n])
     out = np.empty_like(columns)

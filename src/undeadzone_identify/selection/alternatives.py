@@ -63,6 +63,7 @@ from undeadzone_identify.selection.decision import (
     MEMORY,
     MODELS,
     UNLIKELY,
+    UNSETTLED,
     Case,
     Verdict,
     build_verdict,
@@ -126,19 +127,19 @@ class Element(NamedTuple):
     Attributes:
         kind: play, both, input_zone, two_zones, input_play; none or friction of a servo without a
             gap.
-        fit: what was fitted.
+        fit: of the model.
         simulator: the plant, with all records.
         theta: its numbers a, b, x0, ..., scaled; of an input zone at rest at first.
         V: covariance of a and b.
         z: output of the plant (N), scaled.
-        readings: what is read of it without noise (N), scaled.
+        readings: of z without noise (N), scaled.
         side: contact of a play, of the input's too, side of an input zone (N).
         widths: right, left, width, centre in units of the log; None where they are not known.
-        ahead: what disturbs z, scaled; None where it was not told apart.
+        ahead: disturbance of z, scaled; None if it was not separated.
         noise: rms of the readings' white noise, scaled.
         degrees: of freedom of the intervals.
         rms: of the residual, scaled.
-        remarks: what to know of the widths.
+        remarks: on the widths.
         zone: both: d_r + d_l beside the play's width [y]; else None.
         edges: both: d_r and d_l if c_r = c_l, the sum of both centres in them [y]; else None.
         input: two_zones: the widths of the input's zone, as `widths` are the sensor's [u].
@@ -164,7 +165,7 @@ class Element(NamedTuple):
 
     @property
     def is_at_rest(self) -> bool:
-        """Return whether nothing but white noise shows of what disturbs a model of this kind."""
+        """Return whether only white noise shows of the disturbance of such a model."""
         return self.kind in OF_THEIR_OWN and (
             self.ahead is None or self.ahead.rms < UNSEEN * self.noise
         )
@@ -194,17 +195,17 @@ class Findings(NamedTuple):
         verdict: so far.
         delay: samples by which the input acts late; of a play in the records as they are none.
         models: every model that was fitted, those of the same readings together.
-        odds: of what may be there by the verdict's words, largest first.
+        odds: by the verdict's words, largest first.
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
         places: models of the zone's place by word; empty where that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
-        element: what stands in the place of a sensor's dead zone; None: nothing does.
+        element: in the place of a sensor's dead zone; None: there is none.
         kalman: fits of (L3), best first.
         friction: its level [u], the mean of both directions; None where it is not measured.
-        remainders: what the likeliest model leaves, by direction; empty: not tested.
+        remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
 
@@ -420,7 +421,7 @@ def build_play_element(gap: PlayGap, whole: plant.RecordData, offset: float | No
     """Build the element of a play, and of the dead zone after it.
 
     Args:
-        gap: what was found, of the log or of its busiest part.
+        gap: of the log or of its busiest part.
         whole: all records.
         offset: rms of an unknown offset of the output, scaled; None: free.
     """
@@ -569,7 +570,7 @@ def _plant_along(
 
     Args:
         fitted: plant as fitted, to the longest or all records.
-        numbers: its parameters, and what follows them.
+        numbers: its parameters, and further ones.
         whole: all records, with the inputs behind their element. Others begin at rest.
     """
     layout = fitted.layout
@@ -799,7 +800,9 @@ def has_a_model(case: Case, found: Findings) -> bool:
     """Return whether a name is given, or odds are, and no servo's own tests stand behind it."""
     of_servo = found.element is not None and isinstance(found.element.fit, ServoGap)
     word, top = found.verdict.word, next(iter(found.odds), "")
-    is_said = word == "unclear" or (word == "other" and top != "other")  # why nothing is named
+    is_said = word == "other" and top != "other"  # why nothing is named
+    if word == "unclear":  # a plant that does not settle leaves traces of everything
+        is_said |= UNSETTLED in found.verdict.reasons or not case.fitted.prepared.settles
     reason = next(iter(found.verdict.reasons), "")
     is_said |= word == "undecided" and not reason.startswith(CANNOT_TELL)
     of_loop = found.valve is not None
@@ -807,7 +810,7 @@ def has_a_model(case: Case, found: Findings) -> bool:
 
 
 def with_adequacy(case: Case, found: Findings) -> Findings:
-    """What is found, unless what the likeliest model leaves depends on something known.
+    """Withhold the name if the innovations of the likeliest model depend on a known signal.
 
     Args:
         case: the log.
@@ -821,11 +824,11 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
     remainder = largest_remainder(remainders, word)
     if remainder is None:
         return _in_numbers(case, found._replace(remainders=remainders))
-    return found._replace(
-        remainders=remainders,
-        verdict=build_verdict("unclear", *remainder.in_words(MODELS[word])),
-        element=None,
-    )
+    reasons: tuple[str, ...] = remainder.in_words(MODELS[word])
+    if found.verdict.word == "unclear":  # for a reason of its own; this one may explain it
+        reasons = (*found.verdict.reasons, reasons[1])
+    verdict = build_verdict("unclear", *reasons)
+    return found._replace(remainders=remainders, verdict=verdict, element=None)
 
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
@@ -914,7 +917,7 @@ def held_out_error_of_fit(
 def held_out_residual(
     fit: FittedModel[Any], held_out: float, last: int = LONGEST
 ) -> tuple[Floats, Flags]:
-    """Return what a fit to the other samples leaves of the readings (N), and which it did not see.
+    """Return the residual of a fit to the training samples (N), and the held-out samples.
 
     Args:
         fit: the model.

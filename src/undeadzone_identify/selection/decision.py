@@ -64,7 +64,7 @@ UNEXPLAINED = (
 )
 UNSETTLED = (
     "the plant seems to integrate, or to ring longer than the record: its state at the start and"
-    " an offset or a sine cannot be told apart; say --integrators 1 if it is the position of a"
+    " an offset or a sine cannot be separated; use --integrators 1 if it is the position of a"
     " motor, or the like; else record for longer"
 )
 CANNOT_TELL = "this record cannot tell"
@@ -238,7 +238,10 @@ def classify_by_probabilities(
     in_loop = word == "none" and sure < LIKELY_IN_LOOP and detect_feedback(case).is_closed
     if (sure < LIKELY or in_loop) and not (word == case.options.kind == "play"):
         return _undecided_among(odds)
-    cautions = [f"{MODELS[one]} is not excluded ({100 * odds[one]:.0f} %)" for one in more]
+    cautions = []
+    for one in more:
+        state = "not excluded" if odds[one] < odds.get(word, 0.0) else "likelier than it alone"
+        cautions.append(f"{MODELS[one]} is {state} ({100 * odds[one]:.0f} %)")
     if word == "dead_zone":
         return _verdict_by_residual(case).add_cautions(*cautions)
     if word == "none":

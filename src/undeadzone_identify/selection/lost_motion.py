@@ -71,7 +71,7 @@ class LostMotionAnswer(NamedTuple):
         gap: motion lost at a reversal, with its 95 % interval [u].
         found: the fit that is shown.
         odds: of play, none and other.
-        is_told: whether u is a goal, so that friction of a servo counts in.
+        is_goal: whether u is a goal, so that friction of a servo counts in.
         is_summed: whether u is the sum of pulses.
         are_positions: whether names or units say that both signals are positions.
         parts: gap and friction, where a current tells them apart.
@@ -88,7 +88,7 @@ class LostMotionAnswer(NamedTuple):
     gap: Interval
     found: LostMotion
     odds: dict[str, float]
-    is_told: bool
+    is_goal: bool
     is_summed: bool
     are_positions: bool
     parts: Share | None
@@ -142,10 +142,10 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         bent_fit, bent_found = best_structure(data, bent)
         if bent_found.bic() < curved.bic():
             fit, found = bent_fit, bent_found
-    is_told, alike = _is_told(log), _is_alike(log)
+    is_goal, alike = _is_told(log), _is_alike(log)
     white = is_white(found, quantum)
     others = [found]
-    if not white and late and (alike or is_told):
+    if not white and late and (alike or is_goal):
         fit, found, others = _add_lags(data, (fit, found))
         flat = min((MotionFit(data, found.structure).fit(at_rest), flat), key=LostMotion.bic)
     gap = _widest(fit, found, others)
@@ -162,14 +162,14 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     if not fits or not sure:
         word = "unclear"
         odds = odds if fits else {}
-    positions = alike or is_told or is_summed
+    positions = alike or is_goal or is_summed
     stands = word != "unclear" and (positions or (is_gap and white and not _has_grid(log)))
     answer = LostMotionAnswer(
         verdict=word,
         gap=gap if is_gap else gap._replace(value=0.0, low=0.0),
         found=found,
         odds=odds,
-        is_told=is_told,
+        is_goal=is_goal,
         is_summed=is_summed,
         are_positions=positions,
         parts=None,
@@ -315,7 +315,7 @@ def _split(answer: LostMotionAnswer) -> LostMotionAnswer:
     s the way. The current alone has noise that matters, so least squares of it has no bias.
     """
     drive = drive_of(answer.log)
-    if drive is None or not answer.is_told or answer.verdict != "play":
+    if drive is None or not answer.is_goal or answer.verdict != "play":
         return answer
     there = np.isin(answer.log.t, answer.data.t)
     i, found = drive[there], answer.found
@@ -361,7 +361,7 @@ def _described(answer: LostMotionAnswer, explained: float, white: bool) -> LostM
         reasons.append(f"what turns round loses motion: {about}")
         if answer.parts is not None:
             reasons.append("gap and friction are told apart by the current of a proportional loop")
-        elif answer.is_told:
+        elif answer.is_goal:
             reasons.append(
                 "gap of the gears and friction of the servo (2 f / kp) lose motion alike: their sum"
                 " is known. Record the current as a third column to tell them apart"

@@ -535,7 +535,7 @@ def squared_gain(errors: Dynamics, E: Floats, noise: float, weight: float, w: Fl
     |H|^2 (a + |weight - conj G|^2) / a for w.
     """
     G, H = responses(errors, E, w)
-    G, step = G[:, 0, 0], max(float(pattern[0, 0]) for pattern in errors.steps)
+    G, step = G[:, 0, 0], max(float(pattern[0, 0]) for pattern in errors.largest_gain_steps)
     a = weight * (2 - step) + 2 * weight * G.real - np.abs(G) ** 2
     if noise:
         above = np.full(a.shape, (weight * noise) ** 2)
@@ -610,7 +610,7 @@ def supplies(errors: Dynamics, reading: Floats, unit: float, q: Floats, G: Any) 
     W = np.diag(errors.groups @ q[:-1])
     across = G.conj().transpose(0, 2, 1)
     of_e = (W @ G + across @ W + across @ G / unit**2 - 2 * W)[:, None]
-    of_e = of_e + np.stack([(W @ step + step @ W) / 2 for step in errors.steps])
+    of_e = of_e + np.stack([(W @ step + step @ W) / 2 for step in errors.largest_gain_steps])
     phi = np.zeros((*of_e.shape[:2], 2 * p, 2 * p), complex)
     phi[..., :p, :p] = of_e
     phi[..., :p, p:] = phi[..., p:, :p] = W @ np.diag(reading)
@@ -646,7 +646,7 @@ def test_l2_gains_of_two_outputs_are_least() -> None:
     for _ in range(12):
         model, gains, gamma, Ts = random_design(rng, 3, 2)
         errors, reading = build_error_dynamics(model, gains, gamma, Ts), np.exp(rng.normal(size=2))
-        if len(errors.steps) > 1 or not certify_dynamics(errors).certified:
+        if len(errors.largest_gain_steps) > 1 or not certify_dynamics(errors).certified:
             continue
         found = l2_gain(errors, noise=reading)
         assert found.check.proved

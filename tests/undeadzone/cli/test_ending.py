@@ -13,7 +13,7 @@ import click
 import pytest
 
 from undeadzone.cli import ending, group
-from undeadzone.cli.ending import run_to_exit_code
+from undeadzone.cli.ending import name_options, run_to_exit_code
 from undeadzone.errors import InputError, Terminated
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -276,3 +276,16 @@ def test_dollars_in_a_title_lose_no_report(scenario: Path, text: str) -> None:
     assert done.returncode in (0, 1)
     assert done.stderr == ""
     assert {path.name for path in out.iterdir()} >= {"figure.svg", "report.html"}
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("kept; continue with resume=True", "kept; continue with --resume"),
+        ('by columns="y=NAME,u=NAME"', "by --columns y=NAME,u=NAME"),
+        ("shown by replay=NUMBER; a", "shown by --replay NUMBER; a"),
+        ("columns: y is named twice", "columns: y is named twice"),
+    ],
+)
+def test_messages_name_options_for_arguments(message: str, shown: str) -> None:
+    assert name_options(message) == shown

@@ -166,7 +166,7 @@ def test_a_scheduler_that_goes_away_leaves_what_was_kept(
 ) -> None:
     monkeypatch.setattr(dask_cluster, "REACH", 1.0)
     make, path = functools.partial(sines, 605, 0.05), tmp_path / "runs.partial"
-    words = r"of 605 runs are kept in .*runs\.partial; continue with --resume"
+    words = r"of 605 runs are kept in .*runs\.partial; continue with resume=True"
     with local(1) as gone, pytest.raises(ClusterError, match=words):
         run_blocks.compute_job(
             make, path, cluster=gone.scheduler_address, progress=lambda done: gone.close()

@@ -122,7 +122,9 @@ def test_a_file_whose_header_was_never_written_is_begun_anew(
 def test_what_is_there_is_not_overwritten_without_resume(tmp_path: Path) -> None:
     store = stored(tmp_path / "runs.partial")
     store.close()
-    words = "an unfinished ensemble is there. Continue it with --resume, or delete it to start anew"
+    words = (
+        "an unfinished ensemble is there. Continue it with resume=True, or delete it to start anew"
+    )
     with pytest.raises(FileError, match=words):
         journal.open_store(store.path, store.layout)
     assert again(store.path) == []
@@ -246,7 +248,7 @@ def test_a_disk_that_fails_midway_keeps_what_was_put(tmp_path: Path) -> None:
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     path = tmp_path / "runs.partial"
-    words = "cannot write: File too large; 10 of 95 runs are kept in .*; continue with --resume"
+    words = "cannot write: File too large; 10 of 95 runs are kept in .*; continue with resume=True"
     try:
         with pytest.raises(FileError, match=words):
             run_blocks.compute_job(functools.partial(sines, 95), path, progress=progress)
@@ -298,7 +300,7 @@ class Interrupted(Sines):
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
     path, told = tmp_path / "runs.partial", []
-    words = r"50 of 95 runs are kept in .*runs\.partial; continue with --resume"
+    words = r"50 of 95 runs are kept in .*runs\.partial; continue with resume=True"
     with pytest.raises(KeyboardInterrupt, match=words):
         run_blocks.compute_job(lambda: Interrupted(layout(95), wrong=5), path)
     store = run_blocks.compute_job(
@@ -310,7 +312,7 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(tmp_path: Path) -> None:
 
 def test_what_stops_the_use_of_a_store_keeps_it(tmp_path: Path) -> None:
     store = run_blocks.compute_job(functools.partial(sines, 95), tmp_path / "runs.partial")
-    words = r"^no such suffix; 95 of 95 runs are kept in .*; continue with --resume$"
+    words = r"^no such suffix; 95 of 95 runs are kept in .*; continue with resume=True$"
     with pytest.raises(InputError, match=words), run_blocks.close_on_failure(store):
         raise InputError("no such suffix")
     assert again(store.path) == []

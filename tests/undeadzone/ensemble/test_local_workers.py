@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -259,3 +260,28 @@ def test_ctrl_c_stops_the_workers_quietly(tmp_path: Path, whole: bytes) -> None:
     assert noise == ""
     run_blocks.compute_job(functools.partial(sines, 605), path, resume=True).close()
     assert path.read_bytes() == whole
+
+
+def test_calls_of_a_function_arrive_by_number() -> None:
+    results = local_workers.iterate_results(2, pow, {3: (2, 5), 7: (3, 2), 1: (5, 0)})
+    assert dict(results) == {3: 32, 7: 9, 1: 1}
+
+
+def test_calls_whose_workers_die_are_one_line() -> None:
+    words = "^2 local workers: 4 workers died one after the other"
+    with pytest.raises(ClusterError, match=words):
+        list(local_workers.iterate_results(2, os._exit, {0: (1,), 1: (1,)}))
+
+
+@pytest.mark.skipif(
+    not Path(f"/proc/self/task/{os.getpid()}/children").exists(), reason="needs Linux's /proc"
+)
+def test_whoever_stops_waits_for_no_call() -> None:
+    """SIGTERM during `arena --tune` waited until every method was tuned."""
+    others = set(children())
+    calls = {0: (0.0,), 1: (1e5,), 2: (1e5,), 3: (1e5,)}
+    results = local_workers.iterate_results(2, time.sleep, calls)
+    assert next(results) == (0, None)
+    assert len(set(children()) - others) == 2
+    results.close()
+    assert set(children()) <= others

@@ -539,7 +539,9 @@ def test_resume_leaves_a_finished_file_as_it_is(tmp_path: Path) -> None:
     assert again.info == first.info
     assert told == []
     before = path.read_bytes()
-    words = r"holds another problem \(runs: 150 there, 151 here.*; leave --resume out to replace it"
+    words = (
+        r"holds another problem \(runs: 150 there, 151 here.*; leave resume=True out to replace it"
+    )
     with pytest.raises(InputError, match=words):
         run_ensemble(named("sampled", 151), path, resume=True, progress=told.append)
     assert path.read_bytes() == before

@@ -51,7 +51,7 @@ def test_names_of_the_trade(header: str, y: str, u: str, r: str | None) -> None:
 def test_two_readings_or_none_are_never_guessed() -> None:
     for header in ("t,u,level,flow", "t,op,pressure,temperature"):
         titles = [split_unit(cell) for cell in header.split(",")]
-        with pytest.raises(FileError, match="no name says which column holds y"):
+        with pytest.raises(FileError, match="no name shows which column holds y"):
             layout_of_titles(titles, None, None, {}, "log")
 
 
@@ -149,5 +149,5 @@ def test_blanks_between_thousands_are_no_separators(tmp_path: Path) -> None:
 
 def test_a_comma_that_may_be_either_is_refused(tmp_path: Path) -> None:
     rows = "".join(f"{k}\t1,30{k}\t995\n" for k in range(10))
-    with pytest.raises(FileError, match=r"nothing tells whether 1,300 is 1300 or 1\.300"):
+    with pytest.raises(FileError, match=r"it is not known whether 1,300 is 1300 or 1\.300"):
         read(tmp_path / "a.csv", "t\tu\ty\n" + rows)

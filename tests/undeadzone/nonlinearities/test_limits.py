@@ -496,7 +496,7 @@ def test_readings_that_stick_on_their_way_show_a_range(
     running = RunningEnds()  # as a log that is watched comes in
     for block in np.split(np.arange(y.size), np.sort(draw.integers(0, y.size, 300))):
         running.add(y[block], ok[block])
-    assert running.ends(quantum) == ends
+    assert running.find_range_ends(quantum) == ends
 
 
 def test_identify_takes_them_for_missing_and_says_so() -> None:

@@ -369,7 +369,7 @@ def test_wrong_arguments(run: uz.Run, folder: Path) -> None:
         uz.estimate(backwards, folder / "run.csv")
     headless = folder / "headless.csv"
     headless.write_text("0,1,2\n0.01,1,2\n")
-    with pytest.raises(uz.FileError, match="--columns t=1"):
+    with pytest.raises(uz.FileError, match='columns="t=1'):
         uz.estimate(scenario(), headless)
     result = uz.estimate(scenario(), headless, columns="t=1,y=2,u=3")
     assert result.info.samples == 2
@@ -407,7 +407,7 @@ def test_command_estimate(folder: Path) -> None:
     assert done.returncode == 1
     numbers = json.loads(done.stdout)
     assert numbers["consistent"] is False
-    assert numbers["would_fit"] == "readings and inputs are exchanged: --columns names them"
+    assert numbers["would_fit"] == "readings and inputs are exchanged: name their columns"
     words = command(
         "estimate", folder / "log.toml", folder / "run.csv", "--no-figures",
         "--columns", "t=t,y=u[0],u=y[0]",

@@ -21,7 +21,7 @@ from undeadzone.ensemble.batch import prepare_batch
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
 from undeadzone.results.scales import LIMIT
-from undeadzone.scenario.address import numbers, with_numbers
+from undeadzone.scenario.address import find_option_numbers, with_numbers
 from undeadzone.scenario.ensemble_table import Distribution, Vary
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert, parse, read
@@ -83,7 +83,7 @@ def of(what: Tune, scenario: Scenario, names: list[str], probes: Any) -> Objecti
 
 def test_numbers_of_the_options_by_address() -> None:
     scenario = gusts()
-    known = numbers(scenario)
+    known = find_option_numbers(scenario)
     assert known["observer.L[1]"].value == 1.5
     assert known["observer.gamma"].value == 10.0
     assert known["controller.poles"].value is None
@@ -93,7 +93,7 @@ def test_numbers_of_the_options_by_address() -> None:
     np.testing.assert_array_equal(changed.observer.L, [1.0, 7.0])
     assert changed.controller.alpha == 3.0
     as_before = {name: known[name] for name in ("observer.L[1]", "controller.alpha")}
-    assert numbers(changed) | as_before == known
+    assert find_option_numbers(changed) | as_before == known
 
 
 @pytest.mark.parametrize(
@@ -441,7 +441,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert len(found["history"]) == found["evaluations"] <= 40
     tuned = read(tmp_path / "out" / "tuned.toml")
     assert len(found["parameters"]) == 3
-    assert all(numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"])
+    assert all(
+        find_option_numbers(tuned)[p["name"]].value == p["value"] for p in found["parameters"]
+    )
     for name in ("history.svg", "around.svg"):
         assert (tmp_path / "out" / name).stat().st_size > 10_000
     words = ["--budget", "4", "--no-figures"]

@@ -29,7 +29,7 @@ def test_a_text_is_own_until_someone_edits_it(tmp_path: Path) -> None:
     whole = path.read_text()
     for edited in (whole + "\n", whole.replace("3", "4"), "c = 3\n", "", "\0", f" {whole}"):
         path.write_text(edited)
-        with pytest.raises(FileError, match="--force"):
+        with pytest.raises(FileError, match="force=True"):
             write_own_file("d = 4\n", path)
         assert path.read_text() == edited
     write_own_file("d = 4\n", path, force=True)
@@ -204,7 +204,7 @@ def test_an_edited_export_is_refused(tmp_path: Path) -> None:
         export(out, "joint.c", "joint.h", force=True)
         (out / edit).write_text((out / edit).read_text() + " ")
         before = (out / edit).read_text()
-        with pytest.raises(FileError, match="--force"):
+        with pytest.raises(FileError, match="force=True"):
             export(out, "joint.c", "joint.h")
         assert (out / edit).read_text() == before
         export(out, "joint.c", "joint.h", force=True, text="2")
@@ -228,7 +228,7 @@ def test_a_file_in_the_place_of_a_new_one_is_refused(tmp_path: Path) -> None:
     out = tmp_path / "fw"
     export(out, "joint.c")
     (out / "main.c").write_text(MINE)
-    with pytest.raises(FileError, match=r"main\.c: exists already.*--force"):
+    with pytest.raises(FileError, match=r"main\.c: exists already.*force=True"):
         export(out, "joint.c", "main.c", text="2")
     assert held(out) == {"joint.c": "1", "main.c": MINE}
     export(out, "joint.c", "main.c", text="2", force=True)

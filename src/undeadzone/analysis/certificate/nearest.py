@@ -128,11 +128,13 @@ def _project_gain(errors: Dynamics, W: Floats, least: float) -> Floats:
     # In units where W = 1.
     errors = errors._replace(C=errors.C * root[:, None], L=errors.L / root)
     L = errors.L
-    seen = [set[float]() for _ in errors.steps]  # the frequencies of each step's half-spaces
+    seen = [
+        set[float]() for _ in errors.largest_gain_steps
+    ]  # the frequencies of each step's half-spaces
     normals, levels = np.zeros((0, L.size)), np.zeros(0)
     for _ in range(CUTS):
         done = True
-        for step, frequencies in zip(errors.steps, seen, strict=True):
+        for step, frequencies in zip(errors.largest_gain_steps, seen, strict=True):
             D = np.eye(root.size) - step / 2
             lowest = least_eigenvalue_over_frequencies(
                 frequency_response(errors.A[0], errors.C, L, D, errors.Ts)

@@ -68,10 +68,6 @@ class Certificate(NamedTuple):
         """Return the weights of V (p)."""
         return self.V.W
 
-    def recheck(self) -> DefinitenessCheck:
-        """Prove the certificate again from P, W and the dynamics, by eigenvalues alone."""
-        return recheck_proof(self.dynamics, self.P, self.W)
-
 
 def certify(linear: Matrices, L: Floats, gamma: Floats, Ts: float | None = None) -> Certificate:
     """Certify gains: a common V falls for every sequence of branches.

@@ -80,7 +80,7 @@ def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]
     (A,), C, L, _, Ts = errors
     root = np.sqrt(W)
     found, over, under = [], [], []
-    for step in errors.steps:
+    for step in errors.largest_gain_steps:
         D = np.eye(root.size) - step / 2
         G = frequency_response(A, C * root[:, None], L / root, D, Ts)
         least = least_eigenvalue_over_frequencies(G)

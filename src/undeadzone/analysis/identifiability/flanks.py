@@ -1,10 +1,10 @@
-"""Gaps of an arm's gears that readings of a run tell, and why others cannot be known.
+"""Gaps of an arm's gears that the readings of a run determine, and why others cannot be known.
 
-A gap shows where a load crosses it: a link that arrives at the other flank strikes its motor. Three
-things are asked of each joint. Its link has to cross the gap. The strike has to show in what the
-encoder reads, against its noise and the unknown torque of the motor. And the joint must not be so
-coupled to others that what these do to its link in their gaps cannot be told from its own: joint by
-joint that was noise, a gap of zero foretold best, and a Panda's gaps came out as zero
+A gap shows when a load crosses it: a link that arrives at the other flank strikes its motor. Each
+joint has to meet three conditions. Its link has to cross the gap. The strike has to show in the
+readings of the encoder, against its noise and the unknown torque of the motor. And its coupling to
+others must be weak enough to tell their effects on its link, in their gaps, from its own: joint by
+joint they were noise, a gap of zero foretold best, and a Panda's gaps came out as zero
 (docs/robots.md).
 """
 
@@ -96,7 +96,7 @@ def torque_free_position(body: Arm, params: Floats, q: Floats, i: int) -> float 
         i: the joint.
 
     Returns:
-        The position within the joint's limits; None where there is none.
+        The position within the joint's limits; None if there is none.
     """
     low, high = np.clip(body.chain.limits[i], q[i] - np.pi, q[i] + np.pi)
     places = np.linspace(low, high, POSTURES)
@@ -286,7 +286,7 @@ def _strike_reason(jump: float, unit: float, name: str) -> str:
 def _gap_reasons(place: float | None, unit: str) -> str:
     """Describe why a gap is not identifiable, and the remedy.
 
-    place, unit: where gravity asks the joint for no torque.
+    place, unit: position without torque by gravity.
     """
     what = "held on one flank: its gap cannot be known"
     if place is None:

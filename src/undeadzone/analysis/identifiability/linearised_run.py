@@ -39,7 +39,7 @@ class LinearisedRun(NamedTuple):
 
 
 def linearise_run(
-    model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str] = ()
+    model: System, x: Floats, u: Floats, step: float, bias: Floats, uncertain: Sequence[str]
 ) -> LinearisedRun:
     """Linearise the plant along a run.
 

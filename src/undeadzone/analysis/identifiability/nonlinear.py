@@ -259,17 +259,6 @@ class Observability(NamedTuple):
     tolerance: float
     covariance: Floats
 
-    @property
-    def share_gap(self) -> tuple[float, float]:
-        """Return the largest share that counts as none, and the smallest that counts as
-        some.
-
-        The further apart, the surer.
-        """
-        null = self.singular <= self.tolerance
-        none = float(self.singular[null].max(initial=0.0))
-        return none, float(self.singular[~null].min(initial=np.inf))
-
     def output_deviations(self, i: int) -> dict[str, float]:
         """Return the deviations of right, left, width, centre of output i, or inf if not
         identifiable.

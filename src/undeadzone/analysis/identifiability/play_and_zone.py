@@ -43,7 +43,7 @@ class WidthInformation(NamedTuple):
     gap_std: float
 
 
-def add_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
+def append_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
     """Return the plant with [c_r, c_l] of each output as states and each output twice, per
     contact.
 
@@ -128,7 +128,7 @@ def gap_and_width_information(
         readings: the readings.
     """
     n, p = linear.A.shape[0], linear.C.shape[0]
-    whole, twice = add_gap_states(linear, schedule.Ts), separate_contacts(schedule)
+    whole, twice = append_gap_states(linear, schedule.Ts), separate_contacts(schedule)
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
     twofold, told = _double_outputs(linear, readings), gap_prior_rows(linear, readings, least)
@@ -170,7 +170,7 @@ def state_identifiability(
     twofold = _double_outputs(linear, readings)
     visited = separate_contacts(schedule).branch_visits(n + 2 * p)
     hidden = unobservable_changes(
-        add_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias
+        append_gap_states(linear, schedule.Ts), visited, schedule.Ts, twofold.bias
     )
     hidden = hidden.exclude_known(gap_prior_rows(linear, readings, 1.0))
     return [hidden.is_state_known(i) for i in range(n)]

@@ -236,8 +236,7 @@ class Sigma(Options, frozen=True, kw_only=True, tag="sigma"):
         Raises:
             InputError: for a leak below 0.
         """
-        leak = require_number("observer.adaptation.leak", self.leak, least=0.0)
-        return AdaptationLaw(np.float64(leak), move=sigma_move)
+        return _build_leaking_law(self.leak, sigma_move)
 
 
 def sigma_move(leak: Any, edge: BranchWidths) -> tuple[Any, Any]:
@@ -271,8 +270,7 @@ class EModification(Options, frozen=True, kw_only=True, tag="e_modification"):
         Raises:
             InputError: for a leak below 0.
         """
-        leak = require_number("observer.adaptation.leak", self.leak, least=0.0)
-        return AdaptationLaw(np.float64(leak), move=e_modification_move)
+        return _build_leaking_law(self.leak, e_modification_move)
 
 
 def e_modification_move(leak: Any, edge: BranchWidths) -> tuple[Any, Any]:
@@ -285,3 +283,11 @@ def e_modification_move(leak: Any, edge: BranchWidths) -> tuple[Any, Any]:
 
 
 Adaptation = Gradient | Normalised | LeastSquares | Sigma | EModification
+
+
+def _build_leaking_law(
+    leak: float, move: Callable[[Any, BranchWidths], tuple[Any, Any]]
+) -> AdaptationLaw:
+    """Return an adaptation law with a leak. Raises InputError for a leak below 0."""
+    value = require_number("observer.adaptation.leak", leak, least=0.0)
+    return AdaptationLaw(np.float64(value), move=move)

@@ -5,11 +5,11 @@ arm of one link, to which the rest of the arm is numbers of the sample: its link
 
     m (q'' - a0) = tau - tau0 - (friction - friction0) - slope (q - q0) - weight (payload - p0)
 
-with m = 1 / (M^-1)_ii, which is what a link feels of its own torque while the other gears transmit
+with m = 1 / (M^-1)_ii, the inertia against its own torque while the other gears transmit
 theirs. Two joints about nearly one axis make a group: m is then a matrix, and they have 9 modes.
 a0 = M^-1 (tau0 - h - friction0) is its acceleration with all joints in the mean, and tau0 the mean
 of the torques over the sample. By as much as the torques of the others are uncertain, a link is
-pushed at random; what their motors tell of these torques later is made up for.
+pushed at random; later readings of their motors correct it.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
 
     Args:
         gears: the arm.
-        params: as the model says.
+        params: of the model.
         x: unknowns of the filter.
     """
     N, layout = gears.joint_count, Layout(gears.joint_count)
@@ -140,23 +140,23 @@ def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
     """
     size, here = len(group), list(group)
 
-    def entries(p: Any, name: str, columns: int) -> Any:
+    def rest_entries(p: Any, name: str, columns: int) -> Any:
         """Return the entries that replace the rest of the arm (size x columns)."""
         names = _rest_names(size)
         return ca.reshape(ca.vertcat(*(p[each] for each in names[name])), size, columns)
 
     def bias(p: Any, q: Any, _: Any) -> Any:
         """Return the bias torque of the links, the rest of the arm included [N m]."""
-        turned = entries(p, "slope", size) @ (q - entries(p, "place", 1))
-        carried = entries(p, "weight", 1) * (p["payload"] - p["carried"])
-        return entries(p, "load", 1) + turned + carried
+        turned = rest_entries(p, "slope", size) @ (q - rest_entries(p, "place", 1))
+        carried = rest_entries(p, "weight", 1) * (p["payload"] - p["carried"])
+        return rest_entries(p, "load", 1) + turned + carried
 
     rest = dict.fromkeys(itertools.chain(*_rest_names(size).values()), 0.0)
     rest |= {f"mass_{joint}_{joint}": 1.0 for joint in range(size)}
     link = Chain(
         joints=tuple(gears.arm.chain.joints[joint] for joint in group),
         parameters={**rest, "carried": 0.0, "payload": 1.0},
-        mass=lambda p, _: entries(p, "mass", size),
+        mass=lambda p, _: rest_entries(p, "mass", size),
         bias=bias,
         points=lambda _, __: ca.SX.zeros(1, 3),
         turn=lambda _, __: ca.SX.eye(3),
@@ -308,7 +308,7 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
 
     Args:
         gears: the arm.
-        model: its parameters, as the model says.
+        model: its parameters.
         mean: of all unknowns.
         u: torque of the motors (N).
     """
@@ -394,8 +394,8 @@ def gear_torques(
 
     The torque that stops a strike is as uncertain as the strike.
 
-    Nothing is said of how uncertain a torque is within a contact: what is stiff corrects it at
-    once, while the variances of two joints that take it for lasting would drive each other up.
+    A torque within a contact has no variance: the stiff contact corrects it at once, while the
+    variances of two joints that take it for lasting would drive each other up.
 
     Args:
         drives: of each joint.
@@ -576,7 +576,7 @@ class Uncertain(NamedTuple):
 
     Attributes:
         torque: through the gears (N) [N^2 m^2].
-        load: what the speed of each link gains in a sample by its own unknown torque (N).
+        load: gain of the speed of each link in a sample by its own unknown torque (N).
         span: of the angle of each link (N) [rad^2].
     """
 

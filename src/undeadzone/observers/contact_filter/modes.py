@@ -3,9 +3,9 @@
 A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
 combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
 payload] with the contacts held, f the friction of links, k the log of a contact's frequency over
-the model's, and a chance. A link leaves a flank where the torque through it changes its sign; it
-reaches one by first passage (`numerics.first_passage`), which is where the gap is measured. What
-comes together in a mode is merged by its moments (interacting multiple models, Blom and Bar-Shalom
+the model's, and a chance. A link leaves a flank when the torque through it changes its sign; it
+reaches one by first passage (`numerics.first_passage`), and then the gap is measured. Estimates
+that meet in a mode are merged by their moments (interacting multiple models, Blom and Bar-Shalom
 1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
 
 References:
@@ -101,7 +101,7 @@ class Drive(NamedTuple):
     """Functions of the plant for the filter; the first argument is `Numbers.model`.
 
     Attributes:
-        layout: where the quantities stand.
+        layout: places of the quantities.
         rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
             locked.
         implicit: (numbers, x, contact, g) -> function that returns (I - g A)^-1 times a column
@@ -111,7 +111,7 @@ class Drive(NamedTuple):
         readings: entry of x that each reading gives (p).
         Ts: sample time [s].
         substeps: steps of integration in a sample.
-        apart: whether it is one joint of several, to which what the others do to its link is noise.
+        apart: whether it is one joint of several, whose effects on its link count as noise.
     """
 
     layout: Layout
@@ -133,7 +133,7 @@ class Numbers(NamedTuple):
         R: variance of a reading (p).
         low, high: between which x is known to lie (entries).
         most: largest variance to which x drifts (entries).
-        slack: variance of where a flank is: its compliance is not known (1) [rad^2].
+        slack: variance of the place of a flank: its compliance is not known (1) [rad^2].
         torque: deviation of the torque through the gears (N) [N m].
         leaving: chance per sample that a link leaves a flank which pulls.
         impact: share by which an impulse is off.
@@ -198,9 +198,9 @@ def start_modes(layout: Layout, mean: Floats, std: Floats, slack: float) -> Mode
     All are NumPy arrays.
 
     Args:
-        layout: where the quantities stand.
+        layout: places of the quantities.
         mean, std: of x about the first reading, contacts unknown (entries).
-        slack: variance of where a flank is [rad^2].
+        slack: variance of the place of a flank [rad^2].
     """
     entries = ca.Sparsity.upper(layout.entry_count)
     means, covs = [], []
@@ -409,8 +409,8 @@ def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Calla
 def _leaving_shares(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
     """Return the share of a mode that leaves its flank in the sample, by joint (N) [1].
 
-    It does where the torque through the gears, in the middle of the sample, pulls. What leaves is
-    free for the whole sample: to wait for its end would make each crossing late.
+    It does if the torque through the gears pulls in the middle of the sample. Then it is free for
+    the whole sample: to wait for its end would make each crossing late.
     """
     x = one.belief.mean
     end = x + _sample_motion(drive, q, contact, u)(x)
@@ -457,9 +457,9 @@ def _leave_flanks(
 def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
     """Return a gap's mode in two parts, untruncated and truncated to the gap.
 
-    Uncut it tells the first passage. Yet whatever has not arrived is in the gap: what comes would
-    be merged with one that has long been elsewhere, and go with it. So it is cut in the share in
-    which others come, and wholly, once, where hardly anything of the uncut belief is in the gap.
+    The untruncated part gives the first passage. Yet a link that has not arrived is in the gap: a
+    new part would be merged with one that has long been elsewhere, and go with it. So it is cut by
+    the share of new parts, and wholly, once, if hardly any of the uncut belief is in the gap.
     """
     belief = gap.belief
     bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.flank_rows(joint)]
@@ -487,7 +487,7 @@ def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -
 def _arrival_shares(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
     """Return the shares of a mode that reach the right and the left flank (N x 2) [1].
 
-    Where the uncut belief is much wider than the gap it says nothing more of what is in it.
+    An untruncated belief much wider than the gap has no information on the place inside it.
     """
     shares = ca.SX.zeros(layout.size, 2)
     for joint in range(layout.size):
@@ -521,7 +521,7 @@ def _reach_flanks(
 def _merge_modes(parts: list[Mode]) -> tuple[Mode, list[Any]]:
     """Return the mode merged from parts by their moments, and the share of each part.
 
-    Where nothing comes, the first part stays.
+    If no part arrives, the first one stays.
     """
     total = sum(part.chance for part in parts)
     empty = total < NONE
@@ -536,8 +536,8 @@ def condition_on_impact(
     """Return the Gaussian of a link that has just struck a flank.
 
     In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
-    much as the impulse between them says; its size is not known, as restitution is not. Joint by
-    joint, where both move alike, the gap is left as it is: a link that rests on a flank leaves it
+    much as the impulse between them moves them; its size is not known, as restitution is not. Joint
+    by joint, if both move alike, the gap is left as it is: a link that rests on a flank leaves it
     and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
     """
     layout, x = drive.layout, belief.mean

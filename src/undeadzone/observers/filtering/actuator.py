@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading
+from undeadzone.interfaces import Estimate, Observer, Reading, wrap_observer
 from undeadzone.nonlinearities.actuator import (
     Belief,
     command_memory,
@@ -96,20 +96,9 @@ def wrap_actuator(observer: Observer, model: System, belief: Belief) -> Observer
         model: the model.
         belief: knowledge about the actuator.
     """
-    kind = type(observer.params)
     last = command_memory(belief.drive, model.m, model.Ts is not None)
-
-    def init(q: Any) -> State:
-        """Return the state at t = 0."""
-        return State(observer.init(tree.drop_last_field(q, kind)), last)
-
-    def project(q: Any, s: State) -> State:
-        """Return the state with the observer's part projected."""
-        return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
-
     step = partial(step_with_actuator, observer, model, belief.ranges is None)
-    params = tree.append_field(observer.params, "actuator", belief.drive)
-    return Observer(params, init, step, project, observer.traits)
+    return wrap_observer(observer, "actuator", belief.drive, lambda own: State(own, last), step)
 
 
 class DelayState(NamedTuple):

@@ -62,7 +62,7 @@ def add_constants(
         moved, changed = inner.change(q, x, extra[:known, :], u)
         return moved, ca.vertcat(changed, ca.SX(count, 1))
 
-    def noise(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
+    def extended_covariances(q: Any, x: Any, u: Any) -> tuple[Any, Any]:
         """Return the covariances that a step adds to x and to extra."""
         of_x, of_extra = inner.noise(q, x, u)
         return of_x, ca.diagcat(of_extra, ca.SX(count, count) if wear is None else wear(q))
@@ -71,7 +71,9 @@ def add_constants(
     if bend is not None:
         inner = inner._replace(bilinear=lambda q, x, extra, u: bend(q, x, extra[:known, :], u))
     cov = block_diag(inner.cov, np.diag(variance))
-    return inner._replace(cov=cov, change=change, noise=noise, constants=inner.constants + count)
+    return inner._replace(
+        cov=cov, change=change, noise=extended_covariances, constants=inner.constants + count
+    )
 
 
 class Gaps(NamedTuple):
@@ -242,13 +244,13 @@ def predict_plant_input(
     square = (over**2 + std**2) * share + over * std * slim
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)
 
-    def drive(X: Any) -> Any:
+    def input_at_mean(X: Any) -> Any:
         """Return the mean input of the plant at `[x; d; extra]` (m) [u]."""
         moved = X[first:] - errors
         own = ca.if_else(right, moved[:m], moved[m:])
         return sign * slope * (mean - share * own)
 
-    return drive, left
+    return input_at_mean, left
 
 
 def add_actuator_estimates(zones: Zones | None, estimated: Estimate, shown: Gaussian) -> Estimate:

@@ -250,12 +250,12 @@ def white_disturbance(model: System, variance: Floats) -> Augmentation:
         """Return (x+ - x, 0) over a step."""
         return of_x(q.model, x, u), extra
 
-    def noise(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
+    def white_covariances(q: Params, x: Any, u: Any) -> tuple[Any, Any]:
         """Return the covariances that a step adds to x (n x n) and to extra (empty)."""
         _, B = linearise(lambda v: of_x(q.model, x, v), u)
         return B @ ca.diag(q.augmentation) @ B.T, ca.SX(0, 0)
 
-    return Augmentation(variance, np.zeros((0, 0)), change, noise)
+    return Augmentation(variance, np.zeros((0, 0)), change, white_covariances)
 
 
 # --- Displayed estimates

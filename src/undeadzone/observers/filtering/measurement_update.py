@@ -81,9 +81,9 @@ def correct_by_readings(
     side: Any,
     R: Any,
     surprise: Sequence[Any],
-    contact: Any = None,
-    ahead: Any = None,
-    columns: Any = None,
+    contact: Any,
+    ahead: Any,
+    columns: Any,
 ) -> tuple[RobustUpdate, Any]:
     """Return the Gaussian after the readings on certain branches, output by output.
 
@@ -399,14 +399,14 @@ def _is_surely_between(y: Any, last: Any, previous: Any, gate: Any, high: Any, m
         margin: distance from the limit, beyond which a reading surely is not at the limit (p) [y].
     """
 
-    def between(y: Any, times: float) -> Any:
+    def is_inside_margins(y: Any, times: float) -> Any:
         """Return 1 if a reading lies between gate and limit by their margins."""
         return ca.logic_and(y > times * gate, high - y > times * margin)
 
-    both = ca.logic_and(between(last, 1.0), between(previous, 1.0))
-    announced = ca.logic_and(both, between(2 * last - previous, 1.0))
-    announced = ca.logic_and(announced, between(y, 0.0))
-    return ca.logic_or(between(y, 2.0), announced)
+    both = ca.logic_and(is_inside_margins(last, 1.0), is_inside_margins(previous, 1.0))
+    announced = ca.logic_and(both, is_inside_margins(2 * last - previous, 1.0))
+    announced = ca.logic_and(announced, is_inside_margins(y, 0.0))
+    return ca.logic_or(is_inside_margins(y, 2.0), announced)
 
 
 def use_limits(

@@ -18,7 +18,13 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.errors import InputError
-from undeadzone.interfaces import Estimate, Observer, Reading, drop_limit_readings
+from undeadzone.interfaces import (
+    Estimate,
+    Observer,
+    Reading,
+    drop_limit_readings,
+    wrap_observer,
+)
 from undeadzone.nonlinearities.play import detect_tick
 from undeadzone.nonlinearities.sensor import Zone, present, side
 from undeadzone.plants.system import System
@@ -111,19 +117,11 @@ def add_motion_detection(observer: Observer, model: System, sensor: Zone) -> Obs
         gains=np.array([1 - fade**2, (1 - fade) ** 2]),
         friction=sensor.friction if sensor.friction.any() else np.empty(0),
     )
-    none, kind = np.zeros(model.p), type(observer.params)
-
-    def init(q: Any) -> State:
-        """Return the state at t = 0."""
-        return State(observer.init(tree.drop_last_field(q, kind)), none, none, none, none, none)
-
-    def project(q: Any, s: State) -> State:
-        """Return the state with the observer's part projected."""
-        return s._replace(observer=observer.project(tree.drop_last_field(q, kind), s.observer))
-
+    none = np.zeros(model.p)
     step = partial(step_with_motion, observer, model, sensor)
-    params = tree.append_field(observer.params, "motion", numbers)
-    return Observer(params, init, step, project, observer.traits)
+    return wrap_observer(
+        observer, "motion", numbers, lambda own: State(own, none, none, none, none, none), step
+    )
 
 
 def line_fading(window: int) -> float:

@@ -20,6 +20,7 @@ from undeadzone.util.arrays import (
     require_array,
     require_nonnegative,
     require_number,
+    require_ranges,
     require_vector,
 )
 
@@ -241,8 +242,7 @@ def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
         key, require_array(key, value), p, "the declared range [lo, hi]", "per output"
     )
     ranges = np.broadcast_to(given, (p, 2))
-    if (ranges[:, 0] < 0).any() or (ranges[:, 0] >= ranges[:, 1]).any():
-        raise InputError(f"{key}: a range [lo, hi] must have 0 <= lo < hi, found {ranges.tolist()}")
+    require_ranges(key, ranges, ranges.tolist())
     return ranges
 
 

@@ -349,7 +349,7 @@ def change_parameters(
     return {name: changes.get(name, value) for name, value in parameters.items()}
 
 
-def require_arm_parameters(parameters: Mapping[str, float], key: str = "plant") -> None:
+def require_arm_parameters(parameters: Mapping[str, float], key: str) -> None:
     """Raise InputError unless all numbers are finite and those of `POSITIVE` positive.
 
     Those are masses, lengths, inertias and stiffness. Then the mass matrix is positive definite in
@@ -376,7 +376,7 @@ def _build_planar_chain(
     """
     N = len(lengths)
 
-    def points(p: Numbers, q: Any) -> Any:
+    def link_points(p: Numbers, q: Any) -> Any:
         """Return the positions of the joints and of the tip (N + 1 x 3) [m]."""
         angle = ca.cumsum(q)  # of each link from the x axis
         length = ca.vertcat(*[p[name] for name in lengths])
@@ -388,7 +388,7 @@ def _build_planar_chain(
         parameters=parameters,
         mass=mass,
         bias=bias,
-        points=points,
+        points=link_points,
         turn=_last_link_rotation,
         gravity=_planar_gravity,
         plane=(0, 1),
@@ -441,7 +441,7 @@ def build_elastic_chain() -> Chain:
     )
 
 
-def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str = "plant") -> System:
+def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str) -> System:
     """Return the plant of an elastic joint.
 
     x = `[motor angle; link angle; their speeds]`, u = the motor's torque [N m], z = the angle of

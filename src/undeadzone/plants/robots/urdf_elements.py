@@ -257,12 +257,11 @@ class Robot(NamedTuple):
         return upward[::-1]
 
 
-def read_urdf(path: Path, key: str = "plant.arm.path") -> Robot:
+def read_urdf(path: Path) -> Robot:
     """Return the tree of a URDF file.
 
     Args:
         path: the file.
-        key: name of the file in messages.
 
     Raises:
         FileError: naming the key, the file and the element.
@@ -270,13 +269,13 @@ def read_urdf(path: Path, key: str = "plant.arm.path") -> Robot:
     try:
         root = fromstring(read_bytes(path))
     except (OSError, ValueError, LookupError) as error:
-        raise FileError(f"{key}: {path}: cannot read: {failure_reason(error)}") from None
+        raise FileError(f"plant.arm.path: {path}: cannot read: {failure_reason(error)}") from None
     except ParseError as error:
-        raise FileError(f"{key}: {path}: not XML: {error}") from None
+        raise FileError(f"plant.arm.path: {path}: not XML: {error}") from None
     try:
         return _parse_robot(root)
     except ValueError as error:
-        raise FileError(f"{key}: {path}: {error}") from None
+        raise FileError(f"plant.arm.path: {path}: {error}") from None
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
