@@ -160,10 +160,11 @@ def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answ
     has_gap = bool(motors[0].gap)
     named = [one.word == "play" for one in answers]
     withheld = [one.word in (*NO_NAME, "refused") for one in answers]
+    truths = ["friction" if motor.friction else "none" for motor in motors]
+    truths = ["play"] * len(truths) if has_gap else truths
     other = [
-        one.word not in ("play", *NO_NAME, "refused", "")
-        and one.word != ("friction" if motor.friction else "none")
-        for one, motor in zip(answers, motors, strict=True)
+        one.word not in (truth, "play", *NO_NAME, "refused", "")
+        for one, truth in zip(answers, truths, strict=True)
     ]
     gaps = [(one.gap, motor.gap) for one, motor in zip(answers, motors, strict=True) if one.gap]
     held = [gap[1] <= truth <= gap[2] for gap, truth in gaps if math.isfinite(gap[1])]
@@ -201,7 +202,8 @@ def table() -> str:
         "",
         "MuJoCo's joints, torque in, angle out, 200 Hz, 8 s: load 0.1 to 10 times the motor's"
         " inertia, time constants of 5 to 500 samples, friction 0 or 0.03 N m, noise of 0.2 mrad or"
-        " 8192 ticks a turn, gaps of 6 to 60 mrad. Other names: neither the gap nor what is there.",
+        " 8192 ticks a turn, gaps of 6 to 60 mrad. Other names: not what is there, as none or"
+        " friction where there is a gap.",
         "",
     ]
     lines += head("log", "method", "logs", "gap named", "other names", "withheld", "gap off",

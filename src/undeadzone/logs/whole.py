@@ -128,12 +128,11 @@ def _with_time_named(columns: Columns) -> Columns:
     if has_time([title for title, _ in columns]):
         return columns
     known = [f"{name}[0]" for name in (*READINGS, *INPUTS, *REFERENCES)]
-    return [
-        (Title("time", ""), values)
-        if title.name.endswith("[0]") and title.name not in known and is_regular_time(values)
-        else (title, values)
-        for title, values in columns
-    ]
+    for k, (title, values) in enumerate(columns):
+        first = title.name.endswith("[0]") and title.name not in known
+        if first and is_regular_time(values):
+            return [*columns[:k], (Title("time", ""), values), *columns[k + 1 :]]
+    return columns
 
 
 def _usable(t: Floats, y: Floats, u: Floats) -> Samples:
