@@ -1,6 +1,6 @@
 """Motors: is a gap named where none is, and found where one is? Beside two fits from outside.
 
-MOTOR_LOGS: of each kind (4), MOTOR_FIRST: the first seed (100), MOTOR_RIVALS: 0 leaves the fit
+MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_RIVALS: 0 leaves the fit
 that is told MuJoCo's model away, which takes most of the time.
 
 `mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is
@@ -194,9 +194,9 @@ KINDS: dict[str, Callable[[Motor], bool]] = {
 
 def table() -> str:
     """Return the section of RESULTS.md."""
-    count = int(os.environ.get("MOTOR_LOGS", "4"))
-    first = int(os.environ.get("MOTOR_FIRST", "100"))
-    with_model = os.environ.get("MOTOR_RIVALS", "1") != "0"
+    count = int(os.environ.get("MOTORS_LOGS", "4"))
+    first = int(os.environ.get("MOTORS_FIRST", "100"))
+    with_model = os.environ.get("MOTORS_RIVALS", "1") != "0"
     lines = [
         "## Motors",
         "",
