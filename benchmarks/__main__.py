@@ -47,6 +47,7 @@ NAMES = (
     "names",
     "strangers",
     "lost_motion",
+    "motors",
     "valves",
     "identify_known",
     "identify_speed",

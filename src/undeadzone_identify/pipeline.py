@@ -20,7 +20,7 @@ from undeadzone.util.answers import Answers
 from undeadzone.util.progress import notebook_progress
 from undeadzone_identify.logs.grid import Grid, shorten_log, to_grid
 from undeadzone_identify.logs.log import Log, Options, log_from_arrays, read_log
-from undeadzone_identify.logs.prepare import PreparedLog, prepare_log
+from undeadzone_identify.logs.prepare import PreparedLog, prepare_log, require_readings
 from undeadzone_identify.models.chain import find_input_zero, fit_chains
 from undeadzone_identify.models.elements import best_maps, best_of_each, fit_maps
 from undeadzone_identify.models.estimates import CachedMaxima, array_digest
@@ -233,6 +233,7 @@ def _identify_logs(
     logs = [without_drive(log) for log in logs]
     apart = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
+        require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
         grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
         answers = [identify_output(grid, options, advance) for grid in grids]
     except InputError as error:  # no plant fits, or an irregular step, which positions may have

@@ -133,8 +133,8 @@ def test_a_plant_with_dynamics_is_left_to_the_fit_of_plants() -> None:
 def test_what_no_plant_fits_has_an_answer_and_the_reason() -> None:
     """Noise at irregular times ends in no error: nothing can be said, and why."""
     rng = np.random.default_rng(1)
-    t = np.cumsum(rng.uniform(0.5, 1.5, 60))
-    signals = {"motor [deg]": rng.standard_normal(60), "joint [deg]": rng.standard_normal(60)}
+    t = np.cumsum(rng.uniform(0.5, 1.5, 160))
+    signals = {"motor [deg]": rng.standard_normal(160), "joint [deg]": rng.standard_normal(160)}
     found = uz.identify(pd.DataFrame({"t [s]": t, **signals}))
     assert isinstance(found, uz.IdentifiedMotion)
     assert found.verdict == "unclear"

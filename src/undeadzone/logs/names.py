@@ -359,7 +359,7 @@ class _Header(NamedTuple):
         raise FileError(
             f"{self.source}: no name shows which column holds {signal}. There are "
             f"{_list_columns(self.titles)}{hint} Name it "
-            f'by columns="{self.to_be_named()}"'
+            f'by columns="{self.to_be_named()}"{self.example()}'
         )
 
     def is_driven_by_output(self) -> bool:
@@ -401,6 +401,13 @@ class _Header(NamedTuple):
             if not told and not _of_signal(self.chosen, signal):
                 wanted.append(f"{signal}=NAME")
         return ",".join(wanted).replace("[0]", "")
+
+    def example(self) -> str:
+        """Return an example of columns, if names have brackets, which a shell wants quoted."""
+        indexed = [title.name for title in self.titles if title.name.endswith("]")]
+        if len(indexed) < 2:
+            return ""
+        return f', as in columns="y={indexed[0]},u={indexed[1]}"'
 
     def count_columns(self, usual: Sequence[str]) -> int:
         """How many columns a signal seems to have: those with an index, else one."""

@@ -18,7 +18,17 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
-from undeadzone.logs.names import Layout, Title, has_time, layout_of_titles, numbers, split_unit
+from undeadzone.logs.names import (
+    INPUTS,
+    READINGS,
+    REFERENCES,
+    Layout,
+    Title,
+    has_time,
+    layout_of_titles,
+    numbers,
+    split_unit,
+)
 from undeadzone.logs.samples import Samples, is_regular_time, oldest_first
 from undeadzone.logs.stamps import since_1970, stamps_of
 from undeadzone.logs.text import LARGEST
@@ -61,6 +71,8 @@ def samples_of(
     columns = _columns(log)
     if not columns:
         raise FileError(f"{source}: holds no columns of numbers")
+    if "t" not in chosen:
+        columns = _with_time_named(columns)
     titles, values = [title for title, _ in columns], [column for _, column in columns]
     layout = layout_of_titles(titles, p, m, chosen, source)
     length = values[layout.readings[0]].size
@@ -109,6 +121,18 @@ def _columns(log: Any) -> Columns:
     if log.suffix.lower() in JSON_LINES:
         return of_json_lines(log)
     return of_npz(log) if log.suffix.lower() == ".npz" else of_mat(log)
+
+
+def _with_time_named(columns: Columns) -> Columns:
+    """Return the columns with the first of a matrix named time, if it increases as times do."""
+    if has_time([title for title, _ in columns]):
+        return columns
+    known = [f"{name}[0]" for name in (*READINGS, *INPUTS, *REFERENCES)]
+    for k, (title, values) in enumerate(columns):
+        first = title.name.endswith("[0]") and title.name not in known
+        if first and is_regular_time(values):
+            return [*columns[:k], (Title("time", ""), values), *columns[k + 1 :]]
+    return columns
 
 
 def _usable(t: Floats, y: Floats, u: Floats) -> Samples:

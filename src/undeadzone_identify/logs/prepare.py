@@ -247,6 +247,18 @@ def _require_silence_at_zero(grid: Grid) -> None:
         )
 
 
+def require_readings(count: int, remarks: str = "") -> None:
+    """Require as many readings as the smallest plant needs. Raise InputError.
+
+    Args:
+        count: of readings.
+        remarks: on readings that are left out.
+    """
+    if count < PER_NUMBER * 2:
+        needed = f"order 1 needs {2 * PER_NUMBER}"
+        raise InputError(f"log: {count} readings are too few; {needed}{remarks}")
+
+
 def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) -> None:
     """Require a log that contains information on plant and zone.
 
@@ -259,9 +271,7 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
     Raises:
         InputError: what is lacking.
     """
-    if y.size < PER_NUMBER * 2:
-        needed = f"order 1 needs {2 * PER_NUMBER}"
-        raise InputError(f"log: {y.size} readings are too few; {needed}{remarks}")
+    require_readings(y.size, remarks)
     for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):
         if 0 < size < LEAST:
             raise InputError(f"log: values of {size:.3g} vanish once squared. Use another unit")

@@ -131,8 +131,9 @@ class IdentifiedMotion:
             f"{_bracketed(one.log.output_units[0])}",
             "found": self.headline(),
             "why": one.reasons,
-            "odds": describe_shares(one.odds),
         }
+        if one.odds:
+            lines["odds"] = describe_shares(one.odds)
         if one.parts is not None:
             lines["gap"] = describe_interval(one.parts.gap, of_input)
             lines["friction 2 f/kp"] = describe_interval(one.parts.friction, of_input)

@@ -161,6 +161,7 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
     sure = odds[word] > LIKELY
     if not fits or not sure:
         word = "unclear"
+        odds = odds if fits else {}
     positions = alike or is_goal or is_summed
     stands = word != "unclear" and (positions or (is_gap and white and not _has_grid(log)))
     answer = LostMotionAnswer(

@@ -57,6 +57,15 @@ from undeadzone_identify.servo.observations import (
 from undeadzone_identify.servo.predictor import DEGREES
 
 DENYING = ("none", "friction")  # words by which there is no play
+STRAIGHT = (*DENYING, "operating_point")
+AT_MOTOR = (
+    "an encoder on the motor's side of the gears hears a gap only by the load behind it: where the"
+    " encoder is there, a gap behind it is not excluded"
+)
+BURSTS = (
+    "what a motor leaves comes in bursts, as strikes of a load make that is free in a gap, or"
+    " friction that changes: no gap is not certain. Record an encoder on either side of the gears"
+)
 STATIC = (
     "saturation",
     "input_zone",
@@ -69,7 +78,7 @@ FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
 SILENCES = 1.6  # times the count of any other reading: of 886 random servos 5 have more
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 FREEDOM = 60  # of a friction's interval, as of a gap's
-LEVEL = 0.004  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
+LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
 MOVED = 1e-4  # of a number, for derivatives of the sampled plant
 
 
@@ -147,10 +156,10 @@ def needs_servo_test(case: Case, found: Findings) -> bool:
     explained, unlike = word in EXPLAINED, not case.chosen.white
     left = word in NAMELESS or (explained and _share_of_verdict(case, found) < LEAST)
     left |= case.options.integrators > 0
-    if log is None or not log.ticks:
-        return log is not None and (left or unlike)
     fit = case.chosen.pairs
     slow = fit.objective.simulator.settling_constants(fit.theta) < SETTLES  # as an integrator does
+    if log is None or not log.ticks:
+        return log is not None and (left or unlike or (slow and word in STRAIGHT))
     return word in (*EXPLAINED, *NAMELESS) and (left or (unlike and slow))
 
 
@@ -182,6 +191,8 @@ def add_servo(case: Case, found: Findings) -> Findings:
         return found
     if has_no_gap(servo):
         return without_gap(case, servo, found)
+    if servo.has_bursts and servo.is_integrating and found.verdict.word in STRAIGHT:
+        return _withhold_servo(servo, found, BURSTS)
     if not servo.log.ticks:
         return _compare_noisy_servo(case, servo, found)
     word = found.verdict.word
@@ -209,11 +220,11 @@ def has_no_gap(servo: ServoGap) -> bool:
     Args:
         servo: whose gap is not given.
     """
-    alone = len(servo.reasons) == 1 and servo.gap.low <= 0
     is_small = servo.gap.high < LEAST_GAP * servo.log.y_scale
-    is_below_steps = servo.gap.high < servo.log.quantum * servo.log.y_scale
-    excluded = servo.gap_probability < UNLIKELY or is_below_steps
-    return alone and is_small and servo.is_integrating and excluded
+    excluded = servo.gap_probability < UNLIKELY or servo.gap.high < servo.least_gap
+    is_motor = servo.is_servo and servo.is_integrating and not servo.has_bursts
+    is_motor = is_motor and not servo.is_gap_reported
+    return is_motor and is_small and excluded
 
 
 def friction_of(servo: ServoGap) -> Interval | None:
@@ -246,7 +257,7 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
     models, odds = found.models, {word: 1.0}
     if (
         servo.gap_probability < UNLIKELY
-    ):  # else the gap is below the steps of the encoder, whatever its odds
+    ):  # else the gap is below the encoder's steps or noise, whatever its odds
         odds = {word: 1 - servo.gap_probability, "play": servo.gap_probability}
     if not servo.log.ticks:  # whose densities compare with those of other models
         density = _servo_family(case, servo)["play"]
@@ -259,8 +270,9 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
     if friction is not None:
         level = bracket_interval(friction.value, friction.low, friction.high, ".4g")
         holds = f"a motor with friction explains the readings: {level} of the input"
+    verdict = build_verdict(word, holds, is_small).add_cautions(AT_MOTOR)
     return found._replace(
-        verdict=build_verdict(word, holds, is_small),
+        verdict=verdict,
         models=models,
         odds=odds,
         plays=None,

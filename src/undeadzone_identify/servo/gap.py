@@ -131,6 +131,7 @@ DEGREES = 60  # of freedom at most
 DISAGREES = 4.0  # standard errors by which crossings may say another gap
 TICKS = 0.5  # quanta by which they may besides
 NOISES = 2.0  # rms of the noise by which they may besides
+HEARD = 3.0  # rms of the noise, below which friction that gives way is no other than a gap
 CLOSE = 0.02  # of the gap, by which they may in any case
 WIDEST = 0.5  # of the gap: half of an interval that is an answer
 SETTLES = 3.0  # time constants of a log, below which a lag is an integrator
@@ -161,6 +162,8 @@ class ServoGap(NamedTuple):
         covariance: of the servo's free numbers.
         gained: nats of the log likelihood by which the gap is better than none.
         reasons: why no gap is given; empty where one is.
+        is_servo: whether errors and crossings are those of a servo, be its gap known or not.
+        has_bursts: whether large errors follow large ones, as behind strikes of a heavy load.
     """
 
     log: Observations
@@ -171,6 +174,14 @@ class ServoGap(NamedTuple):
     covariance: Floats
     gained: float
     reasons: tuple[str, ...]
+    is_servo: bool
+    has_bursts: bool
+
+    @property
+    def least_gap(self) -> float:
+        """Return the gap below which none matters: an encoder's step, or the noise of readings."""
+        log = self.log
+        return (log.quantum if log.ticks else HEARD * reading_noise_rms(log)) * log.y_scale
 
     @property
     def is_gap_reported(self) -> bool:
@@ -273,9 +284,12 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         covariance=spread.covariance,
         gained=best.value - _value_without_gap(part, best),
         reasons=(),
+        is_servo=False,
+        has_bursts=are_errors_in_bursts(slopes.e * np.exp(-slopes.log_s)),
     )
-    doubts = _collect_gap_doubts(found, spread, gaps)
-    return found._replace(reasons=(*doubts, *collect_odd_errors(part, slopes)))
+    moved, odd = _collect_motion_doubts(found, spread), collect_odd_errors(part, slopes)
+    reasons = (*moved, *_collect_gap_doubts(found, gaps), *odd)
+    return found._replace(reasons=reasons, is_servo=not moved and not odd)
 
 
 def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
@@ -374,24 +388,37 @@ def _correct_crossing_bias(
     return crossings._replace(gap=crossings.gap - shift) if math.isfinite(shift) else crossings
 
 
-def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) -> list[str]:
-    """Collect the reasons for which the gap itself is not reported."""
-    log, gap, crossings = found.log, found.gap, found.crossings
-    reasons = []
-    if found.reversals < REVERSALS:
-        reasons.append(
-            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
-            f" {REVERSALS} are the least; record with an input that reverses more often"
-        )
+def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
+    """Collect the reasons for which the gap itself is not known."""
+    gap, reasons = found.gap, []
+    fitted = float(found.servo.theta[At.GAP]) * found.log.y_scale
     if gap.low <= 0:
         reasons.append(
             f"a gap between motor and encoder, if there is one, is below {gap.high:.3g} (an encoder"
             " at the motor's side hears little of the gap behind it)"
         )
+    elif not found.log.ticks and gap.high < found.least_gap:
+        reasons.append(
+            f"a gap would be below {gap.high:.3g}, within the noise of the readings: friction that"
+            " gives way before it slides looks the same"
+        )
     elif gap.half_width > WIDEST * gap.value:
         reasons.append(
             f"the gap lies between {gap.low:.3g} and {gap.high:.3g}, which is hardly known; record"
             " for longer, or with more reversals"
+        )
+    if gap.low > 0 and np.max(np.abs(gaps * found.log.y_scale - fitted)) > SCATTERS * fitted:
+        reasons.append("logs simulated with the fit do not lead back to its gap")
+    return reasons
+
+
+def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str]:
+    """Collect the reasons for which the motion is hardly a servo's, be there a gap or not."""
+    log, crossings, reasons = found.log, found.crossings, []
+    if found.reversals < REVERSALS:
+        reasons.append(
+            f"the readings turn {found.reversals} times, and each crossing shows the gap once:"
+            f" {REVERSALS} are the least; record with an input that reverses more often"
         )
     if _slow_torque_rms(found.servo) > HIDING:
         reasons.append("slow torques are as strong as half of the input: they hide the gap")
@@ -404,9 +431,19 @@ def _collect_gap_doubts(found: ServoGap, spread: _GapUncertainty, gaps: Floats) 
             f"the crossings one by one say a gap of {crossings.median_gap:.4g}, all together"
             f" {fitted:.4g}: the motor's motion is not fully held"
         )
-    if gap.low > 0 and np.max(np.abs(gaps * log.y_scale - fitted)) > SCATTERS * fitted:
-        reasons.append("logs simulated with the fit do not lead back to its gap")
     return reasons
+
+
+def are_errors_in_bursts(errors: Floats) -> bool:
+    """Return whether squares of errors follow from squares before them (McLeod and Li 1983).
+
+    Args:
+        errors: of predictions, divided by their standard deviations (n).
+    """
+    squares = np.clip(errors - errors.mean(), -CLIP, CLIP) ** 2
+    seen = mean_lag_products(squares - squares.mean(), np.ones(squares.size, bool), 1 + FOLLOWING)
+    portmanteau = squares.size * float(np.sum((seen[1:] / seen[0]) ** 2))
+    return bool(chi2.sf(portmanteau, FOLLOWING) < CHANCE)
 
 
 def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:

@@ -1,0 +1,226 @@
+"""Motors: is a gap named where none is, and found where one is? Beside two fits from outside.
+
+MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_RIVALS: 0 leaves the fit
+that is told MuJoCo's model away, which takes most of the time.
+
+`mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is
+`mujoco.minimize.least_squares`, which is used here, on simulated readings, told all of the model
+but its numbers, from two gaps. Output error is the plain fit of order 2 with an integrator.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import lfilter
+
+import undeadzone as uz
+from benchmarks.markdown import head, row
+from benchmarks.motor_logs import INERTIA, PARTS, STEP, Motor, random_motor, record
+from undeadzone.util.arrays import Floats
+
+FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there is one
+STARTS = (0.005, 0.04)  # gaps [rad]
+STEPS = 12  # of a fit in MuJoCo
+NO_NAME = ("undecided", "unclear")
+
+
+class Answer(NamedTuple):
+    """What a method says of a log.
+
+    Attributes:
+        word: play, friction, none, another name or undecided.
+        gap: with its interval [rad]; None: not given.
+        friction: [N m]; nan: not given.
+        samples: time constant [samples]; nan: not given.
+        seconds: CPU.
+    """
+
+    word: str
+    gap: tuple[float, float, float] | None
+    friction: float
+    samples: float
+    seconds: float
+
+
+def identified(u: Floats, y: Floats) -> Answer:
+    """Return what `identify` says of a motor's log."""
+    begun = time.process_time()
+    try:
+        found = uz.identify(t=STEP, u=u, y=y, integrators=1)
+    except uz.InputError:
+        return Answer("refused", None, math.nan, math.nan, time.process_time() - begun)
+    seconds = time.process_time() - begun
+    assert isinstance(found, uz.Identified)
+    friction = found.answer.found.friction
+    poles = [pole.real for pole in found.answer.poles if pole.real < 0]
+    samples = -1 / (max(poles) * STEP) if poles else math.nan
+    level = math.nan if friction is None else friction.value
+    level = 0.0 if found.verdict == "none" else level
+    width = found.width if found.verdict == "play" else None
+    gap = None if width is None else (width.value, width.low, width.high)
+    return Answer(found.verdict, gap, level, samples, seconds)
+
+
+def output_error(u: Floats, y: Floats) -> Answer:
+    """Return the fit of y = K / (s (T s + 1)) u by output errors; all but T is linear."""
+    begun = time.process_time()
+    ones, t = np.ones(u.size), np.arange(u.size) * STEP
+
+    def columns(ln_time: float) -> Floats:
+        time = math.exp(ln_time)
+        keep = math.exp(-STEP / time)
+        driven = np.column_stack([u, ones])
+        rates = lfilter([0.0, 1 - keep], [1.0, -keep], driven, axis=0)
+        lost = time * (1 - keep)
+        moved = np.cumsum(lost * rates + (STEP - lost) * driven, axis=0)
+        moved = np.vstack([np.zeros((1, 2)), moved[:-1]])
+        return np.column_stack([moved, ones, time * (1 - np.exp(-t / time))])
+
+    def left(ln_time: float) -> float:
+        each = columns(ln_time)
+        rest = y - each @ np.linalg.lstsq(each, y, rcond=None)[0]
+        return float(np.log(rest @ rest + 1e-300))
+
+    grid = np.log(STEP * np.geomspace(1.0, 2000.0, 40))
+    first = int(np.argmin([left(one) for one in grid]))
+    around = grid[max(first - 1, 0)], grid[min(first + 1, grid.size - 1)]
+    best = float(minimize_scalar(left, bounds=around, method="bounded").x)
+    spent = time.process_time() - begun
+    return Answer("", None, math.nan, math.exp(best) / STEP, spent)
+
+
+def told_the_model(u: Floats, y: Floats, motor: Motor) -> Answer:
+    """Return the numbers of MuJoCo's own model, fitted to the readings from two gaps."""
+    import mujoco
+    from mujoco import minimize, rollout
+
+    begun = time.process_time()
+    model = mujoco.MjModel.from_xml_string(motor._replace(gap=0.01, ratio=1.0).xml)
+    data = mujoco.MjData(model)
+    control = np.repeat(u, PARTS)[None, :, None]
+    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+
+    def simulated(x: Floats) -> Floats:
+        inertia, damping = INERTIA * math.exp(x[0]), math.exp(x[1])
+        rotor = inertia / (1 + math.exp(x[2]))
+        model.body_inertia[1], model.body_inertia[2] = rotor, inertia - rotor
+        model.dof_damping[0], model.dof_frictionloss[0] = damping, x[3]
+        half = max(x[4], 1e-7) / 2
+        model.jnt_range[1] = -half, half
+        mujoco.mj_setConst(model, data)
+        moved = rollout.rollout(model, data, state, control)[0][0, :, 1:3]
+        angle = moved[:, 0] + moved[:, 1] * motor.at_load
+        return np.asarray(np.append(0.0, angle[PARTS - 1 :: PARTS])[: y.size])
+
+    def residuals(points: Floats) -> Floats:
+        return np.column_stack([simulated(x) - y for x in points.T])
+
+    low, high = np.array([-3, -9, -3, 0, 0]), np.array([3, 3, 3, 0.3, 0.2])
+    tops = []
+    for gap in STARTS:
+        first = np.array([0.0, math.log(0.1), 0.0, 0.01, gap])
+        x, log = minimize.least_squares(
+            first,
+            residuals,
+            bounds=[low[:, None].astype(float), high[:, None].astype(float)],
+            eps=1e-4,
+            max_iter=STEPS,
+            verbose=minimize.Verbosity.SILENT,
+        )
+        tops.append((float(log[-1].objective), np.ravel(x)))
+    best = min(tops, key=lambda top: top[0])[1]
+    word = "play" if best[4] > FALSE else "none"
+    samples = INERTIA * math.exp(best[0] - best[1]) / STEP
+    spent = time.process_time() - begun
+    return Answer(word, (best[4], math.nan, math.nan), best[3], samples, spent)
+
+
+# --- The table
+
+
+def _median_error(values: Sequence[float], truths: Sequence[float]) -> str:
+    """Return the median of relative errors in per cent, of values that there are."""
+    errors = [
+        abs(value / truth - 1)
+        for value, truth in zip(values, truths, strict=True)
+        if truth > 0 and math.isfinite(value)
+    ]
+    return f"{100 * float(np.median(errors)):.1f} %" if errors else "-"
+
+
+def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answer]) -> str:
+    """Return a row of the table."""
+    has_gap = bool(motors[0].gap)
+    named = [one.word == "play" for one in answers]
+    withheld = [one.word in (*NO_NAME, "refused") for one in answers]
+    truths = ["friction" if motor.friction else "none" for motor in motors]
+    truths = ["play"] * len(truths) if has_gap else truths
+    other = [
+        one.word not in (truth, "play", *NO_NAME, "refused", "")
+        for one, truth in zip(answers, truths, strict=True)
+    ]
+    gaps = [(one.gap, motor.gap) for one, motor in zip(answers, motors, strict=True) if one.gap]
+    held = [gap[1] <= truth <= gap[2] for gap, truth in gaps if math.isfinite(gap[1])]
+    values = [math.nan if one.gap is None else one.gap[0] for one in answers]
+    return row(
+        kind,
+        method,
+        str(len(answers)),
+        f"{sum(named)}" if method != "output error" else "-",
+        f"{sum(other)}" if method != "output error" else "-",
+        f"{sum(withheld)}",
+        _median_error(values, [motor.gap for motor in motors]) if has_gap else "-",
+        f"{sum(held)} of {len(held)}" if held else "-",
+        _median_error([one.friction for one in answers], [motor.friction for motor in motors]),
+        _median_error([one.samples for one in answers], [motor.samples for motor in motors]),
+        f"{np.median([one.seconds for one in answers]):.1f}",
+    )
+
+
+KINDS: dict[str, Callable[[Motor], bool]] = {
+    "open loop, encoder at the motor": lambda one: not one.closed and not one.at_load,
+    "loop, encoder at the motor": lambda one: one.closed and not one.at_load,
+    "open loop, encoder at the load": lambda one: not one.closed and one.at_load,
+    "loop, encoder at the load": lambda one: one.closed and one.at_load,
+}
+
+
+def table() -> str:
+    """Return the section of RESULTS.md."""
+    count = int(os.environ.get("MOTORS_LOGS", "4"))
+    first = int(os.environ.get("MOTORS_FIRST", "100"))
+    with_model = os.environ.get("MOTORS_RIVALS", "1") != "0"
+    lines = [
+        "## Motors",
+        "",
+        "MuJoCo's joints, torque in, angle out, 200 Hz, 8 s: load 0.1 to 10 times the motor's"
+        " inertia, time constants of 5 to 500 samples, friction 0 or 0.03 N m, noise of 0.2 mrad or"
+        " 8192 ticks a turn, gaps of 6 to 60 mrad. Other names: not what is there, as none or"
+        " friction where there is a gap.",
+        "",
+    ]
+    lines += head("log", "method", "logs", "gap named", "other names", "withheld", "gap off",
+                  "gap held", "friction off", "time constant off", "CPU s")  # fmt: skip
+    for with_gap in (False, True):
+        seeds = range(first, first + 4 * count)
+        every = {seed: random_motor(seed, with_gap) for seed in seeds}
+        for kind, belongs in KINDS.items():
+            own = {seed: one for seed, one in every.items() if belongs(one)}
+            logs = {seed: record(one, seed) for seed, one in own.items()}
+            motors = list(own.values())
+            name = f"{'gap' if with_gap else 'rigid'}, {kind}"
+            answers = [identified(*log) for log in logs.values()]
+            lines.append(_row(name, "identify", motors, answers))
+            answers = [output_error(*log) for log in logs.values()]
+            lines.append(_row(name, "output error", motors, answers))
+            if with_model:
+                answers = [told_the_model(*logs[seed], own[seed]) for seed in own]
+                lines.append(_row(name, "MuJoCo, told the model", motors, answers))
+    return "\n".join([*lines, ""])

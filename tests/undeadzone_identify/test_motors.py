@@ -1,0 +1,113 @@
+"""Motors by torque and encoder: friction, a gap or none, and the files that people have of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from benchmarks.motor_logs import NOISE, STEP, Motor, random_motor, record
+from benchmarks.motors import output_error
+from scipy.io import savemat
+
+import undeadzone as uz
+from undeadzone.errors import FileError, InputError
+from undeadzone_identify.logs.log import read_log
+from undeadzone_identify.servo.gap import are_errors_in_bursts
+
+
+def ask(motor: Motor, seed: int) -> uz.Identified:
+    """Return what a motor's log says, told that its position is read."""
+    u, y = record(motor, seed)
+    answer = uz.identify(t=STEP, u=u, y=y, integrators=1)
+    assert isinstance(answer, uz.Identified)
+    return answer
+
+
+@pytest.mark.parametrize("seed", [4, 8])
+def test_a_rigid_motor_that_rubs_is_named_behind_a_noisy_encoder(seed: int) -> None:
+    """Friction of another law imitates a gap below the noise, which was named."""
+    motor = random_motor(seed, with_gap=False)
+    assert motor.friction
+    assert not motor.ticks
+    answer = ask(motor, seed)
+    assert answer.verdict == "friction"
+    value, low, high = answer.numbers()["friction"]
+    assert low < motor.friction < high
+    assert value == pytest.approx(motor.friction, rel=0.05)
+    assert any("motor's side of the gears" in remark for remark in answer.answer.remarks)
+
+
+def test_a_rigid_motor_without_friction_has_no_gap() -> None:
+    answer = ask(random_motor(3, with_gap=False), 3)
+    assert answer.verdict == "none"
+    assert answer.width is None
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_a_heavy_load_in_a_gap_is_not_taken_for_a_linear_motor(seed: int) -> None:
+    """A load that nothing rubs strikes and bounces: "no backlash" had odds above 99 %."""
+    motor = random_motor(seed, with_gap=True)
+    assert motor.gap > 10 * NOISE
+    answer = ask(motor, seed)
+    assert answer.verdict == "undecided"
+    assert not answer.numbers()["odds"]
+    assert "comes in bursts" in answer.answer.reasons[0]
+
+
+def test_bursts_are_told_from_errors_of_one_size() -> None:
+    size = 1500
+    for seed in range(20):
+        white = np.random.default_rng(seed).standard_normal(size)
+        assert not are_errors_in_bursts(white)
+        assert are_errors_in_bursts(white * np.where(np.arange(size) % 200 < 20, 2.0, 0.9))
+
+
+def test_output_error_finds_the_time_constant_of_a_linear_motor() -> None:
+    """The rival in the benchmark is worth its place."""
+    motor = random_motor(0, with_gap=False)
+    assert output_error(*record(motor, 0)).samples == pytest.approx(motor.samples, rel=0.01)
+
+
+# --- Files
+
+
+def test_times_in_the_first_column_of_a_matrix(tmp_path: Path) -> None:
+    """As Simulink writes them; which column is what else has to be said, with brackets quoted."""
+    t = 0.001 * np.arange(200)
+    rows = np.column_stack([t, np.sin(t), np.cos(t)])
+    savemat(tmp_path / "drive.mat", {"J": 1.0, "data": rows})
+    with pytest.raises(FileError, match=r'as in columns="y=data\[1\],u=data\[2\]"'):
+        read_log(tmp_path / "drive.mat")
+    log = read_log(tmp_path / "drive.mat", "y=data[2],u=data[1]")
+    assert np.array_equal(log.t, t)
+    assert np.array_equal(log.y[:, 0], rows[:, 2])
+    told = read_log(tmp_path / "drive.mat", "t=data[0],y=data[2],u=data[1]")
+    assert np.array_equal(told.t, t)
+    savemat(tmp_path / "ramp.mat", {"u": rows, "y": rows[:, 1]})
+    with pytest.raises(FileError, match="which column holds the times"):
+        read_log(tmp_path / "ramp.mat")
+
+
+def test_a_short_log_of_irregular_times_is_too_short() -> None:
+    """The command that was named for its times, --resample, ended in this message next."""
+    rng = np.random.default_rng(1)
+    t = np.cumsum(rng.uniform(0.7, 1.5, 11))
+    log = pd.DataFrame({"time": t, "pulses": rng.normal(size=11), "star": rng.normal(size=11)})
+    with pytest.raises(InputError, match="11 readings are too few; order 1 needs 100"):
+        uz.identify(log)
+
+
+def test_lost_motion_that_explains_nothing_has_no_odds() -> None:
+    """A mount whose star wanders by itself."""
+    rng = np.random.default_rng(1)
+    size = 400
+    t = np.cumsum(rng.uniform(0.7, 1.5, size))
+    star = np.cumsum(rng.normal(size=size)) * 0.1
+    log = pd.DataFrame({"t": t, "pulse": rng.normal(size=size), "star": star})
+    found = uz.identify(log)
+    assert isinstance(found, uz.IdentifiedMotion)
+    assert found.verdict == "unclear"
+    assert found.numbers()["odds"] == {}
+    assert "odds" not in found.summary()
