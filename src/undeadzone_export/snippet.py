@@ -339,7 +339,7 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
     """Return right, left and width of a zone; an edge that does not exist is of no width.
 
-    Raises ValueError where neither is known, or a width is missing beside two edges.
+    Raises ValueError if neither is known, or a width is missing beside two edges.
     """
     values = [found["right"], found["left"]]
     none = (0.0, 0.0, 0.0)
@@ -352,7 +352,7 @@ def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
 
 
 def _triple(values: Any) -> Triple:
-    """Return (value, low, high). Raises ValueError where one of them is no finite number."""
+    """Return (value, low, high). Raises ValueError if one of them is no finite number."""
     value, low, high = (float(number) for number in values)
     if not all(map(math.isfinite, (value, low, high))):
         raise ValueError

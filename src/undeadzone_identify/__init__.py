@@ -1,7 +1,7 @@
 """Identification of a real plant and its nonlinearity from a log (t, u, y), with intervals.
 
-What hides the output is asked, fitted and judged: a dead zone, a play, friction, a servo behind
-gears. The public names stand in `__init__.pyi`; `undeadzone` has them, too.
+Nonlinearities that hide the output are fitted and judged: a dead zone, a play, friction, a servo
+behind gears. The public names stand in `__init__.pyi`; `undeadzone` has them, too.
 """
 
 import lazy_loader

@@ -26,7 +26,7 @@ class FirmwareChain(NamedTuple):
     """Results of the steps from the scenario of a log to tested firmware.
 
     Attributes:
-        words: of each step, what is printed.
+        words: of each step, for printing.
         numbers: for JSON.
         files: those written.
         passed: whether every step was done and nothing was refused.
@@ -43,7 +43,7 @@ def run_firmware_chain(
 ) -> FirmwareChain:
     """Check a scenario, estimate along its log, export it to C and run the C along the log.
 
-    The C is in float, or in double where float is refused.
+    The C is in float, or in double if float is refused.
 
     Args:
         path: of the scenario.
@@ -96,14 +96,14 @@ def run_firmware_chain(
 
 
 def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
-    """Return the few lines that compensate what was found, by the names of their files.
+    """Return the few lines that compensate the finding, by the names of their files.
 
     Args:
         numbers: of the answer, as in identify.json.
         source: name of the log, for people.
 
     Returns:
-        C, Python and Structured Text; nothing where no few lines help or nothing is certain.
+        C, Python and Structured Text; nothing if no few lines help or nothing is certain.
     """
     from undeadzone_export.snippet import NAMES, lost_of_answer, snippet_texts
 

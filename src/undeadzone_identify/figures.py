@@ -56,7 +56,7 @@ def build_figures(found_log: Identified, further: NextLog | None = None) -> dict
 
     Args:
         found_log: the answer.
-        further: what to record next; None: nobody asked.
+        further: the proposed record; None: not asked.
 
     Returns:
         Figures by name: overview, residual_map, residual, and where there is a zone hidden and, of
@@ -354,7 +354,7 @@ def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
 
 
 def _name_of(element: Element) -> str:
-    """Return what an element is called in a legend."""
+    """Return the name of an element in a legend."""
     return NAMES.get(element.kind, MODELS[element.kind])
 
 

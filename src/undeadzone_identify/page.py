@@ -75,11 +75,11 @@ def write_identified(
         found_log: the answer.
         folder: where to.
         source: name of the log.
-        origin: what it takes to get the same again; None: nobody can.
-        further: what to record next; None: nobody asked.
+        origin: how to compute the same again; None: it cannot be.
+        further: the proposed record; None: not asked.
 
     Returns:
-        What was written.
+        The files.
 
     Raises:
         FileError: a file cannot be written.
@@ -101,7 +101,7 @@ def build_identified_page(
         found_log: the answer.
         images: SVGs by the names of `identify_figures.figures`.
         source: name of the log.
-        origin: what it takes to get the same again; None: nobody can.
+        origin: how to compute the same again; None: it cannot be.
 
     Returns:
         HTML that needs nothing but itself.
@@ -152,7 +152,7 @@ def _summary_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _few_lines_section(numbers: dict[str, Any], source: str) -> list[html.Html]:
-    """Return the section with the few lines that compensate; empty where none help."""
+    """Return the section with the few lines that compensate; empty if none help."""
     lines = compensating_lines(numbers, source)
     if not lines:
         return []
@@ -169,10 +169,10 @@ def write_identified_motion(
         found: the answer.
         folder: where to.
         source: name of the log.
-        origin: what it takes to get the same again; None: nobody can.
+        origin: how to compute the same again; None: it cannot be.
 
     Returns:
-        What was written.
+        The files.
 
     Raises:
         FileError: a file cannot be written.

@@ -124,16 +124,16 @@ def identify(
         kind: "deadzone", "jump" (readings are not shifted), "play" or "auto".
         delay: samples by which the recording makes the input late, or "auto" to find how late it
             acts.
-        zero: what the sensor reads inside its zone [y].
+        zero: reading of the sensor inside its zone [y].
         threshold: |y| up to which a reading is silent [y]; default half the quantum.
         resample: step [s] for logs of irregular step.
-        integrators: how many poles of the plant are integrators: 1 where a motor's position is
+        integrators: how many poles of the plant are integrators: 1 if a motor's position is
             read.
         columns: which column is which where names do not say it: `t=1,y=angle,u=voltage`.
         strict: whether a line that cannot be read is an error; else its sample is missing.
         progress: called with the number of steps just done; None: a bar in a notebook.
-        keep: file that keeps what was fitted, to be deleted once the answer is; None: none.
-        resume: take up what a stopped call left in `keep`.
+        keep: file that keeps the fits, to be deleted once the answer is; None: none.
+        resume: whether to go on from `keep` of a stopped call.
 
     Returns:
         Verdict, widths with intervals, plant, states, scenario; of several outputs one such
@@ -273,9 +273,9 @@ class Hypothesis(NamedTuple):
     """Hypothesis of a nonlinearity in a log, tested after the previous findings.
 
     Attributes:
-        name: what it is.
+        name: in words.
         is_asked: whether it may be there.
-        found: what is found with it, fitted, judged and measured.
+        found: the findings with it, fitted, judged and measured.
     """
 
     name: str

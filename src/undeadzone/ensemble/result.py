@@ -47,7 +47,7 @@ class Ensemble:
         varied: the values of the varied entries
         metrics: what came of each run, with `diverged`, 0 or 1
         info: metadata besides the columns
-        bands: quantiles over time of the recorded runs (None where none were recorded)
+        bands: quantiles over time of the recorded runs (None if none were recorded)
     """
 
     varied: dict[str, Floats]

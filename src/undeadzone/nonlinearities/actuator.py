@@ -279,7 +279,7 @@ SIDES = ("right", "left")
 
 
 def _width_or_zero(width: Any) -> Any:
-    """Return a width, or 0 where none is given."""
+    """Return a width, or 0 if none is given."""
     return 0.0 if width is None else width
 
 

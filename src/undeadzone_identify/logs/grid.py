@@ -30,12 +30,12 @@ class Grid(NamedTuple):
     Attributes:
         t: times (N) [s].
         u: inputs (N x m), held over gaps.
-        y: readings (N), 0 where missing.
+        y: readings (N), 0 if missing.
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         step: sample time [s].
         quantum: smallest common spacing of the readings, 0 if there is none [y].
-        remarks: what was done to the log, for the user.
+        remarks: on changes of the log, for the user.
         counted: whether times count samples.
         inputs: names of the inputs.
         input_unit, output_unit: units, "1" if unknown.

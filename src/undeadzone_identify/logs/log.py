@@ -50,7 +50,7 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             decides.
         delay: samples by which the input acts late: auto, or a number that belongs to the
             recording.
-        zero: what the sensor reads inside its zone [y]; it is taken off every reading.
+        zero: reading of the sensor inside its zone [y]; it is taken off every reading.
         threshold: |y| up to which a reading counts as silent [y]; default: half the quantum.
         integrators: how many poles of the plant are integrators, as one of a motor's position.
         resample: step [s] onto which an irregular log is put; default: none.
@@ -307,7 +307,7 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
         The log, its times in seconds.
 
     Raises:
-        FileError: what is wrong, with file and line where there are any.
+        FileError: the fault, with file and line if there are any.
     """
     chosen = parse_columns(columns)
     remarks: list[str] = []
@@ -373,7 +373,7 @@ def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
         The log.
 
     Raises:
-        InputError: arrays of different lengths, or what is not numeric.
+        InputError: arrays of different lengths, or not numeric.
     """
     readings = _to_rows("y", numbers("y", y, "iuf"))
     moved = _to_rows("u", numbers("u", u, "iuf"))

@@ -269,7 +269,7 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
         remarks: on readings that are left out.
 
     Raises:
-        InputError: what is lacking.
+        InputError: information is lacking.
     """
     require_readings(y.size, remarks)
     for size in (*np.abs(grid.u).max(axis=0, initial=0.0), np.abs(y).max()):

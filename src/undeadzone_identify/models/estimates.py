@@ -178,7 +178,7 @@ def best_maximum(
         lead: by how much the best must lead by then to go on alone.
 
     Returns:
-        The best top; None where no start makes sense.
+        The best top; None if no start makes sense.
     """
     begun = list(starts)
     if first:
@@ -224,7 +224,7 @@ def run_lanes_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tu
 
     Args:
         kernel: the step.
-        exogenous: what enters it (N x inputs).
+        exogenous: its inputs (N x inputs).
         rows: the sets (K x numbers).
 
     Returns:

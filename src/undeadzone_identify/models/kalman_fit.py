@@ -29,7 +29,7 @@ class KalmanFit(NamedTuple):
     """Fit of (L3).
 
     Attributes:
-        objective: what was maximised.
+        objective: that was maximised.
         theta: where its top is.
         value: the log likelihood there.
     """
@@ -83,7 +83,7 @@ def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
         fit: that of (L2), where the climbs start; of a long log in a part of it.
 
     Returns:
-        One fit a model; empty where none could be run.
+        One fit a model; empty if none could be run.
     """
     data, layout = fit.objective.data, fit.objective.layout
     part = busiest_stretches(data)

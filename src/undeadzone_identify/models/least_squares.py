@@ -1,6 +1,6 @@
 """Least squares of readings on a plant with an element, and densities to compare models.
 
-A model says what is read and how that changes with its numbers; all else is the same for each.
+A model gives the readings and their derivatives by its parameters; all else is the same for each.
 """
 
 from __future__ import annotations
@@ -283,7 +283,7 @@ def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
 
     Args:
         columns: the functions (N x K).
-        residual: what is to be explained (N).
+        residual: to be explained (N).
 
     Returns:
         Coefficients, their deviations, the share explained, and p of a Wald test by (I1).

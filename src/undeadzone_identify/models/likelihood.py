@@ -88,7 +88,7 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
         noise: widths and rms; rho is not used.
 
     Returns:
-        Log densities and derivatives; 0 where a reading is missing.
+        Log densities and derivatives; 0 if a reading is missing.
     """
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 6))
@@ -144,7 +144,7 @@ def densities_behind(
         zone: whether there is a zone at all; else d_r is what a constant takes off z.
 
     Returns:
-        Log densities and derivatives; 0 where a reading is missing.
+        Log densities and derivatives; 0 if a reading is missing.
     """
     side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left) if zone else np.ones(z.size)
     expected = (z - noise.right * (side > 0) + noise.left * (side < 0)) * (side != 0)
@@ -167,7 +167,7 @@ def pair_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTe
         noise: widths, rms, and correlation rho of e over one sample.
 
     Returns:
-        Log densities and derivatives; 0 where a reading is missing.
+        Log densities and derivatives; 0 if a reading is missing.
     """
     terms = single_densities(readings, z, noise)
     if noise.rho == 0.0 or not readings.before.any():

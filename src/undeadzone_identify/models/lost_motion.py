@@ -70,7 +70,7 @@ class Positions(NamedTuple):
 
 
 class Structure(NamedTuple):
-    """What a fit holds beside gap, gain and level.
+    """Structure of a fit beside gap, gain and level.
 
     Attributes:
         lags: equal lags of first order ahead of the gap.
@@ -87,7 +87,7 @@ class LostMotion(NamedTuple):
     """A fit of (P1).
 
     Attributes:
-        structure: what it holds.
+        structure: of the fit.
         gap: c [u].
         delay: T [s].
         lag: time constant of each lag [s].
@@ -120,7 +120,7 @@ class LostMotion(NamedTuple):
 
     @property
     def colour(self) -> float:
-        """Return the rms of the residuals over that of their changes, 1 where they are white."""
+        """Return the rms of the residuals over that of their changes, 1 if they are white."""
         changes = np.diff(self.residual)
         return self.rms / max(math.sqrt(float(changes @ changes) / (2 * changes.size)), 1e-300)
 
@@ -135,7 +135,7 @@ class MotionFit:
 
     Args:
         data: the positions.
-        structure: what the fit holds.
+        structure: of the fit.
     """
 
     def __init__(self, data: Positions, structure: Structure) -> None:
@@ -171,7 +171,7 @@ class MotionFit:
         return y[:, None] - rest * (y @ rest / share), passed
 
     def _bent_part(self, passed: Floats, y: Floats) -> Floats:
-        """Return what a bent scale explains of readings without their mean (N)."""
+        """Return the part by a bent scale of readings without their mean (N)."""
         columns = self._scale(passed)
         return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0])
 
@@ -434,7 +434,7 @@ def motion_density(name: str, found: LostMotion, scale: float) -> Density:
     Args:
         name: of the model.
         found: its fit.
-        scale: what rounding leaves at least [y].
+        scale: least residual by rounding [y].
     """
     variance = found.rms**2 + scale**2
     value = -0.5 * found.residual**2 / variance - 0.5 * math.log(2 * math.pi * variance)
@@ -457,7 +457,7 @@ def best_structure(
 
 
 def is_white(found: LostMotion, quantum: float) -> bool:
-    """Return whether residuals are noise, or what rounding leaves.
+    """Return whether residuals are noise, or rounding.
 
     Args:
         found: a fit.

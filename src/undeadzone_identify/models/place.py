@@ -112,7 +112,7 @@ class PlaceShape(NamedTuple):
 
     Attributes:
         name: of the model.
-        word: the verdict's for what is there.
+        word: the verdict's.
         sensor: a zone of the sensor, d_r and d_l.
         inner: friction in the recursion, phi_r and phi_l.
         input: a zone of the input.

@@ -41,12 +41,12 @@ class RecordData(NamedTuple):
 
     Attributes:
         u: inputs (N x m), rms 1 each.
-        y: readings (N), rms 1, 0 where missing.
+        y: readings (N), rms 1, 0 if missing.
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         side: +1, 0, -1 (N).
         silent_zeros: whether readings inside the zone are exact zeros: noise ahead of the zone.
-        u_scale, y_scale: what u (m) and y were divided by.
+        u_scale, y_scale: divisors of u (m) and y.
         climbs: those that were kept on disk; None: none are.
     """
 
@@ -218,7 +218,7 @@ class Layout:
 
         Args:
             other: layout of the numbers.
-            theta: a, b, x0, and what follows.
+            theta: a, b, x0, and further numbers.
         """
         x0 = np.zeros(self.n * self.records)
         return np.concatenate([theta[: other.numerators.stop], x0, theta[other.x0.stop :]])
@@ -390,7 +390,7 @@ def find_input_disturbance(
     Args:
         layout: of the plant's numbers.
         plant: a, b, ...
-        residual: y less what was simulated (N); 0 where a reading is missing.
+        residual: y less the simulation (N); 0 if a reading is missing.
         ok: whether there is a reading (N).
 
     Returns:

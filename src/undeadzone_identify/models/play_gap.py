@@ -52,12 +52,12 @@ class PlayGap(NamedTuple):
     """Play, and perhaps the dead zone after it, in the scale of the fit.
 
     Attributes:
-        fit: what was fitted.
+        fit: of the play.
         theta: its numbers after the correction.
         intervals: right, left, width, centre of the play; zone, the width of a dead zone, and
             zone_right, zone_left, its edges if the gap is even.
         V: covariance of the plant's numbers a and b.
-        ahead: what disturbs z; None of an integrating plant, where it is not told apart.
+        ahead: disturbance of z; None of an integrating plant, which does not separate it.
         noise: rms of the readings' white noise.
         sure: whether the intervals hold; not where a disturbance ahead is too strong.
     """

@@ -265,7 +265,7 @@ class LoopLog:
         u: output of the controller (N).
         y: readings (N).
         ok: whether there is a reading (N).
-        r: set point (N), NaN where missing; None: not recorded.
+        r: set point (N), NaN if missing; None: not recorded.
     """
 
     def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats | None) -> None:

@@ -97,7 +97,7 @@ def fit_zone(simulator: PlantSimulator, kind: Kind, limits: WidthLimits) -> Zone
     Args:
         simulator: the plant of one order, with its data.
         kind: singles or behind.
-        limits: what is known of the widths.
+        limits: bounds of the widths.
 
     Returns:
         The best of the starts, all for 10 steps and the best two to the end.

@@ -75,9 +75,9 @@ class Disturbance(NamedTuple):
 
     Attributes:
         rms: of all of it [y].
-        correlation_time: [s]; None where it is white.
-        white: rms of its white part [y]; None where that was not told apart.
-        model: which model of the disturbance fits best; None where none was fitted.
+        correlation_time: [s]; None if it is white.
+        white: rms of its white part [y]; None if that was not told apart.
+        model: which model of the disturbance fits best; None if none was fitted.
         ahead: whether it acts ahead of the zone.
     """
 
@@ -89,12 +89,12 @@ class Disturbance(NamedTuple):
 
 
 class Possible(NamedTuple):
-    """What a class that is not excluded would mean.
+    """Consequences of a class that is not excluded.
 
     Attributes:
         share: its odds.
-        widths: right, left, width and centre, if it is the truth; None where it has none.
-        option: by which a user who knows that it is the truth says so; empty where there is none.
+        widths: right, left, width and centre, if it is the truth; None if it has none.
+        option: by which a user who knows that it is the truth says so; empty if there is none.
     """
 
     share: float
@@ -111,12 +111,12 @@ class Answer(NamedTuple):
             unreached.
         reasons: why, in words.
         right, left, width, centre: (value, low, high) with 95 % intervals, of what the verdict
-            names [y], of an input zone [u]; None where the verdict allows no such number.
-        remarks: what was done to the log, and what to be careful about.
+            names [y], of an input zone [u]; None if the verdict allows no such number.
+        remarks: on changes of the log, and cautions.
         loop: whether one is closed.
         case: the log, fitted with a zone of the sensor.
-        found: what was found of it.
-        chosen: the order that was chosen, with the checks of what was found.
+        found: the findings.
+        chosen: the order that was chosen, with the checks of the findings.
         excitation: samples and visits a side.
         widths: of a zone of the sensor, with intervals, in the scale of the fit (rms of y is 1).
         possible: the classes that are not excluded, beside the one that is named.
@@ -254,7 +254,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
 
     Args:
         case: the log, fitted with a zone of the sensor.
-        found: the verdict, and what stands in the zone's place.
+        found: the verdict, and the element in the zone's place.
     """
     element = found.element
     doubt = element and (
@@ -338,7 +338,7 @@ def _find_possible(answer: Answer) -> dict[str, Possible]:
 
 
 def _odds_of_word(found: Findings) -> dict[str, float]:
-    """Return the odds that belong to the word: none where it was not they that decided.
+    """Return the odds that belong to the word: none if it was not they that decided.
 
     Larger models count for the word where their element is no matter for it, and so do zones below
     the rounding of the readings.
@@ -359,7 +359,7 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
 
 
 def _withhold_poor_fit(found: Findings, share: float) -> Findings:
-    """What is found, without a name that explains less than half of what it was not fitted to."""
+    """Withhold a name that explains less than half of the held-out data."""
     word = found.verdict.word
     if found.valve is not None or word not in MODELS or share >= LEAST_SHARE:
         return found

@@ -48,7 +48,7 @@ class IdentifiedMotion:
 
     @property
     def width(self) -> Interval | None:
-        """Return the same in units of the output; None where nothing is lost."""
+        """Return the same in units of the output; None if nothing is lost."""
         lost = self.answer.gap.scale_by(abs(self.answer.found.gain))
         return lost if self.verdict == "play" else None
 
@@ -105,7 +105,7 @@ class IdentifiedMotion:
         )
 
     def headline(self) -> str:
-        """Return what was found, in one line."""
+        """Return the finding, in one line."""
         one = self.answer
         unit = unit_suffix(one.log.input_unit)
         if one.verdict == "none":

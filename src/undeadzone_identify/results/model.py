@@ -85,7 +85,7 @@ def follow_play(z: Floats, right: float, left: float) -> Floats:
     """Return the level that z moves through a gap, from 0 (N).
 
     Args:
-        z: what moves it (N).
+        z: its input (N).
         right, left: half gaps c_r, c_l.
     """
     level, levels = 0.0, np.empty_like(z)

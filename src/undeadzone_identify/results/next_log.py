@@ -48,10 +48,10 @@ class NextLog(NamedTuple):
     Attributes:
         t: times (N) [s].
         u: inputs (N x m) [u].
-        name: what signal it is.
+        name: of the signal.
         what: that it is for: the number whose interval narrows, or the names that it parts.
-        left: share of the interval that is left with both logs; None where names are parted.
-        nats: by which it parts two names; None where an interval narrows.
+        left: share of the interval that is left with both logs; None if names are parted.
+        nats: by which it parts two names; None if an interval narrows.
         heads: of its columns, with units.
     """
 
@@ -125,7 +125,7 @@ def best_next_log(answer: Answer) -> NextLog:
     """Return the best of the candidate inputs.
 
     Args:
-        answer: what the log says.
+        answer: to the log.
 
     Raises:
         InputError: there is no interval and there are no two names, or no candidate gains anything.

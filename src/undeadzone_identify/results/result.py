@@ -56,7 +56,7 @@ class States(NamedTuple):
 
     Attributes:
         t: times (N) [s].
-        z: output ahead of the zone (N) [y], the disturbance included where one was found.
+        z: output ahead of the zone (N) [y], the disturbance included if one was found.
         z_std: its standard deviation (N) [y].
         x: states of the plant in observer form, the first is z without noise (N x n) [y].
     """

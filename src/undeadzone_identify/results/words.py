@@ -1,6 +1,6 @@
 """Answer as numbers for JSON and as words for the terminal.
 
-A servo behind gear play in numbers and words: what it is made of, and every crossing.
+A servo behind gear play in numbers and words: its parts, and every crossing.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
     """Return the servo in units of the log with its crossings by column; None without a servo.
 
     Args:
-        answer: what a log says.
+        answer: to a log.
     """
     servo = answer.servo
     if servo is None or answer.verdict in WITHOUT_GAP:
@@ -161,7 +161,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
     """Return all numbers of an answer, as nested dictionaries.
 
     Args:
-        answer: what a log says.
+        answer: to a log.
 
     Returns:
         zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
@@ -277,10 +277,10 @@ def _stage_numbers(answer: Answer) -> dict[str, Any]:
 
 
 def headline(answer: Answer) -> str:
-    """Return what was found in one line, with its number and interval.
+    """Return the finding in one line, with its number and interval.
 
     Args:
-        answer: what a log says.
+        answer: to a log.
     """
     grid, word = answer.case.grid, answer.verdict
     at_input = word in ("input_zone", "friction", *VALVE)
@@ -296,7 +296,7 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
     """Return the answer as lines of the terminal: name and text, or a list of texts.
 
     Args:
-        answer: what a log says.
+        answer: to a log.
 
     Returns:
         The lines in order.

@@ -1,6 +1,6 @@
 """Other nonlinearities than the sensor's dead zone: a play, both, a zone of the input.
 
-What is found stands in its place, with its plant. u is known, so what a zone of the input passes is
+The finding stands in its place, with its plant. u is known, so the output of a zone of the input is
 known for every pair of widths: least squares of the simulated output is consistent whatever
 disturbs the plant, as long as u does not answer to it.
 """
@@ -134,7 +134,7 @@ class Element(NamedTuple):
         z: output of the plant (N), scaled.
         readings: of z without noise (N), scaled.
         side: contact of a play, of the input's too, side of an input zone (N).
-        widths: right, left, width, centre in units of the log; None where they are not known.
+        widths: right, left, width, centre in units of the log; None if they are not known.
         ahead: disturbance of z, scaled; None if it was not separated.
         noise: rms of the readings' white noise, scaled.
         degrees: of freedom of the intervals.
@@ -198,13 +198,13 @@ class Findings(NamedTuple):
         odds: by the verdict's words, largest first.
         offsets: the four offsets along the log, with the element's plant; None: not looked at.
         plays: with a memory; None: not looked for.
-        places: models of the zone's place by word; empty where that was not asked.
+        places: models of the zone's place by word; empty if that was not asked.
         chains: models of the input's curve or play, and of a filter, by word.
         shaped: a zone with slopes of its sides, round edges and a lag; None: not fitted.
         denied: words of larger models that simulate held-out data no better.
         element: in the place of a sensor's dead zone; None: there is none.
         kalman: fits of (L3), best first.
-        friction: its level [u], the mean of both directions; None where it is not measured.
+        friction: its level [u], the mean of both directions; None if it is not measured.
         remainders: score tests of the likeliest model, by direction; empty: not tested.
         valve: of a control loop, where the verdict is about why it swings; None: it is not.
     """
@@ -640,7 +640,7 @@ def _records_of(case: Case, fit: FittedModel[Any]) -> plant.RecordData:
 def measure_word(
     case: Case, fit: FittedModel[Any], word: str, misfits: Sequence[Floats] = ()
 ) -> tuple[dict[str, Interval | None], float]:
-    """Measure the widths of a fitted class in units of the log; None where it has none.
+    """Measure the widths of a fitted class in units of the log; None if it has none.
 
     Args:
         case: the log.
@@ -783,7 +783,7 @@ def _play_ahead_element(fit: ChainFit, whole: plant.RecordData, gap: Interval) -
 
 
 def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
-    """Return the best fit of a word's models, by BIC per reading; None where there is none.
+    """Return the best fit of a word's models, by BIC per reading; None if there is none.
 
     Args:
         case: with static maps.
@@ -832,7 +832,7 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
 
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
-    """What is found, with the numbers of a chain that is named."""
+    """Add the numbers of a chain that is named to the findings."""
     word, verdict, data = found.verdict.word, found.verdict, case.record_data
     if word not in CHAINED:
         return found
@@ -850,7 +850,7 @@ def holds_more(case: Case, found: Findings) -> bool:
 
 
 def without_needless(case: Case, found: Findings) -> Findings:
-    """What is found, unless a smaller model leaves no more of held-out data.
+    """Deny the model that is named if a smaller one predicts held-out data as well.
 
     A larger model must simulate them better, too: one-step errors alone are decided by the colour
     of what disturbs the plant.

@@ -109,7 +109,7 @@ class Case(NamedTuple):
         maps: static rivals, each behind the plant that suits it.
         suited: the order behind which one of them explains the log best.
         advance: called with the number of steps just done.
-        servo: what the predictor of a servo, asked first, withheld; None: it was not asked.
+        servo: withheld finding of the servo predictor, which is asked first; None: not asked.
     """
 
     grid: Grid
@@ -177,7 +177,7 @@ class Feedback(NamedTuple):
     """Evidence of feedback in a log.
 
     Attributes:
-        chance: p of what past residuals say of the input, if no loop is closed; 1 where the plant
+        chance: p of what past residuals say of the input, if no loop is closed; 1 if the plant
             does not fit, so that they tell nothing.
         answered: share that readings have of what a recorded reference leaves of the input, 0
             where it leaves nothing; None without a reference that moves.
@@ -356,7 +356,7 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
 
 
 def _verdict_by_residual(case: Case) -> Verdict:
-    """Return dead_zone, or jump, with a caution where one-step errors are not white."""
+    """Return dead_zone, or jump, with a caution if one-step errors are not white."""
     verdict = build_verdict("jump" if case.jump_edges else "dead_zone")
     if not case.record_data.silent_zeros and not case.chosen.white:
         verdict = verdict.add_cautions("the one-step residual is not white")

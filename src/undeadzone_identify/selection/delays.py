@@ -188,7 +188,7 @@ def likely_delay(fits: list[OrderFit]) -> int:
         fits: one an order, without a delay.
 
     Returns:
-        Samples; 0 where none is better.
+        Samples; 0 if none is better.
     """
     objective = fits[0].pairs.objective
     data, integrators = objective.data, objective.layout.integrators

@@ -31,7 +31,7 @@ def find_zone_locations(fit: ZoneFit, quantum: float) -> dict[str, PlaceFit]:
 
 
 def _word_of(one: PlaceFit) -> str:
-    """Return the verdict's word for what is there: an element that vanishes is not."""
+    """Return the verdict's word; an element that vanishes counts for none."""
     model, theta = one.model, one.theta
     shape = model.shape
     sensor = shape.sensor and model.part_numbers(theta, "sensor").sum() > VANISHING

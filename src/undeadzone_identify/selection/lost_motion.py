@@ -1,4 +1,4 @@
-"""Two positions: is motion lost between them, how much, and of what.
+"""Motion lost between two positions: whether, how much, and its cause.
 
 Asked before any plant is fitted, at the times of the readings. The answer stands if names or units
 say that both columns are positions, or that one is a goal or pulses. All else is left to plants
@@ -50,7 +50,7 @@ LAGGING = (Structure(lags=1, late=True), Structure(lags=2, late=True))
 
 
 class Share(NamedTuple):
-    """What a servo's current tells apart of the motion that it loses.
+    """Parts of a servo's lost motion, separated by its current.
 
     Attributes:
         gap: of its gears [u].
@@ -64,7 +64,7 @@ class Share(NamedTuple):
 
 
 class LostMotionAnswer(NamedTuple):
-    """What two positions say.
+    """Answer to a log of two positions.
 
     Attributes:
         verdict: play, none or unclear.
@@ -81,7 +81,7 @@ class LostMotionAnswer(NamedTuple):
         data: the positions.
         quantum: of y [y].
         reasons: in words.
-        remarks: what to be careful about.
+        remarks: cautions.
     """
 
     verdict: str
@@ -240,7 +240,7 @@ def _is_named(name: str, words: tuple[str, ...]) -> bool:
 
 
 def _is_told(log: Log) -> bool:
-    """Return whether the input is what a servo is told."""
+    """Return whether the input is the goal of a servo."""
     return _is_named(log.inputs[0], GOALS)
 
 

@@ -1,6 +1,6 @@
 """Fits of each order with a zone of the sensor, and the checks of a fit.
 
-By BIC, by what it says of held-out data, by a curve over what it leaves, and against no zone.
+By BIC, by held-out data, by a curve over the residual, and against no zone.
 """
 
 from __future__ import annotations
@@ -211,7 +211,7 @@ def score_held_out(
     """Score the errors of held-out readings.
 
     Args:
-        error: y less what is expected (N).
+        error: y less its expectation (N).
         data: the records.
         test: the held-out readings (N).
         one_step: one-step residuals, and where they are known (N, N).
@@ -300,8 +300,8 @@ def feedback_share(
 ) -> tuple[float, float]:
     """Return the share of a signal's remainder that readings explain, and its p [1].
 
-    Of an input beside its reference it is near 1 where a controller without noise makes it, near 0
-    without a loop, and 0 where nothing is left: the reference alone makes the input.
+    Of an input beside its reference it is near 1 if a controller without noise makes it, near 0
+    without a loop, and 0 if nothing is left: the reference alone makes the input.
 
     Args:
         moved: what may answer (N x m), NaN if it is missing; the column that does so most.
@@ -353,7 +353,7 @@ class ZoneTest(NamedTuple):
     """Result of the test of a zone against none.
 
     Attributes:
-        chance: p of what was seen if there is no zone.
+        chance: p of the readings if there is no zone.
         fit: the fit with a zone, perhaps a better one than before.
     """
 

@@ -228,7 +228,7 @@ def has_no_gap(servo: ServoGap) -> bool:
 
 
 def friction_of(servo: ServoGap) -> Interval | None:
-    """Return the friction of a servo's motor [u]; None where it may be 0.
+    """Return the friction of a servo's motor [u]; None if it may be 0.
 
     Args:
         servo: with or without a gap.
@@ -245,7 +245,7 @@ def friction_of(servo: ServoGap) -> Interval | None:
 
 
 def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
-    """What is found of a servo whose gap is excluded: friction with its level, or nothing.
+    """Findings on a servo whose gap is excluded: friction with its level, or nothing.
 
     Args:
         case: the log.

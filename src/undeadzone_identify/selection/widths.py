@@ -31,7 +31,7 @@ class WidthEstimates(NamedTuple):
         stages: (right, left) by each stage that was run.
         halves: half intervals by stage and name, before anything is added.
         degrees: degrees of freedom of the widest of these, by name.
-        remarks: what was found out, for the user.
+        remarks: for the user.
     """
 
     right: Interval
@@ -58,7 +58,7 @@ def find_widths(
         chosen: the order that was chosen.
         others: the orders that are credible.
         alike: fits with another delay that explain the log as well.
-        kalman: the third stage; None where it was not run.
+        kalman: the third stage; None if it was not run.
         quantum: of the readings, scaled.
         offset: rms of an unknown offset, scaled; None: free.
 

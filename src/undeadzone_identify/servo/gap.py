@@ -161,7 +161,7 @@ class ServoGap(NamedTuple):
         reversals: of the readings.
         covariance: of the servo's free numbers.
         gained: nats of the log likelihood by which the gap is better than none.
-        reasons: why no gap is given; empty where one is.
+        reasons: why no gap is given; empty if one is.
         is_servo: whether errors and crossings are those of a servo, be its gap known or not.
         has_bursts: whether large errors follow large ones, as behind strikes of a heavy load.
     """

@@ -4,7 +4,7 @@ The prediction errors (S3) are Student's of 6 degrees of freedom, so that a tick
 costs little. Every start has lanes of its own for its derivatives, and its trials are damped in
 six ways at once.
 
-A servo's numbers, and what a lane of the predictor makes of them.
+A servo's numbers, and the results of a lane of the predictor.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ STILL = 0.5  # share of changes that are 0, from which u is a list of steps
 def tick_loop_p_value(u: Floats, y: Floats) -> float:
     """Return p of the effect of recent changes of y on changes of u, without feedback [1].
 
-    1 where they explain hardly anything, or nothing can be told.
+    1 if they explain hardly anything, or nothing can be told.
 
     Args:
         u: inputs (N).
@@ -88,10 +88,10 @@ class Observations(NamedTuple):
         start: first sample of each record (R).
         ticks: whether readings are ticks of an encoder, or exact.
         quantum: of an encoder; 0 of others.
-        side: of each tick, 0 where none is (N).
+        side: of each tick, 0 if none is (N).
         boundary: that a tick passed (N).
-        u_scale, y_scale: what u and y were divided by.
-        loop: p of what the readings say of the input, if no loop is closed.
+        u_scale, y_scale: divisors of u and y.
+        loop: p of the dependence of the input on the readings, if no loop is closed.
     """
 
     step: float

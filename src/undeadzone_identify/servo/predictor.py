@@ -17,8 +17,8 @@ Where the motor turned within the sample, B + s c / 2 is its peak, and z has fal
 Between two ticks nothing is heard. A tick is a stopping time, so the errors' mean is 0 whenever it
 comes.
 
-**Noise.** What is passed on is a level l with a Gaussian's moments of its own: l+ = l + Dz(z+ - l),
-with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
+**Noise.** The output of the play is a level l with a Gaussian's moments of its own:
+l+ = l + Dz(z+ - l), with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class _Motion(NamedTuple):
     Attributes:
         x: the mean of z, v, d, i after it.
         rests: whether it came to rest.
-        brake: what friction takes from v at rest.
+        brake: loss of v at rest by friction.
     """
 
     x: list[Any]

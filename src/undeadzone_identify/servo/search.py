@@ -56,7 +56,7 @@ def search_servos(log: Observations) -> list[Servo]:
         log: as the predictor hears it.
 
     Returns:
-        Servos climbed to their top; nothing where no start leads anywhere.
+        Servos climbed to their top; nothing if no start leads anywhere.
     """
     ticked = log if log.ticks else to_schmitt_ticks(log)
     begun = fit_without_gap(ticked.busiest_part(MOST, TURNS))

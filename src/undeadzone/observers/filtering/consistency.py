@@ -46,7 +46,7 @@ def accumulate_innovations(before: Sums, nu: Any, counted: Any, fade: Any, keep:
 
     Args:
         before: the sums before it.
-        nu: normalised innovations, 0 where none counts.
+        nu: normalised innovations, 0 if none counts.
         counted: whether one counts.
         fade: share of the sum that is left after a step.
         keep: share of the mean of its squares that is left after a step.

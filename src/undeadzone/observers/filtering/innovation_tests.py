@@ -88,7 +88,7 @@ def update_scores(
         q: the filter's numbers.
         s: the sums before it.
         e: innovations (p) [z].
-        nu: the same over their deviations, 0 where none was used (p).
+        nu: the same over their deviations, 0 if none was used (p).
         counted: whether one counts (p).
         refused: whether a reading was refused (p).
         reading: the reading.

@@ -92,7 +92,7 @@ def correct_by_readings(
         q: its numbers.
         belief: the belief before the reading.
         y: reading, 0 if it is missing (p) [y].
-        side: the sides that are sure (p), 0 where none is.
+        side: the sides that are sure (p), 0 if none is.
         R: variances of the readings (p) [z^2].
         surprise: log likelihood ratio of each reading given the censored samples before (p).
         contact: of a play ahead of the zone, in which y moves (p) (None: there is none).

@@ -46,7 +46,7 @@ class OutputSample(NamedTuple):
     Attributes:
         i: the output's number.
         sight: from the unknowns to the reading.
-        y: the reading y_i / m_i, 0 where none came.
+        y: the reading y_i / m_i, 0 if none came.
         side: of the reading.
         seen: whether one came.
         odds: of a glitch (None: no reading is a glitch).
