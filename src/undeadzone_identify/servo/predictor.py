@@ -18,7 +18,8 @@ Between two ticks nothing is heard. A tick is a stopping time, so the errors' me
 comes.
 
 **Noise.** The output of the play is a level l with a Gaussian's moments of its own:
-l+ = l + Dz(z+ - l), with the mean, the slope and the rest of the variance of a dead zone Dz of a Gaussian.
+l+ = l + Dz(z+ - l), with the mean, the slope and the rest of the variance of a dead zone Dz of a
+Gaussian.
 """
 
 from __future__ import annotations
