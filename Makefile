@@ -35,7 +35,7 @@ wheel: .venv/tested           ## a wheel in dist/, and its bill of materials (Cy
 fuzz: .venv/tested            ## random inputs for everything that reads something, FUZZ_SECONDS=600
 	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS)
 
-mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 of them, an hour
+mutants: .venv/tested         ## do the tests notice a wrong sign? MUTANTS=300 of them, an hour or two
 	$(BIN)/python -m mutants map
 	$(BIN)/python -m mutants run --count $(MUTANTS)
 

@@ -15,6 +15,7 @@ from benchmarks.markdown import parted
 from benchmarks.names import commit
 
 NAMES = (
+    "cases",
     "cold_start",
     "live_step",
     "long_watch",

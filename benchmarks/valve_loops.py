@@ -154,7 +154,7 @@ def make(seed: int, cause: str | None = None, size: int | None = None) -> ValveL
         for begin in range(0, total, size // 6):
             set_point[begin:] = 50.0 + range_pv * rng.uniform(-0.4, 0.4)
     noise, drift = (range_pv * rng.choice([0.002, 0.01, 0.03]) for _ in range(2))
-    op, pv = _run(
+    op, pv = run_loop(
         process,
         valve,
         set_point,
@@ -211,7 +211,7 @@ def _oscillation(
     return np.asarray(size * (np.sin(phase) + bent))
 
 
-def _run(
+def run_loop(
     process: Process,
     valve: Step,
     set_point: np.ndarray,

@@ -13,6 +13,8 @@ from contextlib import chdir
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 import undeadzone as uz
 import undeadzone_arena
 from undeadzone.report import animation, gain_figures, run_figures, style
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 DOCS: Final = Path(__file__).parent
 FIGURES: Final = DOCS / "figures"
 EXAMPLES: Final = DOCS.parent / "examples"
+STRAIGHT: Final = 0.999  # correlation of reading and input, above which a line hides a gap
 
 
 def compared(example: str) -> tuple[Run, Run]:
@@ -58,11 +61,31 @@ def leaderboard() -> Figure:
     return of_contest(found, [])["leaderboard"]
 
 
+def logs() -> Figure:
+    """Reading against input of each case of docs/cases.md, at the last sample of each input."""
+    sys.path.insert(0, str(DOCS.parent))
+    from benchmarks.cases import SEED
+    from benchmarks.cases_machines import CASES
+
+    names = list(CASES)
+    title = "Logs of six machines: the reading over the input, before the input changes"
+    figure, panels = style.create_panels([names[:3], names[3:]], title, height=2.9)
+    for name, case in CASES.items():
+        columns, log = case.columns.split(","), case.record(np.random.default_rng(SEED))
+        u, y = log[np.append(log[1:, 1] != log[:-1, 1], True), 1:3].T
+        if np.corrcoef(u, y)[0, 1] > STRAIGHT:
+            y, columns[2] = y - np.polyval(np.polyfit(u, y, 1), u), f"{columns[2]}, less a line"
+        panels[name].plot(u, y, ".", markersize=2)
+        style.finish_panel(panels[name], case.title.split(",")[0], columns[2], columns[1], legend=0)
+    return figure
+
+
 PICTURES: Final[dict[str, Callable[[], Figure]]] = {
     "two_link_gears": gears,
     "identify": hidden,
     "front": trade,
     "leaderboard": leaderboard,
+    "cases": logs,
 }
 
 

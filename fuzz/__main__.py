@@ -34,6 +34,7 @@ NAMES: Final = (
     "pipes",
     "entry_points",
     "arguments",
+    "exports",
 )
 SHOWN: Final = 5  # cases of one complaint that are named
 

@@ -22,6 +22,10 @@ COMPARED: Final[dict[type[ast.cmpop], type[ast.cmpop]]] = {
     ast.GtE: ast.Lt,
     ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
 }
 NAMES: Final = {
     "max": "min",
@@ -37,6 +41,8 @@ NAMES: Final = {
     "real": "imag",
 }
 TOLERANCE: Final = 1e-5  # smaller constants are tolerances, of which twice as much is no mistake
+PICTURES: Final = ("report/", "figures.py", "diagrams.py")  # their constants are looks alone
+NEGATED: Final = (ast.Compare, ast.BoolOp, ast.UnaryOp)  # conditions that are changed themselves
 SKIPPED: Final = (ast.Raise, ast.Assert, ast.AnnAssign, ast.JoinedStr, ast.arguments)
 
 
@@ -44,7 +50,7 @@ class Place(NamedTuple):
     """A place that can be changed.
 
     Attributes:
-        file: relative to the package.
+        file: relative to the folder of all packages.
         number: of the node, in the order of `ast.walk`.
         line: in the file, from 1.
         what: the change in words.
@@ -64,9 +70,10 @@ def places(root: Path, file: str) -> list[Place]:
     for number, node in enumerate(ast.walk(tree)):
         if id(node) in skipped:
             continue
-        changed = _changed(node)
+        looks = isinstance(node, ast.Constant) and any(part in file for part in PICTURES)
+        changed = None if looks else _changed(node)
         if changed is not None:
-            what = f"{ast.unparse(node)} -> {ast.unparse(changed)}"
+            what = f"{_heading(node)} -> {_heading(changed)}"
             found.append(Place(file, number, node.lineno, what))
     return found
 
@@ -82,6 +89,11 @@ def mutant(root: Path, place: Place) -> ast.Module:
             node.__dict__.update(changed.__dict__)
             break
     return ast.fix_missing_locations(tree)
+
+
+def _heading(node: ast.AST) -> str:
+    """The text of a node; of a statement with a body the first line."""
+    return ast.unparse(node).partition("\n")[0]
 
 
 def _skipped(tree: ast.Module) -> set[int]:
@@ -107,9 +119,18 @@ def _of_value(node: ast.AST) -> bool:
     return isinstance(node, ast.AnnAssign) and node.value is not None and node.col_offset > 0
 
 
-def _changed(node: ast.AST) -> ast.expr | None:
+def _changed(node: ast.AST) -> ast.expr | ast.stmt | None:
     """A node changed; None where it is of no kind that is."""
     new = copy.copy(node)
+    if isinstance(new, ast.If) and not isinstance(new.test, NEGATED) and not _for_types(new.test):
+        new.test = ast.copy_location(ast.UnaryOp(ast.Not(), new.test), new.test)
+        return new
+    if isinstance(new, ast.IfExp):
+        new.body, new.orelse = new.orelse, new.body
+        return new
+    if isinstance(new, ast.AugAssign) and type(new.op) in BINARY:
+        new.op = BINARY[type(new.op)]()
+        return new
     if isinstance(new, ast.BinOp) and type(new.op) in BINARY and not _text(new):
         new.op = BINARY[type(new.op)]()
         return new
@@ -128,6 +149,11 @@ def _changed(node: ast.AST) -> ast.expr | None:
         new.id = NAMES[new.id]
         return new
     return _other_number(new)
+
+
+def _for_types(test: ast.expr) -> bool:
+    """Whether a branch is for a type checker alone."""
+    return isinstance(test, ast.Name) and test.id == "TYPE_CHECKING"
 
 
 def _copied(node: ast.expr) -> ast.expr:
@@ -157,7 +183,7 @@ def _text(node: ast.BinOp) -> bool:
 
 
 def files(root: Path, rooms: tuple[str, ...]) -> Iterator[str]:
-    """The files of rooms, relative to the package."""
+    """The files of rooms, relative to the folder of all packages."""
     for room in rooms:
         paths = [root / room] if room.endswith(".py") else sorted((root / room).rglob("*.py"))
         for path in paths:

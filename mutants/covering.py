@@ -23,12 +23,20 @@ class Covering(NamedTuple):
     """The map.
 
     Attributes:
-        lines: of each file, of each line, the tests that run it.
         costs: of each test [s] of processor time.
+        data: of coverage.py.
+        source: folder of all packages.
     """
 
-    lines: dict[str, dict[int, list[str]]]
     costs: dict[str, float]
+    data: Any
+    source: Path
+
+    def tests(self, file: str, line: int) -> list[str]:
+        """The tests that run a line of a file."""
+        contexts = self.data.contexts_by_lineno(str(self.source / file)).get(line, [])
+        names = {context.rpartition("|")[0] for context in contexts}
+        return sorted(name for name in names if name in self.costs)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -42,16 +50,24 @@ def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
     return result
 
 
-def noted(root: Path, folder: Path, tests: list[str]) -> None:
-    """Run tests and note what they cover; what was noted of others stays."""
+def noted(root: Path, folder: Path, options: list[str]) -> None:
+    """Run tests and note what they cover; what was noted of others stays.
+
+    Args:
+        root: of the repository.
+        folder: of the map.
+        options: of pytest: files of tests, `-m "not slow"`.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {COSTS: str(folder / "costs"), "COVERAGE_FILE": str(folder / "data")}
-    words = ["--cov=undeadzone", "--cov-context=test", "--cov-append", "--cov-report="]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "mutants.covering", *words, *tests]
-    subprocess.run(command, cwd=root, env=environment, check=True)
+    words = ["--cov=src", "--cov-context=test", "--cov-append", "--cov-report="]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "mutants.covering", *words, *options]
+    done = subprocess.run(command, cwd=root, env=environment, check=False)
+    if done.returncode not in (0, 1):  # 1: a test failed, which a trial finds out by itself
+        sys.exit(f"pytest ended with {done.returncode}")
 
 
-def read(package: Path, folder: Path) -> Covering:
+def read(source: Path, folder: Path) -> Covering:
     """What was noted."""
     import coverage
 
@@ -59,15 +75,6 @@ def read(package: Path, folder: Path) -> Covering:
     for text in (folder / "costs").read_text(encoding="utf-8").splitlines():
         test, cost = json.loads(text)
         costs[test] = cost
-    lines: dict[str, dict[int, list[str]]] = {}
-    data: Any = coverage.CoverageData(str(folder / "data"))
+    data = coverage.CoverageData(str(folder / "data"))
     data.read()
-    for measured in map(Path, data.measured_files()):
-        if not measured.is_relative_to(package):  # a copy that a test made
-            continue
-        by_line = {}
-        for line, contexts in data.contexts_by_lineno(str(measured)).items():
-            names = {context.rpartition("|")[0] for context in contexts}
-            by_line[line] = sorted(name for name in names if name in costs)
-        lines[measured.relative_to(package).as_posix()] = by_line
-    return Covering(lines, costs)
+    return Covering(costs, data, source)

@@ -9,12 +9,16 @@ import ast
 import functools
 import importlib
 import os
+import re
 import resource
 import signal
+import subprocess
 import sys
+import tempfile
 import time
 import types
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,21 +41,19 @@ def preload(root: Path, tests: Collection[str]) -> None:
     add_test_folders(root)
     sys.path[:0] = sorted({str((root / test).parent) for test in tests})  # as pytest does
     source = root / "src"
-    for path in sorted((source / "undeadzone").rglob("*.py")):
-        if path.name not in ("__init__.py", "__main__.py"):
+    for path in sorted(source.rglob("*.py")):
+        if path.name not in ("__init__.py", "__main__.py") and "templates" not in path.parts:
             importlib.import_module(".".join(path.relative_to(source).with_suffix("").parts))
     for test in sorted(tests):
-        importlib.import_module(Path(test).stem)
+        with suppress(KeyError):  # it needs a variable that pytest sets, and imports it later
+            importlib.import_module(Path(test).stem)
 
 
-def noticed(
-    package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost: float
-) -> tuple[bool, str]:
-    """Whether tests notice a mutant, and how.
+def noticed(file: str, tree: ast.Module, tests: Sequence[str], cost: float) -> tuple[bool, str]:
+    """Whether tests notice a mutant, and how: the first test that fails, if one does.
 
     Args:
-        package: the package's folder.
-        file: that is changed, relative to it.
+        file: that is changed, relative to the folder of all packages.
         tree: the file, changed.
         tests: to be run, by their ids.
         cost: of them, usually [s].
@@ -59,9 +61,10 @@ def noticed(
     Raises:
         RuntimeError: the tests did not run, which says nothing of the mutant.
     """
+    failed = os.memfd_create("failed")
     pid = os.fork()
     if not pid:
-        os._exit(_run(package, file, tree, tests, cost))
+        os._exit(_run(file, tree, tests, cost, failed))
     until = time.monotonic() + CLOCK
     while True:
         done, status = os.waitpid(pid, os.WNOHANG)
@@ -70,16 +73,75 @@ def noticed(
         if time.monotonic() > until:
             os.kill(pid, signal.SIGKILL)
         time.sleep(0.02)
+    os.lseek(failed, 0, os.SEEK_SET)
+    first = os.read(failed, 10_000).decode().partition("\n")[0]
+    os.close(failed)
     if os.WIFSIGNALED(status):
         return True, f"signal {os.WTERMSIG(status)}"
     code = os.WEXITSTATUS(status)
     if code in (4, 5, DID_NOT_RUN):  # 4 and 5: of pytest, for options or tests that are not there
         raise RuntimeError(f"{file}: exit {code} before the first test: {' '.join(tests)}")
-    known = {0: "", 1: "a test", NO_IMPORT: "it cannot be imported"}
+    known = {0: "", 1: first, NO_IMPORT: "it cannot be imported"}
     return code != 0, known.get(code, f"code {code}")
 
 
-def _run(package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost: float) -> int:
+def noticed_afresh(
+    root: Path, file: str, tree: ast.Module, tests: Sequence[str], seconds: float
+) -> tuple[bool, str]:
+    """Whether tests notice a mutant that is imported in place of its file, by their processes too.
+
+    Args:
+        root: of the repository.
+        file: that is changed, relative to the folder of all packages.
+        tree: the file, changed.
+        tests: files or ids of tests, in the order in which they are run.
+        seconds: after which they are ended, which says nothing of the mutant.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        text = Path(name, "changed.py")
+        text.write_text(ast.unparse(tree), encoding="utf-8")
+        changed = {
+            "MUTANT_MODULE": ".".join(Path(file).with_suffix("").parts),
+            "MUTANT_TEXT": str(text),
+            "PYTHONPATH": str(Path(__file__).with_name("afresh")),
+        }
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
+        with subprocess.Popen(
+            [*command, *tests],
+            cwd=root,
+            env=os.environ | changed,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as process:
+            try:
+                said = process.communicate(timeout=seconds)[0]
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                return False, f"nothing within {seconds:g} s"
+    if process.returncode not in (0, 1, 2):  # 2: a file of tests cannot be imported
+        raise RuntimeError(f"{file}: exit {process.returncode}: {said[-1000:]}")
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    return process.returncode != 0, failed[1] if failed else ""
+
+
+class _Failures:
+    """A plug-in of pytest that writes down which tests fail.
+
+    Args:
+        into: the file's number.
+    """
+
+    def __init__(self, into: int) -> None:
+        self.into = into
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed:
+            os.write(self.into, f"{report.nodeid}\n".encode())
+
+
+def _run(file: str, tree: ast.Module, tests: Sequence[str], cost: float, failed: int) -> int:
     """Run the tests in this process; pytest's exit code."""
     try:
         import pytest
@@ -92,12 +154,12 @@ def _run(package: Path, file: str, tree: ast.Module, tests: Sequence[str], cost:
         options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov"]
         # Hypothesis is imported before pytest could rewrite its assertions.
         options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
-        name = ".".join([package.name, *Path(file).with_suffix("").parts])
+        name = ".".join(Path(file).with_suffix("").parts)
         try:
             plant(sys.modules[name], tree)
         except Exception:
             return NO_IMPORT
-        return int(pytest.main([*options, *tests]))
+        return int(pytest.main([*options, *tests], plugins=[_Failures(failed)]))
     except BaseException:
         return DID_NOT_RUN
 

@@ -75,14 +75,16 @@ class Browser:
             self._process.wait()
         os.close(self._in)
 
-    def open(self, address: str) -> None:
-        """Load a page and wait until it has drawn."""
+    def open(
+        self, address: str, drawn: str = "document.documentElement?.dataset.numbers ?? ''"
+    ) -> None:
+        """Load a page and wait until it has drawn, which an expression tells."""
         self._call("Page.navigate", url="about:blank")
         self.said.clear()
         self.asked.clear()
         self._call("Page.navigate", url=address)
         for _ in range(1000):
-            if self.value("document.documentElement?.dataset.numbers ?? ''"):
+            if self.value(drawn):
                 return
             time.sleep(0.02)
         raise AssertionError(f"the page has drawn nothing: {self.said}")

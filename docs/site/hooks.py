@@ -41,7 +41,7 @@ HOW_TO = (
     "many_runs",
 )
 CHAPTERS = {
-    "Start": ["index.md", "try.md", "install.md", "gallery.md"],
+    "Start": ["index.md", "try.md", "install.md", "cases.md", "gallery.md"],
     "Tutorials": ["tour.md"],
     "How-to": [
         *(f"howto/{name}.md" for name in HOW_TO),
@@ -85,6 +85,24 @@ CHAPTERS = {
 }
 CONTRIBUTING = ["architecture.md", "decisions.md"]
 MOVED = {"house.md": "architecture.md", "glossary.md": "notation.md"}  # old address: new page
+# Old anchors of a page that was split: the page and anchor that replaced each.
+MOVED_ANCHORS = {
+    "filters.md": {
+        "prior-and-reading": "filters.md#assumptions-the-prior",
+        "which-readings-are-certain": "filter_equations.md#certain-measurements",
+        "what-else-may-be-wrong-censored": "filter_equations.md#disturbance-bias-and-model-error",
+        "how-strong-the-disturbance-is": "filter_equations.md#multiple-models-of-the-disturbance",
+        "what-silence-says": "filter_equations.md#censored-samples",
+        "readings-that-end": "filter_equations.md#limits-of-the-sensors-range",
+        "readings-that-are-wrong": "filter_equations.md#outliers",
+        "a-world-that-is-not-as-claimed": "innovation_tests.md",
+        "looking-back": "filter_equations.md#smoothing",
+        "what-cannot-be-known": "filter_equations.md#bias-or-centre-calibrated",
+        "to-the-controller": "filter_equations.md#feedback-of-the-estimated-model-error",
+        "how-good-is-that": "filter_accuracy.md",
+        "measured": "filter_accuracy.md#coverage-of-95-intervals",
+    },
+}
 TRY = """# Try it
 
 The whole loop of plant, sensor, observer and controller, computed in your browser at each move of a
@@ -131,7 +149,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to files outside of docs/ lead to their pages or copies."""
+    """Let links to files outside of docs/ lead to their pages or copies, and old anchors on."""
+    markdown += moved_sections(MOVED_ANCHORS.get(page.file.src_uri, {}))
     source = source_of(page.file.src_uri)
 
     def led(match: re.Match[str]) -> str:
@@ -200,6 +219,17 @@ def page_of(path: str, files: Files, config: MkDocsConfig) -> str | None:
 def add(files: Files, config: MkDocsConfig, uri: str, content: str | bytes) -> None:
     """Add a file to the site."""
     files.append(File.generated(config, uri, content=content))
+
+
+def moved_sections(anchors: dict[str, str]) -> str:
+    """Return a section with each old anchor, whose line leads to what replaced it."""
+    if not anchors:
+        return ""
+    lines = []
+    for old, new in anchors.items():
+        title = old.replace("-", " ").capitalize()
+        lines.append(f'* <span id="{old}"></span>{title}: [{new.replace(".md", "")}]({new})')
+    return "\n\n## Sections that moved\n\n" + "\n".join(lines) + "\n"
 
 
 def redirect_page(target: str) -> str:

@@ -16,8 +16,10 @@ NAMES = (
     "log_to_widths",
     "design_with_proof",
     "your_robot",
+    "arm_with_backlash",
     "to_a_board",
     "add_an_observer",
+    "reproduce_the_paper",
 )
 LIMIT = 300  # seconds for one cell
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -15,12 +16,14 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile.graph import required_nodes
+from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import c_literal
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
+from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
 from undeadzone_export.code import Code, build_code, count_operations
@@ -40,6 +43,7 @@ PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
 MANY = 20_000  # operations of code that a compiler takes a minute for
+SHARE = 20.0  # time that an export takes, relative to that of its graphs
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -132,16 +136,19 @@ def export(
     if to in targets.VERSIONS:
         require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
+    began = time.monotonic()
     step = exported_step.build_step(problem, part, tunable)
-    double = build_code(step, single=False)
-    printed = build_code(step, single=True) if precision == "single" else double
+    printed = build_code(step, single=precision == "single")
+    operations = sum(count_operations(printed.results).values())
+    if told is not None and operations > MANY:
+        seconds = SHARE * (time.monotonic() - began)
+        told(_slow_export_warning(operations, seconds, scenario.observer))
     labels = Labels(prefix, scenario.title, part)
     text = build_source(printed, labels)
-    if told is not None and text.operations > MANY:
-        told(_slow_compile_warning(text, scenario.observer))
-    rows = record_inputs(continue_scenario(scenario, STEPS), step)
+    steps = STEPS if printed.single else accuracy.MACHINE_STEPS
+    rows = record_inputs(continue_scenario(scenario, steps), step)
     report = _initial_report(printed, text, labels, tunable)
-    report["replaced_constants"] = constants_beyond_float(double) if printed.single else []
+    report["replaced_constants"] = constants_beyond_float(step) if printed.single else []
     report |= _accuracy_report(printed, text, rows)
     if to in FIRMWARE:
         found = fit_boards(report)
@@ -160,10 +167,16 @@ def export(
     return Exported(written, report, printed)
 
 
-def _slow_compile_warning(text: Source, observer: Any) -> str:
-    """Return a warning about a long compilation, with cheaper choices."""
-    size = len(text.code) // 1000
-    said = f"{text.operations:,} operations, {size:,} kB of C, for which a compiler takes minutes"
+def _slow_export_warning(operations: int, seconds: float, observer: Any) -> str:
+    """Return a warning about a long export, with cheaper choices.
+
+    Args:
+        operations: number of operations of a step.
+        seconds: that the export will take, estimated [s].
+        observer: the options of the observer.
+    """
+    minutes = count_noun(max(1, round(seconds / 60)), "minute")
+    said = f"{operations:,} operations, which take about {minutes} to write, compile and compare"
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
     return said + f"; {less} takes less" * bool(less)
 
@@ -271,10 +284,10 @@ def _struct_bytes(printed: Code) -> dict[str, int]:
     return {name: each * total_size(structs[name]) for name in ("state", "in", "out", "params")}
 
 
-def constants_beyond_float(double: Code) -> list[str]:
-    """Return the numbers of the code in double that float cannot represent, with substitutes."""
+def constants_beyond_float(step: exported_step.ExportedStep) -> list[str]:
+    """Return the numbers in double of a step that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
-    for node in required_nodes(itertools.chain(*double.results)):
+    for node in required_nodes(itertools.chain(*build_portable_nodes(step.function, "float64"))):
         size = abs(node.constant_value or 0.0)
         if size > float(limits.max) or 0 < size < float(limits.tiny):
             texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")

@@ -21,6 +21,7 @@ from undeadzone_export.exported_step import ExportedStep, member_entries, name_e
 from undeadzone_export.template import call_words, fill_template
 
 DIVERGED = 1e6  # size of a signal beyond which a run is not used
+PIECE = 512  # samples of a run between two looks for its divergence
 SAMPLES = 96  # of a run, in the self-test
 NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
 OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
@@ -67,26 +68,26 @@ def record_inputs(problem: Problem, step: ExportedStep) -> Floats:
     Raises:
         InputError: it diverges at once.
     """
-    rows = _inputs_along_run(problem, step)
-    missing = np.isnan(rows[:, step.readings :]).any(axis=1)
-    diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
-    if diverged[0]:
+    loop, state, exogenous = prepare(problem)
+    stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
+    places = tree.leaf_slices(loop.instant).target
+    found = []
+    for start in range(0, len(exogenous), PIECE):
+        given = exogenous[start : start + PIECE]
+        signals = name_outputs(loop, stepper.run(given))
+        others = [signals.u] if step.acting else [given[:, place] for place in places]
+        rows = np.hstack([signals.y, *others])
+        missing = np.isnan(rows[:, step.readings :]).any(axis=1)
+        diverged = np.asarray((np.abs(rows) > DIVERGED).any(axis=1) | missing)
+        found.append(rows[: int(diverged.argmax())] if diverged.any() else rows)
+        if diverged.any():
+            break
+    if not found[0].size:
         raise InputError(
             f"simulation: the run leaves +-{DIVERGED:g} at its first sample, so there is nothing "
             "to measure the code on. Export a scenario whose run stays bounded"
         )
-    return rows[: int(diverged.argmax())] if diverged.any() else rows
-
-
-def _inputs_along_run(problem: Problem, step: ExportedStep) -> Floats:
-    """Run the loop and return the inputs of a step."""
-    loop, state, exogenous = prepare(problem)
-    stepper = CompiledStepper(loop.step, state, tree.pack_tree(loop.params), brief=True)
-    signals = name_outputs(loop, stepper.run(exogenous))
-    if step.acting:
-        return np.hstack([signals.y, signals.u])
-    places = tree.leaf_slices(loop.instant).target
-    return np.hstack([signals.y, *[exogenous[:, place] for place in places]])
+    return np.concatenate(found)
 
 
 def choose_samples(rows: Floats, readings: int) -> Floats:

@@ -54,6 +54,7 @@ _SETTINGS: Final = {
     "one_edge": "A PID controller: error dead band 0, with limits on its integral.",
     "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
     "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
+    "ahead": "Smooth a noisy command first: at each of its turns the actuator crosses the gap.",
 }
 _SETTINGS_OF_GAPS: Final = {
     "mm": "Marlin: M425 X{width} F1 (any axis; M500 stores it).",
@@ -177,6 +178,7 @@ class Lost(NamedTuple):
         source: description of their source.
         silent: |y| up to which a sensor's sample is censored.
         absent: right or left, where a sensor has no such edge, else empty.
+        is_ahead: whether a gap is that of an actuator, ahead of the plant.
     """
 
     kind: str
@@ -187,6 +189,7 @@ class Lost(NamedTuple):
     source: str
     silent: float = 0.0
     absent: str = ""
+    is_ahead: bool = False
 
 
 def write_snippet(
@@ -249,8 +252,8 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "silent": _literal(lost.silent),
         "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
     }
-    settings = [_SETTINGS[kind]]
-    if kind == "backlash" and lost.unit in _SETTINGS_OF_GAPS:
+    settings = [_SETTINGS["ahead" if lost.is_ahead else kind]]
+    if kind == "backlash" and not lost.is_ahead and lost.unit in _SETTINGS_OF_GAPS:
         settings.insert(0, _SETTINGS_OF_GAPS[lost.unit])
     head = [line.format(**words) for line in (*_HEADS[kind], *settings)]
     head = [" ".join(line.split()) for line in head]
@@ -329,7 +332,8 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    return Lost(kind, right, left, width, unit, name, silent, absent[0] if absent else "")
+    gone, is_ahead = absent[0] if absent else "", verdict == "input_play"
+    return Lost(kind, right, left, width, unit, name, silent, gone, is_ahead)
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:
@@ -359,7 +363,7 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     """Return the zone or gap of a scenario: the sensor's, else the actuator's."""
     units, sensor, actuator = scenario.units, scenario.sensor, scenario.actuator
     observer = scenario.observer
-    at_sensor = [_numbers(sensor.right), _numbers(sensor.left)]
+    at_sensor, is_ahead = [_numbers(sensor.right), _numbers(sensor.left)], False
     if any(at_sensor[0] + at_sensor[1]):
         if sensor.kind == "jump":
             raise InputError(f"{path}: a jump sensor's readings are not shifted: nothing to add")
@@ -370,13 +374,14 @@ def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     elif actuator is not None and any(_numbers(actuator.right) + _numbers(actuator.left)):
         sides = [_single(_numbers(side), path) for side in (actuator.right, actuator.left)]
         right, left = (_with_range(side, None) for side in sides)
-        kind, unit = "backlash" if actuator.kind == "play" else "actuator", units.input
+        is_ahead, unit = actuator.kind == "play", units.input
+        kind = "backlash" if is_ahead else "actuator"
     else:
         raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")
     both = [a + b for a, b in zip(right, left, strict=True)]
     width = (both[0], both[1], both[2])
     silent = 0.5 * max(_numbers(sensor.quantum), default=0.0)
-    return Lost(kind, right, left, width, unit, path.name, silent)
+    return Lost(kind, right, left, width, unit, path.name, silent, is_ahead=is_ahead)
 
 
 def _numbers(value: Any) -> list[float]:

@@ -17,7 +17,7 @@ from undeadzone.registry import Options
 from undeadzone.util.arrays import Array, Floats, require_number
 
 STAND_INS = {
-    "(16) L": "L in R^{1 x n} is read as n x 1, else L (y - y^) is no state",
+    "(16) L": "L in R^(1 x n) is read as n x 1, else L (y - y^) is no state",
     "(21) d_l": "chi_l d^_l is read with d_l > 0, or with signed d_l < 0 (left_sign = 1)",
     "(25) P L C": (
         "the scalar tr(P L C) = C P L stands for the n x n matrix, the only scalar made of P, L "

@@ -18,9 +18,9 @@ import undeadzone.util.text
 from mutants.changes import mutant, places
 from mutants.trial import noticed
 
-package, file = Path("src/undeadzone").resolve(), "util/text.py"
-place = next(place for place in places(package, file) if place.what.startswith("HALF_95 * std"))
-print(*noticed(package, file, mutant(package, place), sys.argv[1:], 3.0))
+source, file = Path("src").resolve(), "undeadzone/util/text.py"
+place = next(place for place in places(source, file) if place.what.startswith("HALF_95 * std"))
+print(*noticed(file, mutant(source, place), sys.argv[1:], 3.0))
 """
 NOTICES = """
 from undeadzone.util.text import format_with_interval
@@ -38,17 +38,19 @@ def tried(*tests: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("test", "said"), [(NOTICES, "True a test\n"), ("def test_nothing(): pass", "False \n")]
+    ("test", "said"),
+    [(NOTICES, "True test_it.py::test_an_interval"), ("def test_nothing(): pass", "False")],
 )
 def test_a_mutant_is_noticed_by_a_test_of_what_it_changes(
     tmp_path: Path, test: str, said: str
 ) -> None:
     file = tmp_path / "test_it.py"
     file.write_text(test)
-    assert tried(file).stdout == said
+    noticed, _, first = tried(file).stdout.strip().partition(" ")
+    assert f"{noticed} {first.rpartition('/')[2]}".strip() == said
 
 
 def test_a_trial_that_does_not_run_is_no_mutant_noticed(tmp_path: Path) -> None:
     done = tried(tmp_path / "test_missing.py")
     assert done.returncode == 1
-    assert "RuntimeError: util/text.py: exit 4 before the first test" in done.stderr
+    assert "RuntimeError: undeadzone/util/text.py: exit 4 before the first test" in done.stderr

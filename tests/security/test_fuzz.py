@@ -38,6 +38,7 @@ CASES = {
     "pipes": 3,
     "entry_points": 4,
     "arguments": 8,
+    "exports": 1,
 }
 
 

@@ -348,7 +348,7 @@ def test_nothing_is_undefined(tmp_path: Path) -> None:
 def test_no_constant_overflows_or_vanishes(tmp_path: Path) -> None:
     scenario = small("sampled", observer={"method": "censored"} | OBSERVERS["censored"][1])
     step = exported_step.build_step(resolve_scenario(scenario))
-    assert exporting.constants_beyond_float(build_code(step, False)) == [
+    assert exporting.constants_beyond_float(step) == [
         "-1e+300: -3.3572615e+38f",
         "1e+100: 2.2533617e+38f",
         "1e+300: 3.3572615e+38f",
@@ -533,6 +533,23 @@ def test_the_long_run_of_float(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         assert report["float_against_double"][name]["error"] < 1e-4
 
 
+@pytest.mark.parametrize(("precision", "steps"), [("single", 100_000), ("double", 2_000)])
+def test_a_run_is_continued_as_far_as_it_is_compared(
+    precision: str, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With large filters the run takes most of the time of an export in double."""
+    asked: list[int] = []
+
+    def kept(scenario: Scenario, steps: int) -> Any:
+        asked.append(steps)
+        return selftest_vectors.continue_scenario(scenario, 0)
+
+    monkeypatch.setattr(exporting, "STEPS", 100_000)
+    monkeypatch.setattr(exporting, "continue_scenario", kept)
+    uz.export(certified(), out=tmp_path / "fw", precision=precision, name="joint")
+    assert asked == [steps]
+
+
 def test_a_run_that_ends_by_itself_is_not_continued() -> None:
     scenario = certified()
     longer = selftest_vectors.continue_scenario(scenario, 5000)
@@ -678,3 +695,21 @@ def test_the_stack_is_the_deepest_chain_of_calls(tmp_path: Path) -> None:
     assert compiler.stack_bytes(tmp_path, "o") == 138
     (tmp_path / "o.su").write_text("")
     assert compiler.stack_bytes(tmp_path, "o") is None
+
+
+def test_a_run_that_diverges_early_is_followed_to_there_without_compiling(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 100,000 samples the first are enough; the step of a large plant compiles for long."""
+    unstable = scene(
+        plant={"A": [[0.0, 1.0], [1.0, 0.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1, 0]},
+        controller={"method": "pid", "k_p": 0.0},
+        simulation=SLOW | {"step": 0.05, "duration": 1000.0},
+    )
+    problem = resolve_scenario(unstable)
+    step = exported_step.build_step(problem)
+    monkeypatch.setattr(scalar_step.cache, "read_cached_block", lambda *_: None)
+    monkeypatch.setattr(scalar_step.cache, "load_or_compile", lambda *_: pytest.fail("compiled"))
+    rows = selftest_vectors.record_inputs(problem, step)
+    assert 250 < len(rows) < 350
+    assert 5e5 < np.abs(rows).max() <= selftest_vectors.DIVERGED

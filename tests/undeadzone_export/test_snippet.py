@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from undeadzone.cli import group
 from undeadzone.errors import InputError
-from undeadzone_export.snippet import Lost, snippet_texts
+from undeadzone_export.snippet import Lost, lost_of_answer, snippet_texts
 
 LENGTH = 20  # lines of a snippet
 
@@ -166,6 +166,16 @@ def test_a_play_of_the_actuator_is_compensated_by_its_gap(tmp_path: Path) -> Non
     assert report["width"][0] == pytest.approx(0.5)
     assert report["unit"] == "%"
     assert "if (wanted > before) lead = 0.5f;" in (tmp_path / "few" / "snippet.h").read_text()
+
+
+def test_a_dead_band_ahead_of_the_plant_is_compensated_in_units_of_the_input() -> None:
+    found = answer("input_play", right=None, left=None, width=[5.0, 4.5, 5.5])
+    lost = lost_of_answer(found | {"units": {"input": "%", "output": "bar"}}, "a.json", "a.csv")
+    texts = snippet_texts(lost, "commanded")
+    assert (lost.kind, lost.unit, lost.width) == ("backlash", "%", (5.0, 4.5, 5.5))
+    assert "if (wanted > before) lead = 5.0f;" in texts["snippet.h"]
+    assert all("Smooth a noisy command first" in text for text in texts.values())
+    assert all("LinuxCNC" not in text for text in texts.values()), "a valve is no axis"
 
 
 @pytest.mark.parametrize(

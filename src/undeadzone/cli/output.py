@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce, wraps
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +24,7 @@ from undeadzone.cli.common import (
     value_option,
 )
 from undeadzone.errors import InputError
+from undeadzone.util.installed import import_scipy
 from undeadzone.util.own_files import require_own_file
 from undeadzone.util.shown import Block
 
@@ -66,7 +66,7 @@ class Output(NamedTuple):
         Raises:
             FileError: nothing can be written there.
         """
-        _import_scipy()
+        import_scipy()
         if self.out is None and not (self.figures or tables):
             return None
         folder = require_writable(self.out or Path(default))
@@ -170,23 +170,6 @@ def report_fresh_start(partial: Path) -> None:
     """
     if not partial.exists():
         print_line(f"--resume: there is no {partial}; begins anew", err=True)
-
-
-def _import_scipy() -> None:
-    """Import SciPy without the parts of NumPy that only its tests use.
-
-    SciPy's array layer takes over every name of NumPy, which imports f2py, testing, random and
-    others for that: more than half of the time of its import.
-    """
-    import numpy as np
-
-    space: Any = vars(np)
-    public, listed = space["__all__"], space["__dir__"]
-    space |= {"__all__": [name for name in public if name in space], "__dir__": lambda: [*space]}
-    try:
-        import_module("scipy.linalg")
-    finally:
-        space |= {"__all__": public, "__dir__": listed}
 
 
 def prepare_figures() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -31,9 +32,10 @@ class Line(NamedTuple):
     """Instruction of a CasADi function.
 
     Attributes:
-        word: its name.
+        word: its name, "call" of a function, or "part", a result of a call.
         operands: numbers of earlier lines.
-        leaf: name and entry of an input, value of a constant.
+        leaf: name and entry of an input, value of a constant, function that is called, number of a
+            result.
     """
 
     word: str
@@ -76,8 +78,16 @@ def read_program(function: ca.Function) -> Program:
             line = Line(word, leaf=function.instruction_constant(k))
         else:
             line = Line(word, tuple(holds[source] for source in sources))
-        holds[targets[0]] = len(lines)
-        lines.append(line)
+        if word == "call":
+            line = line._replace(leaf=function.instructions_sx()[k].which_function())
+            call = len(lines)
+            lines.append(line)
+            parts = [Line("part", (call,), number) for number in range(len(targets))]
+        else:
+            parts = [line]
+        for target, part in zip(targets, parts, strict=True):
+            holds[target] = len(lines)
+            lines.append(part)
     return Program(function.name(), lines, results)
 
 
@@ -86,6 +96,7 @@ def evaluate_program(
     read: Callable[[str, int], Any],
     constant: Callable[[float], Any],
     apply: Callable[..., Any],
+    call: Callable[[ca.Function, list[Any]], list[Any]] | None = None,
 ) -> list[list[Any]]:
     """Evaluate the outputs of a function with values of any kind.
 
@@ -94,13 +105,30 @@ def evaluate_program(
         read: (name of an input, entry) -> its value.
         constant: a number -> its value.
         apply: (word, values of the operands) -> the value of an instruction.
+        call: (function of one input, its values) -> the values of all its results (default: they
+            are evaluated, too).
     """
+
+    def evaluate(called: ca.Function, given: list[Any]) -> list[Any]:
+        """Evaluate a function that is called."""
+        key = called.__hash__()
+        if key not in programs:
+            programs[key] = read_program(called)
+        own = evaluate_program(programs[key], lambda _, k: given[k], constant, apply, call)
+        return [*itertools.chain(*own)]
+
+    programs: dict[int, Program] = {}
+    call = call or evaluate
     values: list[Any] = []
     for word, operands, leaf in of.lines:
         if word == "input":
             values.append(read(*leaf))
         elif word == "const":
             values.append(constant(leaf))
+        elif word == "call":
+            values.append(call(leaf, [values[operand] for operand in operands]))
+        elif word == "part":
+            values.append(values[operands[0]][leaf])
         else:
             values.append(apply(word, *[values[operand] for operand in operands]))
     return [[values[place] for place in result] for result in of.results]
@@ -119,19 +147,23 @@ class Rules(Protocol):
         """Return the node of a constant."""
 
 
-def build_nodes(function: ca.Function, rules: Rules) -> Results:
+def build_nodes(
+    function: ca.Function, rules: Rules, kept: dict[str, ca.Function] | None = None
+) -> Results:
     """Return the results of a function as nodes, whether or not lanes share its inputs.
 
     Args:
         function: with dense outputs. Its inputs named p are steady.
         rules: what makes the nodes.
+        kept: functions of one input of which calls stay calls, by names that end with the number of
+            results (grows; None: none does).
 
     Raises:
         InputError: names an instruction that cannot be compiled.
     """
     lines = read_program(function)
     for line in lines.lines:
-        if line.word not in (*_KNOWN, "input", "const"):
+        if line.word not in (*_KNOWN, "input", "const", "call", "part"):
             raise InputError(
                 f"{lines.title}: no code can be made of the instruction OP_{line.word.upper()}. "
                 "Run this graph on the engine 'interpret'"
@@ -154,4 +186,14 @@ def build_nodes(function: ca.Function, rules: Rules) -> Results:
             return rules.build_instruction("div", rules.build_constant(1.0), args[0])
         return rules.build_instruction("pow" if word == "constpow" else word, *args)
 
-    return evaluate_program(lines, read, rules.build_constant, apply)
+    def call(called: ca.Function, args: list[Node]) -> list[Node]:
+        """Return the nodes of the results of a call."""
+        assert kept is not None
+        count, made = called.nnz_out(), rules.nodes.intern
+        name = f"called{called.__hash__()}.{count}"
+        kept[name] = called
+        one = made("apply", *args, text=name, kind=rules.real, level=LANES)
+        return [made("part", one, text=str(k)) for k in range(count)]
+
+    kept_call = None if kept is None else call
+    return evaluate_program(lines, read, rules.build_constant, apply, kept_call)

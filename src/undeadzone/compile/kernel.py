@@ -8,7 +8,7 @@ of steps ahead. Both stand in tables of plain numbers, small enough for the near
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import casadi as ca
@@ -92,12 +92,18 @@ class KernelPrinter:
         shape, form: of the kernel.
         usual: next, out, flag if there are rare parts.
         parts: next, flag of each rare part.
+        name: of the function.
     """
 
     def __init__(
-        self, shape: Shape, form: Form, usual: list[list[Node]], parts: list[list[list[Node]]]
+        self,
+        shape: Shape,
+        form: Form,
+        usual: list[list[Node]],
+        parts: list[list[list[Node]]],
+        name: str,
     ) -> None:
-        self.shape, self.form = shape, form
+        self.shape, self.form, self.name = shape, form, name
         self.following, self.out = usual[0], usual[1]
         self.flag = (to_condition(usual[2][0]) or usual[2][0]) if parts else None
         self.declared: dict[str, str] = {}
@@ -110,14 +116,27 @@ class KernelPrinter:
         self.body: list[Node | Branch] = list(self.order)
         if form.branches and form.streams == 1:
             self.body = gather_branches(self.order, self.results, form.branches)
-        is_cut = form.is_cut(len(self.order))
-        self.pieces = OutlinedStep(self.body, self.results, form) if is_cut else None
+        is_cut = form.is_cut(len(self.order)) or any(node.op == "apply" for node in self.order)
+        self.pieces = OutlinedStep(self.body, self.results, form, name) if is_cut else None
         self.still = per_call_nodes(self.order, self.results)
         self.have: dict[Node, str] = {}  # steady values, plain
         self.own: list[Names] = []  # of values that lanes compute once
 
-    def print_module(self, name: str) -> str:
-        """Return the text of the module with a function of the given name."""
+    def print_module(self, called: Iterable[KernelPrinter]) -> str:
+        """Return the text of the module, with functions that this function calls."""
+        lines = []
+        for each in (*called, self):
+            lines += each.print_function("void" if each is self else "internal void")
+            self.declared |= each.declared
+        lines += [
+            *self.declared.values(),
+            'attributes #0 = { nounwind "prefer-vector-width"="512" }',
+            *([_UNLIKELY] if self.flag else []),
+        ]
+        return "\n".join(lines)
+
+    def print_function(self, head: str) -> list[str]:
+        """Return the lines of the function, which begins with linkage and type, and its pieces."""
         entry = self._new_text("e")
         self._print_steady(entry)
         group, body = self._print_groups(), self._print_step()
@@ -128,10 +147,10 @@ class KernelPrinter:
         steps = steps if self.shared.entries else _FOR_EVER
         tables = self._print_tables(entry, steps)
         arguments = ", ".join([f"ptr noalias %{array}" for array in _ARGUMENTS])
-        lines = [
+        return [
             *self.rare.cold_function_texts(self.declared),
             *functions,
-            f"define void @{name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
+            f"define {head} @{self.name}(i64 %steps, i64 %lanes, {arguments}) #0 {{",
             "entry:",
             # At a fixed place beside spilled numbers: where a number of the one has the same last
             # bits of its address as one of the other, the processor takes them for the same.
@@ -143,11 +162,7 @@ class KernelPrinter:
             *body,
             *self._print_loop_ends(),
             "}",
-            *self.declared.values(),
-            'attributes #0 = { nounwind "prefer-vector-width"="512" }',
-            *([_UNLIKELY] if self.flag else []),
         ]
-        return "\n".join(lines)
 
     def _scratch_type(self, numbers: int) -> str:
         """Return type and alignment of the array that holds tables of the given total
@@ -479,13 +494,21 @@ def print_kernel(
         return LANES if one or name[0] == "s" or place in shape.exogenous else SHARED
 
     promises: dict[KernelAssumption, None] = {}
-    usual = lower_function(functions.usual, nodes, level, arithmetic, promises)
+    kept: dict[str, ca.Function] | None = {} if one else None
+    usual = lower_function(functions.usual, nodes, level, arithmetic, promises, kept)
     parts = [lower_function(part, nodes, level, arithmetic, promises) for part in functions.rare]
     if form is None:
         results = [*itertools.chain(*usual)]
         form = machine.choose_form(len(lane_instructions(results)), width)
-    block = KernelPrinter(shape, form, usual, parts)
-    return KernelText(block.print_module(name), form, tuple(promises))
+    block = KernelPrinter(shape, form, usual, parts, name)
+    called: list[KernelPrinter] = []
+    while kept and len(called) < len(kept):
+        title, function = [*kept.items()][len(called)]
+        made = lower_function(function, Nodes(), level, arithmetic, promises, kept)
+        flat = [*itertools.chain(*made)]
+        of = Shape((0, function.nnz_in(), 0), (), (), tuple(range(len(flat))))
+        called.append(KernelPrinter(of, form, [[], flat], [], title))
+    return KernelText(block.print_module(called), form, tuple(promises))
 
 
 def _substitute_known(column: ca.SX, known: Mapping[int, float]) -> ca.SX:

@@ -18,7 +18,16 @@ from undeadzone.compile import elementary
 from undeadzone.compile.assumptions import KernelAssumption
 from undeadzone.compile.casadi_reader import build_nodes
 from undeadzone.compile.coefficients import DOUBLE, FUSED
-from undeadzone.compile.graph import SHARED, Node, Nodes, Results, count_uses, to_condition
+from undeadzone.compile.graph import (
+    CONSTANT,
+    LANES,
+    SHARED,
+    Node,
+    Nodes,
+    Results,
+    count_uses,
+    to_condition,
+)
 from undeadzone.compile.simplify import ExactRules, FusedRules, PortableRules
 
 SUMS: Final = ("add", "sub", "neg")
@@ -45,6 +54,7 @@ def lower_function(
     levels: Levels,
     arithmetic: Arithmetic,
     granted: dict[KernelAssumption, None],
+    kept: dict[str, ca.Function] | None = None,
 ) -> Results:
     """Return the results of a function as instructions.
 
@@ -54,13 +64,14 @@ def lower_function(
         levels: of its inputs.
         arithmetic: how it rounds.
         granted: promises that are taken for granted, which fused lanes do (grows).
+        kept: functions of which calls stay calls, by name (grows; None: none does).
 
     Raises:
         InputError: names an instruction that the engine lacks.
     """
     fused = arithmetic.fused
     rules = FusedRules(Nodes(), granted) if fused else ExactRules(Nodes())
-    results = build_nodes(function, rules)
+    results = build_nodes(function, rules, kept)
     counts = count_uses(results)
     order = sorted(counts, key=lambda node: node.number)
     taken = _absorbed_nodes(order, counts) if fused else set()
@@ -192,7 +203,8 @@ class _Lowering(NamedTuple):
             return self._lower_extreme(node.text, *args)
         if node.text in self.ours:
             return self.ours[node.text](*args)
-        return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind)
+        level = LANES if node.op == "apply" else CONSTANT
+        return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind, level=level)
 
     def _lower_extreme(self, word: str, a: Node, b: Node) -> Node:
         """Return the minimum or maximum of two numbers, the first of equals, the number if

@@ -29,16 +29,24 @@ class OutlinedStep:
         order: of the instructions.
         results: nodes that they compute.
         form: of the kernel.
+        name: of the function that the step belongs to.
     """
 
-    def __init__(self, order: Order, results: list[Node], form: Form) -> None:
+    def __init__(self, order: Order, results: list[Node], form: Form, name: str) -> None:
+        self._name = name
         self._orders, self._lanes = list(_cut_order(order, form.piece)), form.lanes
         self._made: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             self._made.update(dict.fromkeys(_flat_instructions(piece), at))
         self._last = self._last_uses(results)
         self._places: dict[Node, int] = {}
-        self.numbers = self._assign_places() * form.lanes  # that the frame holds
+        self._given = self._assign_places() * form.lanes  # numbers of the frame
+        calls = [node for node in self._made if node.op == "apply"]
+        self.numbers = self._given + max([len(call.args) for call in calls], default=0)
+        self._calls: dict[Node, int] = {}
+        for call in calls:
+            self._calls[call] = self.numbers
+            self.numbers += int(call.text.rpartition(".")[2])
 
     def _last_uses(self, results: list[Node]) -> dict[Node, int]:
         """Return, for each value passed between functions, the last function that uses it.
@@ -79,7 +87,7 @@ class OutlinedStep:
             if node not in self._made:
                 self._print_frame_store(text, node, source(node))
         for at in range(len(self._orders)):
-            text.append_line(f"call void @piece{at}({_pointer_arguments('ptr')})")
+            text.append_line(f"call void @{self._name}.piece{at}({_pointer_arguments('ptr')})")
         return self._frame_source(text, self._made, source)
 
     def outlined_texts(
@@ -92,7 +100,8 @@ class OutlinedStep:
             tables: gives what names values of lower levels in a function, from %sp and %sq.
         """
         numbered = enumerate(self._orders)
-        texts = [Text(self._lanes, declared) for _ in self._orders]
+        calls = self._calls, self._given
+        texts = [Text(self._lanes, declared, "t", *calls) for _ in self._orders]
         return [self._outlined_text(at, piece, texts[at], tables) for at, piece in numbered]
 
     def _outlined_text(
@@ -115,9 +124,8 @@ class OutlinedStep:
                 have[node] = names(node)
                 if node in self._places:
                     self._print_frame_store(text, node, have[node])
-        head = (
-            f"define internal void @piece{at}({_pointer_arguments('ptr noalias')}) noinline #0 {{"
-        )
+        given = _pointer_arguments("ptr noalias")
+        head = f"define internal void @{self._name}.piece{at}({given}) noinline #0 {{"
         return "\n".join([head, "entry:", *text.lines, "  ret void", "}"])
 
     def _print_frame_store(self, text: Text, node: Node, name: str) -> None:

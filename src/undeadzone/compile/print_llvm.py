@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -45,10 +46,19 @@ class Text:
         lanes: of a vector (1 for plain numbers).
         declared: declarations of the module, by name (shared by its functions).
         prefix: of the names of values, another one for each part of a function.
+        calls: where in %frame the results of each call stand.
+        given: where in %frame the arguments of a call stand.
     """
 
-    def __init__(self, lanes: int, declared: dict[str, str], prefix: str = "t") -> None:
-        self.lanes, self.declared = lanes, declared
+    def __init__(
+        self,
+        lanes: int,
+        declared: dict[str, str],
+        prefix: str = "t",
+        calls: Mapping[Node, int] = MappingProxyType({}),
+        given: int = 0,
+    ) -> None:
+        self.lanes, self.declared, self._calls, self._given = lanes, declared, calls, given
         self.lines: list[str] = []
         self.block = ""  # the label of the block that is being printed
         self._prefix, self._fresh = prefix, 0
@@ -128,7 +138,12 @@ class Text:
             names: of its operands.
             vector: in every lane, else once.
         """
+        if node.op == "part":
+            place = self._calls[node.args[0]] + int(node.text)
+            return self.load(self.address_of("%frame", place))
         args, last = [names(arg) for arg in node.args], node.args[-1]
+        if node.op == "apply":
+            return self._print_apply(node, args)
         value = self.type(TYPES[last.kind], vector)
         if node.op == "select":
             return self.print_select(args[0], value, args[1], args[2], vector)
@@ -192,6 +207,15 @@ class Text:
         """Print a call of a function of numbers of a kind, and return the name of its value."""
         given = ", ".join([f"{kind} {arg}" for arg in args])
         return self.add(f"call {kind} @{function}({given})")
+
+    def _print_apply(self, node: Node, args: list[str]) -> str:
+        """Print a call of a function of the module. Its own value is nothing, 0."""
+        for k, arg in enumerate(args):
+            self.store(arg, self.address_of("%frame", self._given + k))
+        given, out = (self.address_of("%frame", at) for at in (self._given, self._calls[node]))
+        pointers = f"ptr null, ptr {given}, ptr null, ptr null, ptr {out}"
+        self.append_line(f"call void @{node.text}(i64 1, i64 1, {pointers})")
+        return self.zero()
 
     @contextmanager
     def print_loop(self, name: str, begin: str, end: str, stride: int = 1) -> Iterator[str]:

@@ -20,6 +20,7 @@ from undeadzone.util.arrays import Floats
 
 KINDS: Final = ("float64*",)
 ROWS: Final = 128  # samples in a call
+BEGUN: Final = 512  # samples of a brief run that are not worth a compilation
 
 # A call's memory holds the number of samples, p, s, and w and out of each sample.
 _BLOCK: Final = """
@@ -47,7 +48,8 @@ class CompiledStepper:
         step: next, out = step(s, w, p).
         state: at the beginning (states).
         params: p.
-        brief: of a single run: code of no effort, before the first sample, and no better one.
+        brief: of a single run by `run`: the virtual machine, and beyond `BEGUN` samples code of no
+            effort.
 
     Attributes:
         engine: engine that runs a sample: "compiled", "compiled, first form" while a faster one is
@@ -71,16 +73,19 @@ class CompiledStepper:
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
         self.w, self.out = self._rows[0], self._outs[0]
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
-        recipe = _stepper_recipe(step, starts)
-        block = cache.read_cached_block(recipe, KINDS)
+        self._recipe = _stepper_recipe(step, starts)
+        self._left = BEGUN if brief else np.inf  # samples until `run` compiles the step
         self._thread: threading.Thread | None = None
-        if block is not None or brief:
-            self._take_code(block or cache.load_or_compile(recipe, KINDS, True, True))
+        block = cache.read_cached_block(self._recipe, KINDS)
+        if block is not None:
+            self._take_code(block)
+            self._left = np.inf
             return
         self.engine = "virtual machine, while the step is compiled"
         self._call = self._interpreter(Stepper(step, state, params))
-        self._thread = threading.Thread(target=self._compile, args=(recipe,), name="compile")
-        self._thread.start()
+        if not brief:
+            self._thread = threading.Thread(target=self._compile, name="compile")
+            self._thread.start()
 
     def _interpreter(self, machine: Stepper) -> Callable[[object], None]:
         """Return the call of the virtual machine on the same memory."""
@@ -96,10 +101,10 @@ class CompiledStepper:
 
         return call
 
-    def _compile(self, recipe: cache.Recipe) -> None:
+    def _compile(self) -> None:
         """Compile, and exchange the called code each time that better code is ready."""
         try:
-            block = cache.load_or_compile(recipe, KINDS, True)
+            block = cache.load_or_compile(self._recipe, KINDS, True)
         except InputError as error:
             self.engine = f"virtual machine: {error}"
             return
@@ -129,7 +134,11 @@ class CompiledStepper:
         """Return the outputs along w (N x outputs) and advance the state."""
         outputs = np.empty((len(w), self.out.size))
         for start in range(0, len(w), ROWS):
+            if self._left <= 0:
+                self._take_code(cache.load_or_compile(self._recipe, KINDS, True, True))
+                self._left = np.inf
             rows = w[start : start + ROWS]
+            self._left -= len(rows)
             self._rows[: len(rows)] = rows
             self._memory[0] = len(rows)
             self()

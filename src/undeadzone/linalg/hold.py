@@ -14,6 +14,7 @@ import numpy as np
 from undeadzone.errors import InputError
 from undeadzone.linalg.matrices import Matrices, balance_states, change_state_units
 from undeadzone.util.arrays import Floats
+from undeadzone.util.installed import import_scipy
 
 TERMS = 12  # of the series, whose rest is below 1e-17 for a norm of at most SMALL
 SMALL = 0.25
@@ -28,6 +29,7 @@ def zoh(linear: Matrices, Ts: float) -> Matrices:
         linear: the plant in continuous time.
         Ts: time for which u is held [s].
     """
+    import_scipy()
     from scipy.linalg import expm
 
     n = linear.A.shape[0]

@@ -60,6 +60,15 @@ OF_INPUTS: Final = (
     ("pulses", "pulse", "motor", "motor position", "motor angle", "motor encoder"),
 )
 TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
+# First or last words of names that no trade has: `force_command`, `measured_angle`.
+MEASURED: Final = frozenset(("reading", "measured", "measurement", "actual"))
+COMMANDED: Final = frozenset(("command", "commanded", "cmd", "input"))
+# A unit at the end of a name: `motor_deg`, `force_N`. Letters that often mean something else, and
+# units of speed, which would make a speed of a position, are none.
+_WITH_UNIT: Final = re.compile(
+    r"(.*[^\W_])[_ ](N|Nm|V|A|K|(?i:deg|rad|mrad|arcsec|arcmin|mm|cm|um|inch|us|ms|ns|px|counts"
+    r"|pct|percent|mv|ma|volts?|amps?|newtons?|pa|kpa|bar|psi|degc|celsius|kelvin))"
+)
 _TIME_WITH_UNIT: Final = re.compile(r"(?:t|time|times|timestamp|elapsed|elapsed time) (\S+)")
 _NAME_WITH_UNIT: Final = re.compile(r"(?:.* )?(\S+)")
 _ITSELF_A_TIME: Final = frozenset(
@@ -267,7 +276,7 @@ class _Header(NamedTuple):
             dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
             date = next((k for k in dated if k not in used), None)
             roles.append(f"t from {self.titles[time].name!r}")
-        y, u = [self.titles[k] for k in readings], [self.titles[k] for k in inputs]
+        y, u = ([_add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
         for signal, titles in (("y", y), ("u", u)):
             roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
         said, named = ", ".join(roles), bool(_of_signal(self.chosen, "y"))
@@ -303,7 +312,7 @@ class _Header(NamedTuple):
         if "t" in self.chosen:
             return self.column_of_name("t")
         for name in TIMES:
-            same = self.find_equal_names(name)
+            same = self.find_exact_names(name)
             if len(same) > 1:
                 many = f"several columns are named {name!r}"
                 raise FileError(f'{self.source}: {many}; columns="t=NUMBER"')
@@ -340,15 +349,16 @@ class _Header(NamedTuple):
             if columns:
                 raise FileError(
                     f"{self.source}: expected {count} of {signal}, the log has {len(columns)}: "
-                    f"{_list_columns([self.titles[k] for k in columns])}. Name them by "
+                    f"{_list_columns([self.titles[k] for k in columns])}. Name it by "
                     f'columns="{wanted[0]}=NAME"'
                 )
         if columns := self.of_the_trade(signal, count, taken):
             return columns
         require_table(self.source)
+        hint = self.hint_near_names(usual) or "."
         raise FileError(
             f"{self.source}: no name shows which column holds {signal}. There are "
-            f"{_list_columns(self.titles)}{self.hint_near_names(usual)}. Name it "
+            f"{_list_columns(self.titles)}{hint} Name it "
             f'by columns="{self.to_be_named()}"{self.example()}'
         )
 
@@ -367,7 +377,12 @@ class _Header(NamedTuple):
             if same:
                 return same if len(same) == count else []
         pair = [k for k, name in enumerate(plain) if name in TEST_MACHINE]
-        return pair[-1:] * (signal == "y") or pair[:1] if len(pair) == 2 and count == 1 else []
+        if len(pair) == 2 and count == 1:
+            return pair[-1:] if signal == "y" else pair[:1]
+        words = MEASURED if signal == "y" else COMMANDED
+        ends = [{name.split(" ")[0], name.split(" ")[-1]} for name in plain]
+        same = [k for k, end in enumerate(ends) if end & words and k not in taken]
+        return same if len(same) == count else []
 
     def drive_of_servo(self, inputs: Sequence[int], taken: Sequence[int | None]) -> list[int]:
         """Return the column of the current of a servo that follows a position; none for others."""
@@ -417,9 +432,14 @@ class _Header(NamedTuple):
                 indexed.append((int(match[2]), k))
         return [k for _, k in sorted(indexed)] or same
 
-    def find_equal_names(self, name: str) -> list[int]:
+    def find_exact_names(self, name: str) -> list[int]:
         """Return the columns of that name, be they written large or small."""
         return [k for k, title in enumerate(self.titles) if title.name.lower() == name.lower()]
+
+    def find_equal_names(self, name: str) -> list[int]:
+        """Return the columns of that name; if there is none, those of that name with a unit."""
+        with_unit = (k for k, title in enumerate(self.titles) if _plain(title.name) == name.lower())
+        return self.find_exact_names(name) or list(with_unit)
 
     def column_of_name(self, key: str) -> int:
         """Return the column of a chosen name or number (from 1).
@@ -459,7 +479,19 @@ def has_time(titles: Sequence[Title]) -> bool:
     return any(title.name.lower() in TIMES or _is_time_with_unit(title) for title in titles)
 
 
+def _add_unit(title: Title) -> Title:
+    """Return a title with the unit at the end of its name, unless it has another."""
+    found = _WITH_UNIT.fullmatch(title.name)
+    return Title(title.name, found[2]) if found and not title.unit else title
+
+
 def _plain(name: str) -> str:
+    """Return the words of a name without a unit at their end."""
+    found = _WITH_UNIT.fullmatch(name)
+    return _split_words(found[1] if found else name)
+
+
+def _split_words(name: str) -> str:
     """Return a name in small letters, with blanks between its words."""
     apart = re.sub(r"([a-z])(Ms|Us|Ns)$", r"\1 \2", name)
     return " ".join(re.sub(r"[_.\-/\s]+", " ", apart).lower().split())
@@ -467,7 +499,7 @@ def _plain(name: str) -> str:
 
 def _is_time_with_unit(title: Title) -> bool:
     """Return whether a name contains a time and its unit: `t_ms`, `millis`."""
-    name = _plain(title.name)
+    name = _split_words(title.name)
     found = _TIME_WITH_UNIT.fullmatch(name)
     return name in _ITSELF_A_TIME or (found is not None and found[1] in SECONDS)
 
@@ -475,7 +507,7 @@ def _is_time_with_unit(title: Title) -> bool:
 def _seconds(title: Title, source: str) -> float | None:
     """Return the length of a unit of time [s]; None if it counts samples. Raises FileError."""
     unit = title.unit.lower()
-    found = _NAME_WITH_UNIT.fullmatch(_plain(title.name))
+    found = _NAME_WITH_UNIT.fullmatch(_split_words(title.name))
     if not unit and found is not None and found[1] in SECONDS:
         unit = found[1]
     if unit in COUNTS:

@@ -181,7 +181,7 @@ def of_frame(frame: Any) -> Columns:
 def _is_time(index: Any) -> bool:
     """Return whether an index without a name holds times that increase regularly."""
     if index.dtype.kind in "mM":
-        return bool(index.size > 1 and (np.diff(index) > np.timedelta64(0)).all())
+        return bool(index.size > 1 and (np.diff(index).astype(np.int64) > 0).all())
     return bool(index.dtype.kind in "iuf") and is_regular_time(index.astype(float))
 
 

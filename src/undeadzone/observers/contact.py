@@ -36,6 +36,7 @@ from undeadzone.observers.contact_filter.drive import (
     update_group_numbers,
 )
 from undeadzone.observers.contact_filter.modes import (
+    LONG,
     NONE,
     Drive,
     Layout,
@@ -423,7 +424,7 @@ def _step_contact_filter(
     each = []
     for drive, part, modes, read in zip(drives, parts, s.modes, readings, strict=True):
         before = [(part, one, read) for one in modes]
-        each.append(share_step_graph(partial(correct_modes, drive), before))
+        each.append(share_step_graph(partial(correct_modes, drive), before, LONG))
     odds, shares = _weigh_filters(s.odds, each)
     each = list(map(replace_diverged, each))
     ones = list(map(mix_posteriors, each, shares))
@@ -451,7 +452,7 @@ def _step_contact_filter(
     after = []
     for k, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
         calls = [(part, one, u[list(groups[k])]) for one in each[k]]
-        moved = share_step_graph(partial(predict_modes, drive), calls)
+        moved = share_step_graph(partial(predict_modes, drive), calls, LONG)
         pairs = zip(moved, modes, strict=True)
         after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
     return State(tuple(after), odds, sums), shown

@@ -5,6 +5,7 @@ Arms as a scenario names them: `plant.arm`.
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any, Literal
 
 import msgspec
@@ -130,6 +131,8 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         >>> plant = uz.Plant(A=[[0, 1], [-1, -2]], B=[0, 1], C=[1, 0])
         >>> plant.C
         [1, 0]
+        >>> plant.to_control().poles().real
+        array([-1., -1.])
 
     See Also:
         from_control, from_scipy, TransferFunction, Model
@@ -139,7 +142,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         B: gain of the input (n x m).
         C: z = C x (p x n).
         second_order: x'' + 2 zeta omega_n x' + omega_n^2 x = gain u.
-        companion: [a_0, ..., a_{n-1}] of the last row -a of (15), with C = e_1 (n).
+        companion: [a_0, ..., a_(n-1)] of the last row -a of (15), with C = e_1 (n).
         integrators: n, the length of the chain (15) of integrators, 1 to 50.
         transfer_function: numerator / denominator.
         f: x' = f(x, u), n formulas in the names of `states`, `inputs` and `parameters`. In Python
@@ -174,3 +177,7 @@ class Plant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     u_eq: Array | None = None
     x0: Array | None = None
     delay: int = 0
+
+    def to_control(self) -> Any:
+        """Return a linear plant as `control.StateSpace`, as `uz.to_control` does."""
+        return import_module("undeadzone.plants.interop").to_control(self)

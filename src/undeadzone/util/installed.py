@@ -1,4 +1,4 @@
-"""Entry points that installed packages register, found by group and imported by name."""
+"""Entry points of installed packages, found by group and imported by name, and a lean SciPy."""
 
 from __future__ import annotations
 
@@ -70,3 +70,20 @@ def load_object(what: str, place: str) -> Any:
         return getattr(import_module(module), name)
     except (Exception, SystemExit) as error:
         raise InputError(f"{what} is registered at {place}, which fails: {error}") from None
+
+
+def import_scipy() -> None:
+    """Import SciPy without the parts of NumPy that only its tests use.
+
+    SciPy's array layer takes over every name of NumPy, which imports f2py, testing, random and
+    others for that: more than half of the time of its import.
+    """
+    import numpy as np
+
+    space: dict[str, Any] = vars(np)
+    public, listed = space["__all__"], space["__dir__"]
+    space |= {"__all__": [name for name in public if name in space], "__dir__": lambda: [*space]}
+    try:
+        import_module("scipy.linalg")
+    finally:
+        space |= {"__all__": public, "__dir__": listed}

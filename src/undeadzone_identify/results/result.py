@@ -17,10 +17,19 @@ from undeadzone.util import shown
 from undeadzone.util.arrays import Floats, to_json_value
 from undeadzone.util.files import write_text
 from undeadzone.util.shown import Block
+from undeadzone_identify.logs.log import log_from_arrays, read_log
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.kalman_fit import smooth_with_deviation
 from undeadzone_identify.models.plant import PlantSimulator
 from undeadzone_identify.results.assemble import Answer
+from undeadzone_identify.results.model import (
+    Predicted,
+    Simulated,
+    answer_to_control,
+    answer_to_pandas,
+    predict_log,
+    simulate_answer,
+)
 from undeadzone_identify.results.next_log import NextLog, best_next_log
 from undeadzone_identify.results.to_continuous import observer_matrices
 from undeadzone_identify.results.to_scenario import scenario_text
@@ -89,8 +98,22 @@ class Identified:
     Attributes:
         answer: every value; the properties below are its most used ones.
 
+    Example:
+        >>> import numpy as np
+        >>> from scipy.signal import lfilter
+        >>> t = 0.05 * np.arange(1000)
+        >>> u = 3 * np.sin(0.9 * t) + 2 * np.sin(2.3 * t)
+        >>> z = lfilter([0, 0.1], [1, -0.9], u)
+        >>> noise = 0.01 * np.random.default_rng(0).standard_normal(1000)
+        >>> y = z - np.clip(z, -0.3, 0.5) + noise
+        >>> found = uz.identify(t=t, u=u, y=y, order=1, delay=0)
+        >>> found.verdict, round(found.right.value, 2), round(found.left.value, 2)
+        ('dead_zone', 0.5, 0.3)
+        >>> bool(np.abs(found.simulate(u).y - y).max() < 0.1)
+        True
+
     See Also:
-        identify
+        identify, Plant, estimate
     """
 
     answer: Answer
@@ -192,6 +215,86 @@ class Identified:
         if not (self.answer.zone or self.answer.case.jump_edges or self.verdict in WRITTEN):
             raise InputError(f"scenario: the verdict is {self.verdict}: there is no zone to write")
         return scenario_text([self.answer], title)
+
+    def simulate(self, u: Any) -> Simulated:
+        """Simulate plant and nonlinearity from rest, without noise.
+
+        Args:
+            u: inputs (N) or (N x m), one row a sample time of the log.
+
+        Returns:
+            Times, the plant's output z and the reading y.
+
+        Raises:
+            InputError: other shapes, or a verdict without a model or with an unknown edge.
+
+        Example:
+            >>> found.simulate(np.ones(3)).y.shape
+            (3,)
+        """
+        return simulate_answer(self.answer, u)
+
+    def predict(
+        self, source: Any = None, *, t: Any = None, u: Any = None, y: Any = None
+    ) -> Predicted:
+        """Predict each reading of a log from those before it, by the scenario's observer.
+
+        Args:
+            source: the log, as `identify` takes it, with the period of the first one.
+            t: times (N) [s] in place of a log (None: one step apart).
+            u: inputs (N) or (N x m).
+            y: readings (N), NaN if one is missing.
+
+        Returns:
+            Predicted readings with standard deviations, and the output z with its own.
+
+        Raises:
+            InputError: no scenario, or arrays that do not fit it.
+
+        Example:
+            >>> later = found.predict(u=u, y=y)
+            >>> bool(np.nanstd((later.y - y)[100:]) < 0.015)
+            True
+
+        See Also:
+            estimate
+        """
+        if source is None:
+            log = log_from_arrays(self.answer.case.grid.step if t is None else t, u, y)
+        else:
+            log = read_log(source)
+        return predict_log(self.answer, self.scenario(), log)
+
+    def to_control(self) -> Any:
+        """Return the sampled plant as `control.StateSpace`, with the log's names of its signals.
+
+        The dead zone is not part of it. A delay of the input is a chain of states.
+
+        Example:
+            >>> system = found.to_control()
+            >>> system.dt, system.input_labels, system.nstates
+            (0.05, ['u'], 1)
+
+        See Also:
+            from_control, Plant.to_control
+        """
+        return answer_to_control(self.answer)
+
+    def to_pandas(self) -> Any:
+        """Return the log and the hidden output as a DataFrame indexed by t (needs pandas).
+
+        Returns:
+            A column for each input, for the reading, for z and its standard deviation `z_std`.
+
+        Example:
+            >>> list(found.to_pandas().columns)
+            ['u', 'y', 'z', 'z_std']
+
+        See Also:
+            Run.to_pandas
+        """
+        states = self.states()
+        return answer_to_pandas(self.answer, states.z, states.z_std)
 
     def next_log(self) -> NextLog:
         """Return the input to record next: 30 s, within the amplitude and the rate of this

@@ -36,6 +36,15 @@ def read(path: Path, text: str) -> tuple[LogReader, Samples]:
         ("t,displacement [mm],force [N],velocity", "force", "displacement", None),
         ("millis,heater,temperature", "temperature", "heater", None),
         ("t,process_value,valve", "process_value", "valve", None),
+        ("t,motor_deg,joint_deg", "joint_deg", "motor_deg", None),
+        ("t,pwm_us,rpm", "rpm", "pwm_us", None),
+        ("t,pulses_ms,star_arcsec", "star_arcsec", "pulses_ms", None),
+        ("t,target_mm,camera_mm", "camera_mm", "target_mm", None),
+        ("t_ms,u_V,y_mm,ref_mm", "y_mm", "u_V", "ref_mm"),
+        ("t,displacement_mm,force_N", "force_N", "displacement_mm", None),
+        ("t,force_command,reading", "reading", "force_command", None),
+        ("t,commanded_angle,measured_angle", "measured_angle", "commanded_angle", None),
+        ("t,y,y_mm,u", "y", "u", None),  # the name itself comes before a name with a unit
     ],
 )
 def test_names_of_the_trade(header: str, y: str, u: str, r: str | None) -> None:
@@ -53,6 +62,32 @@ def test_two_readings_or_none_are_never_guessed() -> None:
         titles = [split_unit(cell) for cell in header.split(",")]
         with pytest.raises(FileError, match="no name shows which column holds y"):
             layout_of_titles(titles, None, None, {}, "log")
+
+
+def test_a_unit_at_the_end_of_a_name_is_carried() -> None:
+    titles = [split_unit(cell) for cell in ("t_ms", "motor_deg", "joint_deg [rad]")]
+    layout = layout_of_titles(titles, None, None, {}, "log")
+    assert layout.seconds == 1e-3
+    assert layout.input_titles == [("motor_deg", "deg")]
+    assert layout.reading_titles == [("joint_deg", "rad")], "brackets are the clearer word"
+    shaft = layout_of_titles([split_unit(cell) for cell in ("theta_m", "u_n", "y")], 1, 1,
+                             {"u[0]": "u_n"}, "log")  # fmt: skip
+    assert shaft.input_titles == [("u_n", "")], "n is no newton"
+
+
+@pytest.mark.parametrize(
+    "header", ["t,u,measured_angle,measured_force", "t,motor_rpm,load_rpm", "t,u,y_mm,y_deg"]
+)
+def test_names_with_units_or_ends_leave_open_what_is_open(header: str) -> None:
+    titles = [split_unit(cell) for cell in header.split(",")]
+    with pytest.raises(FileError, match=r"Name it by columns=.y"):
+        layout_of_titles(titles, None, None, {}, "log")
+
+
+def test_the_nearest_name_ends_the_sentence() -> None:
+    titles = [split_unit(cell) for cell in ("t", "inptu", "y")]
+    with pytest.raises(FileError, match=r"Did you mean 'inptu'\? Name it by columns=.u=NAME"):
+        layout_of_titles(titles, None, None, {}, "log")
 
 
 @pytest.mark.parametrize(

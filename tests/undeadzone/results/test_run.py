@@ -17,7 +17,7 @@ import pytest
 from scenes import scene
 from undeadzone.errors import FileError, InputError
 from undeadzone.results.files import drop_computing_time
-from undeadzone.results.run import Run
+from undeadzone.results.run import Run, blocks_from_run
 from undeadzone.results.signals import RUN
 from undeadzone.simulation.simulate import simulate
 
@@ -224,3 +224,11 @@ def test_files_that_are_not_runs(run: Run, tmp_path: Path) -> None:
     for name in ("missing.npz", "missing.csv", "."):
         with pytest.raises(FileError, match="cannot read"):
             Run.load(tmp_path / name)
+
+
+@pytest.mark.parametrize(("sensor", "word"), [("play", "holding"), ("dead_zone", "silent")])
+def test_a_play_holds_and_another_sensor_is_silent(run: Run, sensor: str, word: str) -> None:
+    other = replace(run, info=msgspec.structs.replace(run.info, sensor=sensor))
+    shown = blocks_from_run(other)[0]
+    assert isinstance(shown, dict)
+    assert shown.keys() & {"holding", "silent"} == {word}

@@ -54,3 +54,9 @@ def test_a_run_shows_widths_inside_the_declared_range(method: str) -> None:
         ends = line[line.index("[") + 1 : line.index("]")].split(",")
         assert low <= float(ends[0]) <= float(ends[1]) <= high
     assert np.isfinite(run.d_hat).all()
+
+
+def test_digits_that_no_fixed_place_shows_are_the_first_four() -> None:
+    assert format_with_interval(1234.0, 600.0) == "1234 [58.02, 2410]"
+    assert format_with_interval(1e-5, 1e-6) == "1e-05 [8.04e-06, 1.196e-05]"
+    assert format_with_interval(1e-4, 1e-13) == "0.0001 [0.0001, 0.0001]"

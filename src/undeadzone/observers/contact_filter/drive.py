@@ -63,7 +63,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         """Return x' (entries), and the torques through the gears (N) [N m]."""
         push = x[layout.slice_of("push")]
         dx, tau = gears.motion(
-            substitute_estimates(gears, params, x), x[: 4 * N], u + push, ca.DM(contact)
+            substitute_estimates(gears, params, x), x[: 4 * N], u + push, ca.vertcat(*contact)
         )
         constant = ca.SX.zeros(5 * N)
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
@@ -81,7 +81,7 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         rubbing = linearise(lambda each: body.friction(links, each), v)[1]
         M = ca.densify(body.mass(links, x[layout.slice_of("link")]))
         motors, heavier = J + g * ca.diag(friction), M + g * ca.diag(ca.diag(rubbing))
-        closed = [joint for joint, side in enumerate(contact) if side]
+        closed = [joint for joint, side in enumerate(contact) if not ca.SX(side).is_zero()]
         moved = solve_mass(heavier, ca.DM.eye(N)[:, closed])
         softened = (g * K + D)[closed]
         compliance = g * moved[closed, :] + ca.diag((g / motors)[closed] + 1 / softened)

@@ -37,11 +37,12 @@ from undeadzone.numerics.gaussian import (
     update_with_outliers,
 )
 from undeadzone.numerics.runge_kutta import GAMMA, rosenbrock_change
-from undeadzone.observers.filtering.multiple_models import mean_of_models
+from undeadzone.observers.filtering.multiple_models import mean_of_models, share_step_graph
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
-Contacts = tuple[int, ...]  # of each joint: 1, 0 or -1
+Contacts = Sequence[Any]  # of each joint: 1, 0 or -1, or a symbol of 1 or -1
+LONG = 4000  # instructions of a shared graph from which on calls of it stay calls
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
@@ -380,7 +381,7 @@ def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> tuple[Mo
     signs = [_leaving_shares(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
     for joint in range(drive.layout.size):
         now, signs = _leave_flanks(drive, q, joint, now, signs)
-    after = [_move_mode(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    after = _move_modes(drive, q, now, u)
     each = zip(modes, now, after, strict=True)
     arrivals = [_arrival_shares(drive.layout, q.slack, *ways) for ways in each]
     for joint in range(drive.layout.size):
@@ -467,6 +468,27 @@ def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: An
     late = sum(_flank_probabilities(drive.layout, joint, belief, q.slack)) > LATE
     share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
+
+
+def _move_modes(drive: Drive, q: Numbers, now: Sequence[Mode], u: Any) -> list[Mode]:
+    """Return the modes a sample later, with the contacts unchanged.
+
+    Modes of which the same joints are in contact share a graph, in which the flank is a symbol.
+    """
+    after: dict[int, Mode] = {}
+    modes = drive.layout.contact_combinations
+    for free in dict.fromkeys(tuple(side == 0 for side in mode) for mode in modes):
+        alike = [k for k, mode in enumerate(modes) if tuple(side == 0 for side in mode) == free]
+
+        def move(sides: Any, q: Numbers, one: Mode, u: Any, free: Any = free) -> Mode:
+            """Return a mode a sample later."""
+            flanks = zip(ca.vertsplit(sides), free, strict=True)
+            contact = [side * (1 - is_free) for side, is_free in flanks]
+            return _move_mode(drive, q, contact, one, u)
+
+        calls = [(ca.SX(ca.DM(modes[k])), q, now[k], u) for k in alike]
+        after |= zip(alike, share_step_graph(move, calls, LONG), strict=True)
+    return [after[k] for k in range(len(modes))]
 
 
 def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:

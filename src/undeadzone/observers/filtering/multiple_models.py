@@ -5,7 +5,7 @@ Each counts by how well it foretold the readings (docs/filter_equations.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -128,21 +128,51 @@ def update_weights(odds: Any, logs: Any, least: float = LEAST) -> tuple[Any, Any
     return odds, share / ca.sum1(share)
 
 
-def share_step_graph(step: Callable[..., Result], calls: Sequence[tuple[Any, ...]]) -> list[Result]:
+def share_step_graph(
+    step: Callable[..., Result], calls: Sequence[tuple[Any, ...]], long: float = np.inf
+) -> list[Result]:
     """Return the results of a step whose graph is built once, in symbols that calls replace.
 
     Args:
         step: of a member.
         calls: arguments of each, of equal shapes.
+        long: instructions of a graph from which on calls of it stay calls (default: none does).
     """
     if len(calls) == 1:
         return [step(*calls[0])]
-    columns = [[ca.SX(leaf) for _, leaf in tree.iterate_leaves(call)] for call in calls]
-    symbols = [ca.SX.sym(f"a{i}", leaf.sparsity()) for i, leaf in enumerate(columns[0])]
-    result = step(*tree.rebuild_tree(calls[0], iter(symbols)))
-    leaves = [ca.SX(leaf) for _, leaf in tree.iterate_leaves(result)]
-    graph = ca.Function("member", symbols, leaves)
-    return [tree.rebuild_tree(result, iter(graph.call(column))) for column in columns]
+    shapes = [ca.SX(leaf).sparsity() for _, leaf in tree.iterate_leaves(calls[0])]
+    columns = list(map(_flatten_leaves, calls))
+    places = _places_of_equals(columns)
+    w = ca.SX.sym("w", 1 + max(places))
+    result = step(*tree.rebuild_tree(calls[0], _split_leaves(shapes, w[places])))
+    shown = [ca.SX(leaf).sparsity() for _, leaf in tree.iterate_leaves(result)]
+    out = _flatten_leaves(result)
+    whence = _places_of_equals([out])
+    options = {"never_inline": ca.Function("count", [w], [out]).n_instructions() > long}
+    firsts = [whence.index(k) for k in range(1 + max(whence))]
+    graph = ca.Function("member", [w], [out[firsts]], ["w"], ["out"], options)
+    begins = [places.index(k) for k in range(w.numel())]
+    each = (graph(column[begins])[whence] for column in columns)
+    return [tree.rebuild_tree(result, _split_leaves(shown, one)) for one in each]
+
+
+def _flatten_leaves(value: Any) -> Any:
+    """Return the numbers of all leaves as a column."""
+    return ca.vertcat(*(ca.vec(ca.SX(leaf)).nz[:] for _, leaf in tree.iterate_leaves(value)))
+
+
+def _split_leaves(shapes: Sequence[ca.Sparsity], column: Any) -> Iterator[Any]:
+    """Return the leaves of which a column holds the numbers."""
+    ends = np.cumsum([0, *(shape.nnz() for shape in shapes)]).tolist()
+    parts = zip(shapes, ca.vertsplit(column, ends), strict=True)
+    return (ca.SX(shape, part) for shape, part in parts)
+
+
+def _places_of_equals(columns: Sequence[Any]) -> list[int]:
+    """Return a number for each row, the same for rows of equal expressions, as in a covariance."""
+    found: dict[tuple[int, ...], int] = {}
+    rows = [[one.element_hash() for one in ca.vertsplit(column)] for column in columns]
+    return [found.setdefault(key, len(found)) for key in zip(*rows, strict=True)]
 
 
 def _build_smoothing(member: Smoothing, variants: Sequence[Callable[[Any], Any]]) -> Smoothing:

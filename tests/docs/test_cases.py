@@ -1,0 +1,87 @@
+"""The cases of the gallery: their page has the table of RESULTS.md, and the quick ones run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks import cases
+from benchmarks.cases_machines import BAND, CASES, DEAD_BAND, GAP, LOST, STAR, ZONE
+from benchmarks.markdown import parted
+
+from tools import require
+
+ROOT = Path(__file__).parents[2]
+TRUE = {
+    "load_cell": ZONE,
+    "speed_controller": BAND,
+    "hobby_servo": (LOST,),
+    "two_encoders": (GAP,),
+    "mount": (STAR,),
+    "valve": (DEAD_BAND,),
+}
+QUICK = ("hobby_servo", "two_encoders", "mount")
+
+
+def rows() -> list[str]:
+    """Return the lines of the table in RESULTS.md."""
+    results = parted((ROOT / "benchmarks/RESULTS.md").read_text(encoding="utf-8"))["## Cases"]
+    return [line for line in results.split("\n") if line.startswith("|")]
+
+
+def test_the_page_has_the_table_of_the_results() -> None:
+    page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
+    shown = re.search(r"<!-- cases -->\n(.*?)<!-- /cases -->", page, re.DOTALL)
+    assert shown is not None
+    assert shown[1].strip().split("\n") == rows()
+    assert set(TRUE) == set(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_bench_measures_what_the_machine_has(name: str) -> None:
+    benches = [CASES[name].measure(np.random.default_rng(seed)) for seed in range(20)]
+    for k, true in enumerate(TRUE[name]):
+        held = [abs(one[k].value - true) <= 1.5 * one[k].error for one in benches]
+        assert np.mean(held) >= 0.8
+        assert np.mean([one[k].value for one in benches]) == pytest.approx(true, rel=0.08)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_case_runs_from_its_log_to_compiled_c(name: str, tmp_path: Path) -> None:
+    from shutil import which
+
+    require("compiler", [] if which("gcc") else ["gcc"])
+    case = CASES[name]
+    outcome = cases.run_case(name, case, tmp_path)
+    for (_, low, high), true in zip(outcome.found, TRUE[name], strict=True):
+        assert low < true < high
+    without, with_it = outcome.errors
+    assert with_it < 0.1 * without
+    (shown,) = (line for line in rows() if line.startswith(f"| {case.title} |"))
+    row = cases._row_of(case.title, outcome, case.unit, case.error_unit)
+    numbers = [float(word) for word in re.findall(r"[\d.]+(?:e-?\d+)?", row)]
+    assert [float(word) for word in re.findall(r"[\d.]+(?:e-?\d+)?", shown)] == pytest.approx(
+        numbers, rel=0.02
+    )
+
+
+def test_the_public_record_is_read_and_its_zone_imposed(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    given = rng.standard_normal((1024, 2))
+    np.savetxt(tmp_path / "robot_arm.dat", given)
+    case = cases.daisy_case(tmp_path / "robot_arm.dat")
+    log, widths = case.record(rng), case.measure(rng)
+    z = given[:, 1] - given[:, 1].mean()
+    inside = (z < widths[0].value) & (z > -widths[1].value)
+    assert widths[0].value == pytest.approx(0.5 * z.std())
+    assert np.array_equal(log[:, 2] == 0.0, inside)
+    assert case.use(rng, float) > case.use(rng, lambda y: y + widths[0].value * np.sign(y))
+
+
+def test_the_widths_of_the_arms_are_those_of_their_examples() -> None:
+    text = (ROOT / "examples/two_link_gears.toml").read_text(encoding="utf-8")
+    assert cases._read_true_widths(text) == pytest.approx([0.1, 0.12])
+    text = (ROOT / "examples/ur5.toml").read_text(encoding="utf-8")
+    assert cases._read_true_widths(text)[0] == pytest.approx(0.08)
