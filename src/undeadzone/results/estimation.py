@@ -31,11 +31,6 @@ class Estimation(files.SignalResult):
     Each signal is an attribute, None if the method does not estimate it: those of a log, and those
     of observers (`results.signals.ESTIMATED`).
 
-    Args:
-        info: facts besides the signals.
-        signals: by name (None: those given as keywords).
-        given: signals in their place, or besides them.
-
     Attributes:
         t: time (N) [s].
         y: reading (N x p) [y], NaN if it is missing.

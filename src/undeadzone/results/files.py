@@ -45,6 +45,13 @@ class SignalResult:
     layout: ClassVar[Layout]
 
     def __init__(self, info: Any, signals: Signals | None = None, **given: Floats | None) -> None:
+        """Keep the signals.
+
+        Args:
+            info: facts besides the signals.
+            signals: by name (None: those given as keywords).
+            given: signals in their place, or besides them.
+        """
         before = {} if signals is None else signals.arrays
         object.__setattr__(self, "info", info)
         object.__setattr__(self, "signals", Signals(self.layout, {**before, **given}))

@@ -49,11 +49,6 @@ class Run(files.SignalResult):
     Each signal is an attribute, None if the method does not estimate it or the plant does not have
     it: those of a simulation, and all that observers give (`results.signals.ESTIMATED`).
 
-    Args:
-        info: facts besides the signals.
-        signals: by name (None: those given as keywords).
-        given: signals in their place, or besides them.
-
     Attributes:
         t: time (N) [s].
         x: state (N x n).

@@ -526,7 +526,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(study: Path, tmp_pat
     interrupted(study, path, 3, signal.SIGKILL)
     assert not path.exists()
     said = interrupted(study, path, 1, signal.SIGINT)
-    assert f"runs are kept in {path}.partial; continue with --resume" in said
+    assert f"runs are kept in {path}.partial; continue with resume=True" in said
     run_ensemble(scenario, path, resume=True)
     assert path.read_bytes() == (tmp_path / "whole.npz").read_bytes()
     assert not path.with_name("runs.npz.partial").exists()
