@@ -45,9 +45,11 @@ from undeadzone_identify.selection.alternatives import (
     add_play_gap,
     add_valve,
     build_input_element,
+    deny_shaped_zone_without_width,
     has_a_model,
     has_play_ahead,
     holds_more,
+    may_have_shaped_zone,
     needs_an_element,
     needs_valve_test,
     with_adequacy,
@@ -469,6 +471,9 @@ QUESTIONS = (
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", needs_servo_test, add_servo),
     Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
+    Hypothesis(
+        "a shaped zone without a width", may_have_shaped_zone, deny_shaped_zone_without_width
+    ),
     Hypothesis("if a larger model simulates better", holds_more, without_needless),
     Hypothesis("the widths of a play", _has_play_verdict, add_play_gap),
     Hypothesis("noise that falls silent in the zone", _has_zone_with_zeros, _add_kalman_fit),

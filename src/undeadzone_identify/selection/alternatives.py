@@ -844,6 +844,26 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
     return found._replace(verdict=verdict._replace(reasons=[said]))
 
 
+def may_have_shaped_zone(case: Case, found: Findings) -> bool:
+    """Return whether a shaped zone of the sensor has odds that count."""
+    is_open = found.element is None and found.valve is None
+    return is_open and found.odds.get("filtered_zone", 0.0) > UNLIKELY
+
+
+def deny_shaped_zone_without_width(case: Case, found: Findings) -> Findings:
+    """Deny a shaped zone whose width may be 0: it imitates another element by its shape.
+
+    Args:
+        case: the log.
+        found: with odds of a shaped zone.
+    """
+    fit = fit_of(case, found, "filtered_zone")
+    width = None if fit is None else measure_word(case, fit, "filtered_zone")[0]["width"]
+    if width is None or width.low > 0:
+        return found
+    return found._replace(denied=found.denied | {"filtered_zone"}).add_models(case)
+
+
 def holds_more(case: Case, found: Findings) -> bool:
     """Return whether the model that is named holds a smaller one, and has a plant of its own."""
     return found.element is None and found.verdict.word in SMALLER
