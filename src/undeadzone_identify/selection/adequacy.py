@@ -90,7 +90,8 @@ class Remainder(NamedTuple):
         Args:
             model: the model in words.
         """
-        explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, p < 0.001)"
+        chance = least_squares.describe_p_value(self.chance)
+        explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {chance})"
         seen = f"the residual of the best one, {model}, depends on {explained}"
         return f"none of the known models explains this log: {seen}; nothing is named", SEEN[
             self.on
