@@ -96,8 +96,7 @@ class Remainder(NamedTuple):
         Args:
             model: the model in words.
         """
-        p = describe_p_value(self.chance)
-        on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {p})"
+        on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
         seen = f"the residual of the best one, {model}, depends on {on}"
         said = f"none of the known models explains this log: {seen}; nothing is named"
         return said, SEEN[self.on]
