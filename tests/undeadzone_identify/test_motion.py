@@ -1,0 +1,16 @@
+"""How readings move."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from undeadzone_identify.models.motion import _has_chatter
+
+
+def test_ticks_that_are_taken_back_at_once_are_noise() -> None:
+    rising = np.tile([1.0, 0.0, 0.0], 40)
+    rising[::30] = -2.0  # turns, but by another move than the one before
+    assert not _has_chatter(rising)
+    back = rising.copy()
+    back[3::9], back[4::9] = 1.0, -1.0
+    assert _has_chatter(back)
