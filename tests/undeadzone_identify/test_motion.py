@@ -9,8 +9,9 @@ from undeadzone_identify.models.motion import _has_chatter
 
 def test_ticks_that_are_taken_back_at_once_are_noise() -> None:
     rising = np.tile([1.0, 0.0, 0.0], 40)
-    rising[::30] = -2.0  # turns, but by another move than the one before
-    assert not _has_chatter(rising)
+    turns = rising.copy()
+    turns[1::15] = -2.0  # at once, but by another move than the one before
+    assert not _has_chatter(turns)
     back = rising.copy()
-    back[3::9], back[4::9] = 1.0, -1.0
+    back[1::15] = -1.0
     assert _has_chatter(back)
