@@ -453,7 +453,8 @@ def test_a_servo_is_likely_beside_words_that_name_nothing() -> None:
 
 
 def test_only_an_undecided_record_has_the_word_of_its_odds() -> None:
-    found: Any = SimpleNamespace(verdict=SimpleNamespace(word="undecided"), odds={"input_zone": 0.6})
+    verdict = SimpleNamespace(word="undecided")
+    found: Any = SimpleNamespace(verdict=verdict, odds={"input_zone": 0.6})
     assert selection._likeliest_word(found) == "input_zone"
     found.verdict.word = "dead_zone"
     assert selection._likeliest_word(found) == "dead_zone"
