@@ -416,8 +416,8 @@ def build_elastic_chain() -> Chain:
 
     The motor's inertia J, a spring of stiffness k, and `build_one_link`. Parameters: those of the
     link, J motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link
-    (b2, f2) comes with `arm`. Points and turn are the link's. At `[motor; motor]` they are those of a
-    motor's hand of the same length.
+    (b2, f2) comes with `arm`. Points and turn are the link's. At
+    `[motor; motor]` they are those of a motor's hand of the same length.
     """
     link = build_one_link()
 
