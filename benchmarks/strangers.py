@@ -1,7 +1,7 @@
 """Logs of strangers: is a name right, or withheld, where the truth is none of the candidates?
 
 `python -m benchmarks strangers` makes logs of the kinds of `strangers_logs`; STRANGERS_LOGS: of
-each kind (2), STRANGERS_FIRST: the first seed (1), STRANGERS_KINDS: kinds, separated by commas.
+each kind (2), STRANGERS_FIRST: the first seed (1), STRANGERS_KINDS: kinds, separated by semicolons.
 `python -m benchmarks.strangers FOLDER` asks of the records in a folder, and is as sure as their
 labels: files `S_*.csv`, `isdb_S_*.csv` are loops whose valve sticks, `N_*.csv`, `isdb_N_*.csv` of
 valves that do not; a file `labels.csv` in the folder (columns file, options, right) has others:
@@ -100,7 +100,7 @@ def strangers() -> Iterator[Outcome]:
         int(os.environ.get(f"STRANGERS_{k}", n)) for k, n in (("LOGS", 2), ("FIRST", 1))
     )
     names = os.environ.get("STRANGERS_KINDS", "")
-    for name in filter(None, names.split(",")) if names else ALL:
+    for name in filter(None, names.split(";")) if names else ALL:
         for seed in range(first, first + count):
             made = ALL[name].make(np.random.default_rng(seed))
             given = {"t": STEP, "u": made.u, "y": made.y, **made.options}
