@@ -46,6 +46,7 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "time_constants",
     "lost_motion",
     "motors",
     "valves",

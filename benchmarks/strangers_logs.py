@@ -122,7 +122,7 @@ def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
 
     def make(rng: np.random.Generator) -> Strange:
         size, tau, gain, h = 2500, 0.1, 2.0, STEP / 40
-        u = np.repeat(rng.uniform(-1, 1, size // 30 + 1), 30)[:size]
+        u = steps(rng, size)
         y, x, v = np.empty(size), 0.0, 0.0
         for k in range(size):
             y[k] = x
@@ -138,17 +138,31 @@ def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
     return make
 
 
+def sines(rng: np.random.Generator, size: int, samples: float) -> Floats:
+    """Three sines about a time constant of so many samples."""
+    phases, t = rng.uniform(0, 6, 3), np.arange(size) / samples
+    tones = zip((1, 0.7, 0.5), (0.7, 1.9, 4.1), phases, strict=True)
+    return sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(size))
+
+
+def steps(rng: np.random.Generator, size: int, hold: int = 30) -> Floats:
+    """Random levels, each held for so many samples."""
+    return np.repeat(rng.uniform(-1, 1, size // hold + 1), hold)[:size]
+
+
+def driven_motor(u: Floats, samples: float) -> Floats:
+    """The position of a linear motor whose time constant is so many samples."""
+    keep = np.exp(-1 / samples)
+    v = lfilter([0.0, 1 - keep], [1.0, -keep], u)
+    return np.asarray(np.cumsum(np.append(0.0, v[:-1])))
+
+
 def motor(samples: float) -> Callable[[np.random.Generator], Strange]:
     """A linear motor's position; its time constant is so many samples."""
 
     def make(rng: np.random.Generator) -> Strange:
-        n, phases = 2000, rng.uniform(0, 6, 3)
-        t = np.arange(n) / samples
-        tones = zip((1, 0.7, 0.5), (0.7, 1.9, 4.1), phases, strict=True)
-        u = sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(n))
-        keep = np.exp(-1 / samples)
-        v = lfilter([0.0, 1 - keep], [1.0, -keep], u)
-        y = np.cumsum(np.append(0.0, v[:-1]))
+        u = sines(rng, 2000, samples)
+        y = driven_motor(u, samples)
         return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
 
     return make

@@ -56,7 +56,7 @@ SEEN = {
     "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
     " input, of several amplitudes",
     "behind": "the sensor may smooth its readings; record them with its filter off",
-    "ahead": "a drive or a filter may delay the input ahead of its zone or curve; record what leaves"
+    "ahead": "a drive may delay the input ahead of its zone or curve; record what leaves"
     " it as the input, or hold each level of the input until the readings settle",
     "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
     " record with a smaller input",

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import Density, LeastSquares
@@ -120,7 +121,7 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     if not asked or data.u.shape[1] > 1 or data.silent_zeros:
         return False
     top = next(iter(odds), "")
-    if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case):
+    if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case.grid):
         return False
     part = _longest_record(data)
     u, y = data.u[part, 0], data.y[part][data.ok[part]]
@@ -129,13 +130,13 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
 
 
-def is_named_loop(case: Case) -> bool:
+def is_named_loop(grid: Grid) -> bool:
     """Return whether the input has the name of a controller's output.
 
     Args:
-        case: the log.
+        grid: the log.
     """
-    return case.grid.inputs[0].strip().lower() in CONTROLLER
+    return grid.inputs[0].strip().lower() in CONTROLLER
 
 
 def is_control_loop(case: Case) -> bool:
@@ -144,7 +145,7 @@ def is_control_loop(case: Case) -> bool:
     Args:
         case: the log.
     """
-    return is_named_loop(case) or detect_feedback(case).is_closed
+    return is_named_loop(case.grid) or detect_feedback(case).is_closed
 
 
 def _longest_record(data: RecordData) -> slice:
