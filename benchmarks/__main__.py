@@ -47,6 +47,7 @@ NAMES = (
     "names",
     "strangers",
     "time_constants",
+    "plain_fits",
     "lost_motion",
     "motors",
     "valves",
