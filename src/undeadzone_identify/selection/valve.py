@@ -15,7 +15,7 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import Density, LeastSquares
+from undeadzone_identify.models.least_squares import CHANCE, Density, LeastSquares
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
@@ -61,6 +61,8 @@ class ValveFindings(NamedTuple):
         period: of the oscillation [samples]; inf without.
         sensitivity: |1 / (1 + C G)| about this period.
         shape: width of the ellipse of PV over OP, in the range of OP.
+        answers: whether u foretells readings at all.
+        hidden: p of what a play explains beside u itself.
     """
 
     fit: ValveFit
@@ -76,6 +78,8 @@ class ValveFindings(NamedTuple):
     period: float
     sensitivity: float
     shape: float
+    answers: bool
+    hidden: float
 
     @property
     def swings(self) -> bool:
@@ -259,6 +263,8 @@ def _measure(
         period=log.period,
         sensitivity=fits.sensitivity(acting),
         shape=shape,
+        answers=fits.answers,
+        hidden=fits.chance_of_play(),
     )
 
 
@@ -319,6 +325,13 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
     if word in VALVE and valve.held_out.error >= valve.without:
         kept = "but predicts held-out readings no better than u itself"
         return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}", BUMP)
+    if word == "none" and not valve.answers:
+        reason = "the readings' own past foretells them as well as the input does: a valve that"
+        return build_verdict("undecided", f"{reason} never moved would look the same", BUMP)
+    if word == "none" and valve.hidden < CHANCE:
+        reason = f"{MODELS[word]} is the likeliest, but the position of a valve with play foretells"
+        seen = f"{reason} what it leaves (p = {valve.hidden:.1g})"
+        return build_verdict("undecided", seen, BUMP)
     return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)
 
 
