@@ -438,14 +438,14 @@ class LoopFits(NamedTuple):
         The play that explains most counts, for as many as are tried.
         """
         u, lags = self.log.u, self.structure.lags
-        without = np.sum(self.regression.errors(u, lags) ** 2)
+        without = float(np.sum(self.regression.errors(u, lags) ** 2))
         plays = np.array(BESIDE)
         least = without
         for v in valve_positions(u, plays, 0 * plays, KANO).T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            least = min(least, np.sum(self.regression.errors(u, lags, late) ** 2))
+            least = min(least, float(np.sum(self.regression.errors(u, lags, late) ** 2)))
         fallen = (least / without) ** (0.5 * self.regression.rows.size)  # of two numbers each
-        return float(min(plays.size * fallen, 1.0))
+        return min(plays.size * fallen, 1.0)
 
     def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
         """Return S and J with 95 % intervals: all pairs that the readings do not tell from a fit.
