@@ -43,6 +43,7 @@ FAR = 1.6  # logarithm of S over the best, that is tried
 SCATTER = 3.0  # how much larger than by one log differences of logs are taken
 DRAWS = 500  # of logs that might have been recorded
 CHUNK = 48  # positions that are regressed at once
+TURN = 0.25  # of the range of u, by which it turns back at least to count
 BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # plays that may act beside u itself [range of u]
 
 
@@ -121,7 +122,7 @@ class Regression:
         self.y = y[self.rows]
         own = np.column_stack([np.ones(self.rows.size), self.past])
         self._basis = np.linalg.qr(own)[0]
-        self.left = self._without_past(self.y)
+        self._left = self._without_past(self.y)
 
     def _without_past(self, columns: Floats) -> Floats:
         """Return columns without the part that the constant and the past explain."""
@@ -149,7 +150,9 @@ class Regression:
         if more is not None:
             columns = np.hstack([columns, more[self.rows]])
         columns = self._without_past(columns)
-        return np.asarray(self.left - columns @ np.linalg.lstsq(columns, self.left, rcond=1e-9)[0])
+        return np.asarray(
+            self._left - columns @ np.linalg.lstsq(columns, self._left, rcond=1e-9)[0]
+        )
 
     def errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return prediction errors behind each of many positions (n x K).
@@ -167,9 +170,9 @@ class Regression:
             gram = np.matmul(each.transpose(0, 2, 1), each)
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
-            asked = np.matmul(each.transpose(0, 2, 1), self.left[:, None])
+            asked = np.matmul(each.transpose(0, 2, 1), self._left[:, None])
             told = np.matmul(each, np.linalg.solve(gram, asked))[:, :, 0]
-            out[:, begin : begin + CHUNK] = self.left[:, None] - told.T
+            out[:, begin : begin + CHUNK] = self._left[:, None] - told.T
         return out
 
     def response(self, v: Floats, lags: range, z: complex) -> complex:
@@ -283,6 +286,13 @@ class LoopLog:
     def step(self) -> float:
         """Return the rms by which u moves in a sample: less of a valve is not seen."""
         return math.sqrt(float(np.mean(np.diff(self.u) ** 2)))
+
+    @property
+    def turns(self) -> int:
+        """Return how often u turned by more than a part of its range: only there a valve shows."""
+        v = valve_positions(self.u, np.array([TURN]), np.zeros(1), KANO)[:, 0]
+        moves = np.sign(np.diff(v))
+        return int(np.count_nonzero(np.diff(moves[moves != 0])))
 
     @property
     def orders(self) -> list[int]:
@@ -425,12 +435,6 @@ class LoopFits(NamedTuple):
         """Return the best density of each word."""
         ranked = sorted(self.valves, key=lambda one: -one.density.bic)
         return self.densities | {one.word: one.density for one in ranked}
-
-    @property
-    def answers(self) -> bool:
-        """Return whether u foretells readings better than their own past alone, by BIC."""
-        past = 1 + self.regression.past.shape[1]
-        return self.densities["none"].bic < _density("past", self.regression.left, past).bic
 
     def chance_of_play(self) -> float:
         """Return p of what the position of a play explains beside u itself [1].

@@ -39,6 +39,7 @@ SENSOR = ("dead_zone", "jump", "two_zones", "filtered_zone")  # words of a zone 
 OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
 CONTROLLER = ("op", "co", "mv", "controller output")  # names of a controller's output
 RARE = 3  # numbers that a cause costs besides which is rare in a control loop
+FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
@@ -61,7 +62,7 @@ class ValveFindings(NamedTuple):
         period: of the oscillation [samples]; inf without.
         sensitivity: |1 / (1 + C G)| about this period.
         shape: width of the ellipse of PV over OP, in the range of OP.
-        answers: whether u foretells readings at all.
+        turns: how often u turned by more than a quarter of its range.
         hidden: p of what a play explains beside u itself.
     """
 
@@ -78,7 +79,7 @@ class ValveFindings(NamedTuple):
     period: float
     sensitivity: float
     shape: float
-    answers: bool
+    turns: int
     hidden: float
 
     @property
@@ -263,7 +264,7 @@ def _measure(
         period=log.period,
         sensitivity=fits.sensitivity(acting),
         shape=shape,
-        answers=fits.answers,
+        turns=log.turns,
         hidden=fits.chance_of_play(),
     )
 
@@ -325,9 +326,9 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
     if word in VALVE and valve.held_out.error >= valve.without:
         kept = "but predicts held-out readings no better than u itself"
         return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}", BUMP)
-    if word == "none" and not valve.answers:
-        reason = "the readings' own past foretells them as well as the input does: a valve that"
-        return build_verdict("undecided", f"{reason} never moved would look the same", BUMP)
+    if word == "none" and valve.turns < FEW_TURNS:
+        seen = f"the input turned {valve.turns} times by more than a quarter of its range, and only"
+        return build_verdict("undecided", f"{seen} where it turns a valve that sticks shows", BUMP)
     if word == "none" and valve.hidden < CHANCE:
         reason = f"{MODELS[word]} is the likeliest, but the position of a valve with play foretells"
         seen = f"{reason} what it leaves (p = {valve.hidden:.1g})"
