@@ -46,6 +46,8 @@ NAMES = (
     "identify",
     "names",
     "strangers",
+    "time_constants",
+    "plain_fits",
     "lost_motion",
     "motors",
     "valves",

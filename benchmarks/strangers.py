@@ -1,11 +1,12 @@
 """Logs of strangers: is a name right, or withheld, where the truth is none of the candidates?
 
 `python -m benchmarks strangers` makes logs of the kinds of `strangers_logs`; STRANGERS_LOGS: of
-each kind (2), STRANGERS_FIRST: the first seed (1), STRANGERS_KINDS: kinds, separated by commas.
-`python -m benchmarks.strangers FOLDER` asks of the records in a folder, and is as sure as their
-labels: files `S_*.csv`, `isdb_S_*.csv` are loops whose valve sticks, `N_*.csv`, `isdb_N_*.csv` of
-valves that do not; a file `labels.csv` in the folder (columns file, options, right) has others:
-words that are right, separated by spaces. Nothing of the records is kept.
+each kind (2), STRANGERS_FIRST: the first seed (1), STRANGERS_KINDS: kinds, separated by semicolons.
+STRANGERS_RECORDS: a folder of records to ask of in place of these, without options. The answers are
+as sure as the labels: files `S_*.csv`, `isdb_S_*.csv` are loops whose valve sticks, `N_*.csv`,
+`isdb_N_*.csv` of valves that do not; STRANGERS_LABELS: a table of others (columns file, options,
+right; words that are right, separated by spaces), by default `labels.csv` in the folder. Nothing of
+the records is kept. A false name above .8 is an error: exit code 1.
 
 A false name with odds above .9 costs 10, another one 5, a withheld one 1.
 """
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import csv
 import os
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,8 +30,8 @@ NO_NAME = ("undecided", "unclear", "unreached", "refused")
 SURE, SURE_OF_RECORDS = 0.9, 0.8  # odds above which no name may be wrong
 SURELY_WRONG, WRONG, WITHHELD = 10, 5, 1  # prices
 ODDS_OF = {"operating_point": "none"}
-STICKS = ("input_play", "friction")
-MOVES = ("none", "operating_point", "input_curve", "other")
+STICKS = ("stiction", "input_play", "friction")
+MOVES = ("none", "operating_point", "input_curve", "other", "external", "tight_tuning")
 
 
 class Outcome(NamedTuple):
@@ -87,6 +87,8 @@ def ask(kind: str, right: tuple[str, ...], width: float | None, **log: Any) -> O
     odds, known = answer.numbers()["odds"], {ODDS_OF.get(word, word) for word in right}
     false = [share for word, share in odds.items() if word not in known]
     is_right, holds = answer.verdict in right, None
+    if not is_right and ODDS_OF.get(answer.verdict, answer.verdict) not in (*NO_NAME, *odds):
+        false.append(1.0)  # a name without odds is said for certain
     if is_right and width is not None and answer.width is not None:
         holds = bool(answer.width.low <= width <= answer.width.high)
     why = next(iter(answer.answer.reasons), "")
@@ -100,7 +102,7 @@ def strangers() -> Iterator[Outcome]:
         int(os.environ.get(f"STRANGERS_{k}", n)) for k, n in (("LOGS", 2), ("FIRST", 1))
     )
     names = os.environ.get("STRANGERS_KINDS", "")
-    for name in filter(None, names.split(",")) if names else ALL:
+    for name in filter(None, names.split(";")) if names else ALL:
         for seed in range(first, first + count):
             made = ALL[name].make(np.random.default_rng(seed))
             given = {"t": STEP, "u": made.u, "y": made.y, **made.options}
@@ -113,21 +115,22 @@ def records(folder: Path) -> Iterator[Outcome]:
     Args:
         folder: where the records are.
     """
+    named = os.environ.get("STRANGERS_LABELS")
     labels = {}
-    for table in folder.rglob("labels.csv"):
+    for table in [Path(named)] if named else folder.rglob("labels.csv"):
         with table.open(newline="") as file:
-            labels |= {table.parent / one["file"]: one for one in csv.DictReader(file)}
-    for path in sorted(folder.rglob("*.csv")):
-        if path in labels:
-            options = dict(pair.split("=", 1) for pair in labels[path]["options"].split())
-            right = tuple(labels[path]["right"].split())
-        elif path.name.removeprefix("isdb_").startswith(("S_", "N_")):
-            options = {"columns": "u=OP,y=PV"}
-            right = STICKS if path.name.removeprefix("isdb_").startswith("S_") else MOVES
+            labels |= {one["file"]: one for one in csv.DictReader(file)}
+    for path in sorted(folder.rglob("*")):
+        options: dict[str, Any] = {}
+        name = path.name.removeprefix("isdb_")
+        if path.name in labels:
+            options = dict(pair.split("=", 1) for pair in labels[path.name]["options"].split())
+            right = tuple(labels[path.name]["right"].split())
+        elif name.startswith(("S_", "N_")) and path.suffix == ".csv":
+            right = STICKS if name.startswith("S_") else MOVES
         else:
             continue
-        given: dict[str, Any] = {"log": path, **options}
-        yield ask(path.stem, right, None, **given)
+        yield ask(path.stem, right, None, log=path, **options)
 
 
 def shown(every: list[Outcome], sure: float) -> list[str]:
@@ -171,6 +174,8 @@ def each(every: list[Outcome]) -> list[str]:
 
 def table() -> str:
     """Return the section of RESULTS.md."""
+    if "STRANGERS_RECORDS" in os.environ:
+        return table_of_records(Path(os.environ["STRANGERS_RECORDS"]))
     every = list(strangers())
     later = [one for one in every if one.kind in LATER]
     lines = [*shown(every, SURE), "", "Of kinds that were chosen after the code was finished:", ""]
@@ -178,7 +183,15 @@ def table() -> str:
     return "\n".join(["## Strangers", "", *lines])
 
 
-if __name__ == "__main__":
-    of_folder = list(records(Path(sys.argv[1]))) if len(sys.argv) > 1 else list(strangers())
-    limit = SURE_OF_RECORDS if len(sys.argv) > 1 else SURE
-    print("\n".join([*shown(of_folder, limit), "", *each(of_folder)]))
+def table_of_records(folder: Path) -> str:
+    """Return the section of RESULTS.md on a folder of records. Raise SystemExit: a false name.
+
+    Args:
+        folder: where the records are.
+    """
+    every = list(records(folder))
+    lines = ["## Records", "", *shown(every, SURE_OF_RECORDS), "", *each(every), ""]
+    false = [one.kind for one in every if one.is_wrong and one.false_odds > SURE_OF_RECORDS]
+    if false:
+        raise SystemExit("\n".join([*lines, f"false names: {', '.join(false)}"]))
+    return "\n".join(lines)

@@ -122,7 +122,7 @@ def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
 
     def make(rng: np.random.Generator) -> Strange:
         size, tau, gain, h = 2500, 0.1, 2.0, STEP / 40
-        u = np.repeat(rng.uniform(-1, 1, size // 30 + 1), 30)[:size]
+        u = steps(rng, size)
         y, x, v = np.empty(size), 0.0, 0.0
         for k in range(size):
             y[k] = x
@@ -138,17 +138,31 @@ def joint(friction: float) -> Callable[[np.random.Generator], Strange]:
     return make
 
 
+def sines(rng: np.random.Generator, size: int, samples: float) -> Floats:
+    """Three sines about a time constant of so many samples."""
+    phases, t = rng.uniform(0, 6, 3), np.arange(size) / samples
+    tones = zip((1, 0.7, 0.5), (0.7, 1.9, 4.1), phases, strict=True)
+    return sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(size))
+
+
+def steps(rng: np.random.Generator, size: int, hold: int = 30) -> Floats:
+    """Random levels, each held for so many samples."""
+    return np.repeat(rng.uniform(-1, 1, size // hold + 1), hold)[:size]
+
+
+def driven_motor(u: Floats, samples: float) -> Floats:
+    """The position of a linear motor whose time constant is so many samples."""
+    keep = np.exp(-1 / samples)
+    v = lfilter([0.0, 1 - keep], [1.0, -keep], u)
+    return np.asarray(np.cumsum(np.append(0.0, v[:-1])))
+
+
 def motor(samples: float) -> Callable[[np.random.Generator], Strange]:
     """A linear motor's position; its time constant is so many samples."""
 
     def make(rng: np.random.Generator) -> Strange:
-        n, phases = 2000, rng.uniform(0, 6, 3)
-        t = np.arange(n) / samples
-        tones = zip((1, 0.7, 0.5), (0.7, 1.9, 4.1), phases, strict=True)
-        u = sum((a * np.sin(w * t + p) for a, w, p in tones), np.zeros(n))
-        keep = np.exp(-1 / samples)
-        v = lfilter([0.0, 1 - keep], [1.0, -keep], u)
-        y = np.cumsum(np.append(0.0, v[:-1]))
+        u = sines(rng, 2000, samples)
+        y = driven_motor(u, samples)
         return Strange(u, noisy(rng, y, 0.003 * y.std()), {"integrators": 1})
 
     return make
@@ -220,7 +234,7 @@ def slopes_apart(v: Floats) -> Floats:
     return np.where(through > 0, through, 0.6 * through)
 
 
-# --- Kinds that were chosen after the code was finished
+# --- Kinds of later rounds
 
 
 def tailed(rng: np.random.Generator) -> Strange:
@@ -309,6 +323,67 @@ def with_actuator_lag(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(zone(lags(u, 4.0, 1), 0.4, 0.3))))
 
 
+# --- Kinds that were chosen after the code was finished
+
+
+def dragging(rng: np.random.Generator) -> Strange:
+    """A body in a fluid: its drag is the square of its speed."""
+    u, y, v = walk(rng), np.empty(SIZE), 0.0
+    for k in range(SIZE):
+        y[k] = v
+        v += 0.15 * (u[k] - v * abs(v) - 0.1 * v)
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def swaying(rng: np.random.Generator) -> Strange:
+    """A linear plant whose gain sways by a third, four times along the log."""
+    u = walk(rng)
+    gain = 1 + 0.33 * np.sin(np.linspace(0, 8 * np.pi, u.size))
+    return Strange(u, noisy(rng, gain * lags(u)))
+
+
+def jittery(rng: np.random.Generator) -> Strange:
+    """A linear plant whose recorder writes the input up to two samples early or late."""
+    u = walk(rng)
+    late = np.clip(np.arange(SIZE) + rng.integers(-2, 3, SIZE), 0, SIZE - 1)
+    return Strange(u[late], noisy(rng, lags(u)))
+
+
+def wandering(rng: np.random.Generator) -> Strange:
+    """A linear plant whose sensor's zero wanders."""
+    u = walk(rng)
+    away = np.cumsum(rng.standard_normal(SIZE))
+    return Strange(u, noisy(rng, lags(u) + 0.3 * away / away.std()))
+
+
+def with_spikes(rng: np.random.Generator) -> Strange:
+    """A zone, one in fifty of whose readings is anything."""
+    u = walk(rng)
+    y = noisy(rng, zone(lags(u)), 0.01)
+    return Strange(u, np.where(rng.random(SIZE) < 0.02, rng.uniform(-3, 3, SIZE), y), {}, BOTH)
+
+
+def switching(rng: np.random.Generator) -> Strange:
+    """A relay with hysteresis ahead of the plant."""
+    u, v, at = walk(rng), np.empty(SIZE), 1.0
+    for k, value in enumerate(u):
+        at = 1.0 if value > 0.4 else -1.0 if value < -0.4 else at
+        v[k] = at
+    return Strange(u, noisy(rng, lags(v)))
+
+
+def between_lags(rng: np.random.Generator) -> Strange:
+    """A lag, a soft limit, and the plant."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.tanh(2 * lags(u, 6.0, 1)))))
+
+
+def zone_beside(rng: np.random.Generator) -> Strange:
+    """A zone of the input beside a path without one."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(0.5 * u + zone(u, 0.6, 0.5))))
+
+
 ZONE = ("dead_zone", "filtered_zone")
 BOTH = sum(WIDTHS)
 KINDS = {
@@ -346,7 +421,7 @@ KINDS = {
     "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
     "line": Kind(sensed(lambda z: z), ("none", "operating_point")),
 }
-LATER = {  # chosen after the code was finished
+EARLIER = {  # chosen after the code of the round before was finished
     "zone, heavy tails": Kind(tailed, ZONE),
     "two gains of the input": Kind(one_sided, ("input_curve",)),
     "zone that grows": Kind(widening, ZONE),
@@ -366,4 +441,16 @@ LATER = {  # chosen after the code was finished
     "two slopes, no zone": Kind(sensed(lambda z: np.where(z > 0, z, 0.6 * z)), ("other",)),
     "limit of one side": Kind(sensed(lambda z: np.minimum(z, 0.8)), ("saturation", "other")),
 }
-ALL = KINDS | LATER
+LATER = {  # chosen after the code was finished
+    "drag by the square": Kind(dragging, ()),
+    "gain that sways": Kind(swaying, ("none", "operating_point")),
+    "input of uncertain time": Kind(jittery, ("none", "operating_point")),
+    "sensor's zero that wanders": Kind(wandering, ("none", "operating_point")),
+    "zone and spikes": Kind(with_spikes, ZONE),
+    "relay with hysteresis": Kind(switching, ()),
+    "lag, soft limit, plant": Kind(between_lags, ()),
+    "zone beside a line": Kind(zone_beside, ("input_curve",)),
+    "rounded input": Kind(curved(lambda u: np.round(u)), ()),
+    "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
+}
+ALL = KINDS | EARLIER | LATER

@@ -77,6 +77,7 @@ from undeadzone_identify.selection.servo import (
     to_servo_options,
     without_gap,
 )
+from undeadzone_identify.selection.valve import is_named_loop
 from undeadzone_identify.servo.gap import ServoGap
 
 
@@ -300,7 +301,7 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
         InputError: nothing can be learnt.
     """
     grid = _count_from_zone(grid, options)
-    servo = identify_tick_servo(grid, options)
+    servo = None if is_named_loop(grid) else identify_tick_servo(grid, options)
     is_plain = servo is not None and options.integrators > 0 and has_no_gap(servo)
     if servo is not None and (servo.is_gap_reported or is_plain):
         advance(1)
@@ -441,6 +442,11 @@ def _add_zone_locations(case: Case, found: Findings) -> Findings:
     return found.add_models(case, best_of_each(rows))
 
 
+def _may_be_servo(case: Case, found: Findings) -> bool:
+    """Return whether a servo must be tested: in a control loop of a process there is none."""
+    return not is_named_loop(case.grid) and needs_servo_test(case, found)
+
+
 def _has_play_verdict(case: Case, found: Findings) -> bool:
     """Return whether the verdict is a play, or a play with a dead zone."""
     return found.element is None and found.verdict.word in MEMORY and found.plays is not None
@@ -469,7 +475,7 @@ def _add_actuator_zone(case: Case, found: Findings) -> Findings:
 QUESTIONS = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
-    Hypothesis("a servo behind a play", needs_servo_test, add_servo),
+    Hypothesis("a servo behind a play", _may_be_servo, add_servo),
     Hypothesis("a valve that sticks, and why a loop swings", needs_valve_test, add_valve),
     Hypothesis(
         "a shaped zone without a width", may_have_shaped_zone, deny_shaped_zone_without_width

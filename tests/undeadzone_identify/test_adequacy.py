@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.strangers_logs import ALL
+from benchmarks.strangers_logs import ALL, lags, zone
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
+from undeadzone_identify.selection.alternatives import Findings
+from undeadzone_identify.selection.decision import MODELS, build_verdict
 
 STEP = 0.01
 
@@ -212,15 +216,68 @@ def test_friction_that_falls_has_an_interval() -> None:
 
 
 def test_classes_that_remain_have_widths_and_an_option_that_decides() -> None:
-    """A lag, a zone, the plant: undecided; the option that the answer names gives that answer."""
-    log = ALL["lag, zone, plant"].make(np.random.default_rng(1))
-    answer = asked(log.u, log.y)
+    """A short log: a zone of the input or a curve; the option that is named gives that answer."""
+    rng = np.random.default_rng(1)
+    u = walk(rng, 300)
+    y = lags(zone(u, 0.4, 0.3)) + 0.1 * rng.standard_normal(u.size)
+    answer = asked(u, y)
     assert answer.verdict == "undecided"
     levels = answer.numbers()["levels"]
-    assert set(levels) == {"input_zone", "filtered_zone"}
+    assert set(levels) == {"input_zone"}
     assert "use --place actuator" in str(answer.summary())
-    placed = asked(log.u, log.y, place="actuator")
+    placed = asked(u, y, place="actuator")
     assert placed.verdict == "input_zone"
     assert placed.width is not None
     low, high = levels["input_zone"]["width"][1:]
     assert low < placed.width.value < high
+
+
+@pytest.mark.parametrize("samples", [0.0, 4.0])
+def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
+    """A curve or a zone of the late input imitates it well: only lags ahead of it show that."""
+    rng = np.random.default_rng(7001)
+    u = walk(rng)
+    late = lags(u, samples, 1) if samples else u
+    y = lags(zone(late, 0.4, 0.3)) + 0.02 * rng.standard_normal(u.size)
+    answer = asked(u, y)
+    if not samples:
+        assert answer.verdict == "input_zone"
+        assert answer.width is not None
+        assert answer.width.low < 0.7 < answer.width.high
+        return
+    assert answer.verdict == "unclear"
+    assert "the input a few samples before" in answer.answer.reasons[0]
+    assert "record what leaves it" in answer.answer.reasons[1]
+    assert not answer.numbers()["odds"]
+
+
+# --- What a name must explain
+
+
+@pytest.mark.parametrize("word", [*MODELS, *ODDS_OF, "unreached"])
+@pytest.mark.parametrize("in_loop", [False, True])
+def test_no_word_stands_whose_own_held_out_share_is_below_a_half(word: str, in_loop: bool) -> None:
+    """Whatever the word: of static models, of chains, of loops."""
+    valve: Any = object() if in_loop else None
+    found = Findings(build_verdict(word), 0, (), {"none": 1.0}, valve=valve)
+    assert withhold_poor_fit(found, 0.5).verdict.word == word
+    poor = withhold_poor_fit(found, 0.49)
+    assert poor.verdict.word == "unclear"
+    assert not poor.odds
+    assert "49 %" in poor.verdict.reasons[0]
+
+
+def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> None:
+    """A controller that answers to noise: that its valve follows cannot be known."""
+    rng = np.random.default_rng(2)
+    pv = 50 + rng.standard_normal(700)
+    op = 40 - 0.3 * (pv - 50) - 0.05 * np.cumsum(pv - 50)
+    rows = np.column_stack([np.arange(700), op, pv, np.full(700, 50.0)])
+    log = tmp_path / "loop.csv"
+    np.savetxt(log, rows, delimiter=",", header="time,OP,PV,SP", comments="")
+    answer = uz.identify(log)
+    assert isinstance(answer, uz.Identified)
+    assert answer.verdict == "unclear"
+    assert "one sample ahead" in answer.answer.reasons[0]
+    assert "controller to manual" in answer.answer.reasons[1]
+    assert not answer.numbers()["odds"]

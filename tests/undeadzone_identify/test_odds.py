@@ -26,7 +26,7 @@ from undeadzone_identify.models.elements import (
     BREAKS,
     MapModel,
     cubic_map,
-    fit_static_rivals,
+    fit_maps,
     identity_map,
 )
 from undeadzone_identify.models.estimates import Interval
@@ -193,7 +193,7 @@ def test_a_saturation_pays_for_edges_that_few_readings_tell() -> None:
     rng, u, z = driven(3)
     data = logged(u, z + 0.05 * rng.standard_normal(z.size))
     fit = fit_zone(PlantSimulator(data, 2), "behind", WidthLimits())
-    rivals = fit_static_rivals(fit)
+    rivals = {name: one.density for name, one in fit_maps(fit).items()}
     assert rivals["saturation"].numbers - rivals["none"].numbers == 2 + BREAKS
 
 

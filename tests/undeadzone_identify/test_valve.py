@@ -13,9 +13,11 @@ from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
 import undeadzone as uz
 from commands import undeadzone
 from undeadzone.nonlinearities.play import levels
+from undeadzone_identify.models.least_squares import CHANCE
 from undeadzone_identify.models.valve import (
     HE,
     KANO,
+    LoopFits,
     LoopLog,
     fit_loop,
     oscillation_of,
@@ -140,6 +142,43 @@ def test_a_valve_that_sticks_has_no_scenario(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "the valve sticks" in done.stdout
     assert not (tmp_path / "o" / "loop.toml").exists()
+
+
+def test_only_large_turns_of_the_input_count() -> None:
+    """A slow fall under small noise never turns; three halves of a sine turn twice."""
+    t, rng = np.linspace(0, 1, SIZE), np.random.default_rng(4)
+    noise, ok = 0.02 * rng.standard_normal(SIZE), np.ones(SIZE, bool)
+    assert LoopLog(-t + noise, t, ok, None).turns == 0
+    assert LoopLog(np.cos(3 * np.pi * t) + noise, t, ok, None).turns == 2
+
+
+@pytest.mark.parametrize(("cause", "seed"), [("dead band", 7), ("none", 0), ("tight tuning", 3)])
+def test_a_play_beside_the_input_explains_a_valve_with_play_alone(cause: str, seed: int) -> None:
+    loop = make(seed, cause, SIZE)
+    fits = fit_loop(LoopLog(loop.op, loop.pv, np.ones(SIZE, bool), loop.sp))
+    assert fits.log.turns >= 3
+    assert (fits.chance_of_play() < CHANCE) == (cause == "dead band")
+
+
+@pytest.mark.parametrize(
+    ("doubt", "words"),
+    [
+        ({"turns": 2}, "only where it turns a valve"),
+        ({"chance_of_play": lambda _: CHANCE / 2}, "valve with play"),
+    ],
+)
+def test_a_sound_valve_is_not_named_beside_a_doubt(
+    doubt: dict[str, Any], words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = write(make(0, "none", SIZE), tmp_path / "loop.csv")
+    assert uz.identify(path).verdict == "none"
+    for name, value in doubt.items():
+        monkeypatch.setattr(LoopLog if name == "turns" else LoopFits, name, value)
+    found = uz.identify(path)
+    assert found.verdict == "undecided"
+    assert words in found.answer.reasons[0]
+    assert "controller to manual" in found.answer.reasons[1]
+    assert not found.numbers()["odds"]
 
 
 def test_play_and_stiction_beside_each_other_are_both_named() -> None:

@@ -195,19 +195,19 @@ class ChainModel:
         starts = theta[layout.x0].reshape(layout.records, layout.n)
         z = np.empty(u.size)
         for part, start in zip(self.simulator.records, starts, strict=True):
-            driven = lfilter(numerator, [1.0], self._pass_input(u[part], theta))
+            driven = lfilter(numerator, [1.0], self.pass_input(u[part], theta))
             driven[: layout.n] += start[: driven.size]
             z[part] = lfilter([1.0], denominator, driven)
         return z
 
-    def _pass_input(self, u: Floats, theta: Floats) -> Floats:
+    def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return u behind the element of the input (N)."""
         return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
         """Return the linear plant alone, driven by u behind the element of the input."""
         data = self.simulator.data
-        parts = [self._pass_input(data.u[part, 0], theta) for part in self.simulator.records]
+        parts = [self.pass_input(data.u[part, 0], theta) for part in self.simulator.records]
         return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
@@ -258,7 +258,7 @@ class ChainModel:
             return "none" if theta[self.inputs][0] < VANISHING else "input_play"
         if self.element == "rate":
             u = self.simulator.data.u[:, 0]
-            late = self._pass_input(u, theta) - u
+            late = self.pass_input(u, theta) - u
             return "none" if late.std() < STRAIGHT * u.std() else "input_rate"
         is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
         if not is_there:

@@ -323,23 +323,14 @@ class MapModel:
 # --- All of them in the place of the dead zone
 
 
-def fit_static_rivals(fit: ZoneFit) -> dict[str, Density]:
+def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
     """Fit the dead zone and its static rivals by least squares.
 
     Args:
         fit: plant and zone of the record, where the rivals start.
 
     Returns:
-        Densities by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
-    """
-    return {name: one.density for name, one in fit_maps(fit).items()}
-
-
-def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
-    """Return the fits whose densities `fit_static_rivals` returns, by the verdict's words.
-
-    Args:
-        fit: plant and zone of the record, where the rivals start.
+        Fits by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
     fits = []
     for name, shape, starts in _start_maps(fit):

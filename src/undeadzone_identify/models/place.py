@@ -206,6 +206,10 @@ class PlaceModel:
             c[..., : self.n - 1] = theta[..., self.n + 1 : 2 * self.n] / size
         return c
 
+    def pass_input(self, u: Floats, theta: Floats) -> Floats:
+        """Return u behind the zone of the input (N)."""
+        return dead_zone(u, *self.part_numbers(theta, "input"))
+
     def output(self, theta: Floats) -> Floats:
         """Return z, the output of the plant (N)."""
         return self._simulate_around(theta)[0]

@@ -43,6 +43,8 @@ FAR = 1.6  # logarithm of S over the best, that is tried
 SCATTER = 3.0  # how much larger than by one log differences of logs are taken
 DRAWS = 500  # of logs that might have been recorded
 CHUNK = 48  # positions that are regressed at once
+TURN = 0.25  # of the range of u, by which it turns back at least to count
+BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # plays that may act beside u itself [range of u]
 
 
 def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
@@ -286,6 +288,13 @@ class LoopLog:
         return math.sqrt(float(np.mean(np.diff(self.u) ** 2)))
 
     @property
+    def turns(self) -> int:
+        """Return how often u turned by more than a part of its range: only there a valve shows."""
+        v = valve_positions(self.u, np.array([TURN]), np.zeros(1), KANO)[:, 0]
+        moves = np.sign(np.diff(v))
+        return int(np.count_nonzero(np.diff(moves[moves != 0])))
+
+    @property
     def orders(self) -> list[int]:
         """Return the orders that the log is long enough for."""
         return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
@@ -426,6 +435,21 @@ class LoopFits(NamedTuple):
         """Return the best density of each word."""
         ranked = sorted(self.valves, key=lambda one: -one.density.bic)
         return self.densities | {one.word: one.density for one in ranked}
+
+    def chance_of_play(self) -> float:
+        """Return p of what the position of a play explains beside u itself [1].
+
+        The play that explains most counts, for as many as are tried.
+        """
+        u, lags = self.log.u, self.structure.lags
+        without = float(np.sum(self.regression.errors(u, lags) ** 2))
+        plays = np.array(BESIDE)
+        least = without
+        for v in valve_positions(u, plays, 0 * plays, KANO).T:
+            late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
+            least = min(least, float(np.sum(self.regression.errors(u, lags, late) ** 2)))
+        fallen = (least / without) ** (0.5 * self.regression.rows.size)  # of two numbers each
+        return min(plays.size * fallen, 1.0)
 
     def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
         """Return S and J with 95 % intervals: all pairs that the readings do not tell from a fit.

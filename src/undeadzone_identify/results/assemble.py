@@ -52,7 +52,7 @@ from undeadzone_identify.selection.orders import (
     is_white,
     training_samples,
 )
-from undeadzone_identify.selection.valve import ValveFindings
+from undeadzone_identify.selection.valve import BUMP, ValveFindings
 from undeadzone_identify.selection.widths import (
     FEW_VISITS,
     Excitation,
@@ -65,6 +65,8 @@ from undeadzone_identify.selection.widths import (
 from undeadzone_identify.servo.gap import ServoGap
 
 SURE = 0.999  # level of the ranges that an observer is told
+NAMELESS = ("undecided", "unclear")  # words that name nothing
+ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
 Shown = dict[str, Interval | None]  # right, left, width, centre
@@ -266,7 +268,7 @@ def to_answer(case: Case, found: Findings) -> Answer:
         found = found._replace(element=None, verdict=verdict, odds={})
     found = found._replace(odds=_odds_of_word(found))
     data, chosen = case.record_data, _validate_findings(case, found)
-    found = _withhold_poor_fit(found, chosen.share)
+    found = withhold_poor_fit(found, chosen.share)
     best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
     widths = find_widths(
         case.chosen, orders, case.fitted.alike, best, case.quantum, case.offset_prior
@@ -348,7 +350,7 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
         return odds
     if word == "undecided":
         return odds if found.verdict.reasons[0].startswith(CANNOT_TELL) else {}
-    own = {"operating_point": "none"}.get(word, word)
+    own = ODDS_OF.get(word, word)
     held = {own, *LARGER.get(own, ())} | (set(AS_LINEAR) if own == "none" else set())
     if own not in odds or next(iter(odds)) not in held:
         return {}
@@ -358,16 +360,27 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
     return {own: sum(odds[name] for name in held if name in odds)} | rest
 
 
-def _withhold_poor_fit(found: Findings, share: float) -> Findings:
-    """Withhold a name that explains less than half of the held-out data."""
+def withhold_poor_fit(found: Findings, share: float) -> Findings:
+    """Withhold a name that explains less than half of the held-out data, whatever the name.
+
+    Args:
+        found: with a verdict.
+        share: of the held-out data that it explains; of a loop one sample ahead.
+    """
     word = found.verdict.word
-    if found.valve is not None or word not in MODELS or share >= LEAST_SHARE:
+    if word in NAMELESS or share >= LEAST_SHARE:
         return found
-    reason = (
-        f"{MODELS[word]} is the likeliest, but fitted to a part of the log it explains"
-        f" {100 * max(share, 0.0):.0f} % of the other readings: nothing is named{UNEXPLAINED}"
-    )
-    return found._replace(verdict=build_verdict("unclear", reason), element=None, odds={})
+    part = f"{100 * max(share, 0.0):.0f} % of the other readings"
+    likeliest = f"{MODELS[ODDS_OF.get(word, word)]} is the likeliest"
+    if found.valve is not None:
+        reason = f"{likeliest}, but it predicts only {part} one sample ahead: nothing is named"
+        verdict = build_verdict("unclear", reason, BUMP)
+    else:
+        fitted = f"fitted to a part of the log it explains {part}"
+        verdict = build_verdict(
+            "unclear", f"{likeliest}, but {fitted}: nothing is named{UNEXPLAINED}"
+        )
+    return found._replace(verdict=verdict, element=None, odds={})
 
 
 def _validate_findings(case: Case, found: Findings) -> OrderFit:

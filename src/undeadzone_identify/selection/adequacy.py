@@ -20,7 +20,7 @@ from scipy.signal import lfilter
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
-from undeadzone_identify.models.chain import limit_rate
+from undeadzone_identify.models.chain import ChainModel, limit_rate
 from undeadzone_identify.models.least_squares import (
     CHANCE,
     LEAST_ODD,
@@ -28,6 +28,7 @@ from undeadzone_identify.models.least_squares import (
     Model,
     describe_p_value,
 )
+from undeadzone_identify.models.place import PlaceModel
 
 SHARE = 0.03  # of the innovations' variance, from which a direction is real
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
@@ -35,6 +36,7 @@ BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
 RATES = (0.1, 0.25, 0.5, 1.0, 2.0)  # rms of a signal's changes, that its rate may be limited to
 BEHIND = 5  # lags of the readings
+AHEAD = (1.0, 3.0, 8.0)  # time constants of a lag ahead of the input's element [samples]
 VANISHING = 1e-6  # of a column: one that the model's own numbers explain
 SURE = 2.0  # deviations, from which a weight counts
 ALIKE = 1e-3  # of the largest singular value: columns that say the same
@@ -44,6 +46,7 @@ DEPENDS = {
     "turns of the input": "the direction in which the input moved last",
     "turns of the output": "the direction in which the output moved last",
     "behind": "the readings a few samples before",
+    "ahead": "the input a few samples before",
     "spring": "the size of the output as a force on the plant",
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
@@ -59,6 +62,8 @@ SEEN = {
     "turns of the output": "there may be hysteresis behind the plant; record slow triangles of the"
     " input, of several amplitudes",
     "behind": "the sensor may smooth its readings; record them with its filter off",
+    "ahead": "a drive may delay the input ahead of its zone or curve; record what leaves"
+    " it as the input, or hold each level of the input until the readings settle",
     "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
     " record with a smaller input",
     "rate of the input": "the drive of the input may be limited in its rate; record with an input"
@@ -185,6 +190,11 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         lags = [_late(read, k) for k in range(1, BEHIND + 1)]
         lags += [_late(read - z, k) for k in range(1, 4)]
         directions["behind"] = np.column_stack(lags)
+    if isinstance(model, ChainModel | PlaceModel):
+        passed = model.pass_input(u, theta)
+        if float(np.std(passed - u)) > 0:
+            behind = [model.pass_input(_lag_by(u, one), theta) - passed for one in AHEAD]
+            directions["ahead"] = _through_plant(fit, np.column_stack(behind))
     force = z / max(float(np.std(z)), 1e-12)
     bent = np.column_stack([force**2, force**3, force * np.abs(force)])
     return directions | {"spring": _through_plant(fit, bent)}
@@ -217,6 +227,12 @@ def _late_by_rate(signal: Floats) -> Floats:
 def _late(signal: Floats, lag: int) -> Floats:
     """Return a signal some samples late (N)."""
     return np.append(np.full(lag, signal[0]), signal[:-lag])
+
+
+def _lag_by(signal: Floats, samples: float) -> Floats:
+    """Return a signal behind a lag of first order (N)."""
+    keep = math.exp(-1 / samples)
+    return np.asarray(lfilter([1 - keep], [1.0, -keep], signal, zi=[keep * signal[0]])[0])
 
 
 def _through_plant(fit: FittedModel[Model], columns: Floats) -> Floats:

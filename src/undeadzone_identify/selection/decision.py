@@ -243,7 +243,7 @@ def classify_by_probabilities(
         state = "not excluded" if odds[one] < odds.get(word, 0.0) else "likelier than it alone"
         cautions.append(f"{MODELS[one]} is {state} ({100 * odds[one]:.0f} %)")
     if word == "dead_zone":
-        return _verdict_by_residual(case).add_cautions(*cautions)
+        return build_verdict("dead_zone").add_cautions(*cautions)
     if word == "none":
         return _verdict_without_zone(case)
     advice = [ADVICE] if word == "friction" else []
@@ -290,9 +290,9 @@ def _verdict_on_jump(case: Case, odds: dict[str, float], models: Sequence[Family
     word = next(iter(odds))
     if odds["jump"] < UNLIKELY:
         return build_verdict("other", f"{MODELS[word]} explains the log better than a jump sensor")
-    return _find_unclear(
-        case, "dead_zone", best_model_of("jump", models), {}
-    ) or _verdict_by_residual(case)
+    return _find_unclear(case, "dead_zone", best_model_of("jump", models), {}) or build_verdict(
+        "jump"
+    )
 
 
 def best_model_of(word: str, models: Sequence[Family]) -> Density:
@@ -353,14 +353,6 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
     if (reasons or word in {*FITTED, *fits}) and plant.is_at_limit(theta):
         reasons.append(UNSETTLED)
     return build_verdict("unclear", *reasons) if reasons else None
-
-
-def _verdict_by_residual(case: Case) -> Verdict:
-    """Return dead_zone, or jump, with a caution if one-step errors are not white."""
-    verdict = build_verdict("jump" if case.jump_edges else "dead_zone")
-    if not case.record_data.silent_zeros and not case.chosen.white:
-        verdict = verdict.add_cautions("the one-step residual is not white")
-    return verdict
 
 
 # --- By what a linear plant behind a zone does not hold: an offset

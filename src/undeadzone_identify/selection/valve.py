@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.util.arrays import Floats, Integers
+from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import Density, LeastSquares
+from undeadzone_identify.models.least_squares import CHANCE, Density, LeastSquares
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
@@ -38,6 +39,7 @@ SENSOR = ("dead_zone", "jump", "two_zones", "filtered_zone")  # words of a zone 
 OWN = ("none", "external", "input_play", "stiction")  # words of the models of a loop
 CONTROLLER = ("op", "co", "mv", "controller output")  # names of a controller's output
 RARE = 3  # numbers that a cause costs besides which is rare in a control loop
+FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
@@ -60,6 +62,8 @@ class ValveFindings(NamedTuple):
         period: of the oscillation [samples]; inf without.
         sensitivity: |1 / (1 + C G)| about this period.
         shape: width of the ellipse of PV over OP, in the range of OP.
+        turns: how often u turned by more than a quarter of its range.
+        hidden: p of what a play explains beside u itself.
     """
 
     fit: ValveFit
@@ -75,6 +79,8 @@ class ValveFindings(NamedTuple):
     period: float
     sensitivity: float
     shape: float
+    turns: int
+    hidden: float
 
     @property
     def swings(self) -> bool:
@@ -120,7 +126,7 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     if not asked or data.u.shape[1] > 1 or data.silent_zeros:
         return False
     top = next(iter(odds), "")
-    if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case):
+    if top in SENSOR and odds[top] >= LIKELY and not is_named_loop(case.grid):
         return False
     part = _longest_record(data)
     u, y = data.u[part, 0], data.y[part][data.ok[part]]
@@ -129,13 +135,13 @@ def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
     return any(odds.get(word, 0.0) > UNLIKELY for word in SUSPECTS) or is_control_loop(case)
 
 
-def is_named_loop(case: Case) -> bool:
+def is_named_loop(grid: Grid) -> bool:
     """Return whether the input has the name of a controller's output.
 
     Args:
-        case: the log.
+        grid: the log.
     """
-    return case.grid.inputs[0].strip().lower() in CONTROLLER
+    return grid.inputs[0].strip().lower() in CONTROLLER
 
 
 def is_control_loop(case: Case) -> bool:
@@ -144,7 +150,7 @@ def is_control_loop(case: Case) -> bool:
     Args:
         case: the log.
     """
-    return is_named_loop(case) or detect_feedback(case).is_closed
+    return is_named_loop(case.grid) or detect_feedback(case).is_closed
 
 
 def _longest_record(data: RecordData) -> slice:
@@ -258,6 +264,8 @@ def _measure(
         period=log.period,
         sensitivity=fits.sensitivity(acting),
         shape=shape,
+        turns=log.turns,
+        hidden=fits.chance_of_play(),
     )
 
 
@@ -318,6 +326,13 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
     if word in VALVE and valve.held_out.error >= valve.without:
         kept = "but predicts held-out readings no better than u itself"
         return build_verdict("undecided", f"{MODELS[word]} is the likeliest, {kept}", BUMP)
+    if word == "none" and valve.turns < FEW_TURNS:
+        seen = f"the input turned {valve.turns} times by more than a quarter of its range, and only"
+        return build_verdict("undecided", f"{seen} where it turns a valve that sticks shows", BUMP)
+    if word == "none" and valve.hidden < CHANCE:
+        reason = f"{MODELS[word]} is the likeliest, but the position of a valve with play foretells"
+        seen = f"{reason} what it leaves (p = {valve.hidden:.1g})"
+        return build_verdict("undecided", seen, BUMP)
     return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)
 
 

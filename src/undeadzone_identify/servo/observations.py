@@ -256,9 +256,3 @@ def to_schmitt_ticks(log: Observations) -> Observations:
     return log._replace(
         ticks=True, quantum=spacing, side=side, boundary=steps - side * spacing / 2
     )  # fmt: skip
-
-
-def count_reversals(log: Observations) -> int:
-    """Count the reversals of the readings."""
-    ticked = log if log.ticks else to_schmitt_ticks(log)
-    return int(math.fsum(ticked.reversal_ticks))
