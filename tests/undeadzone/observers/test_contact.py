@@ -16,6 +16,7 @@ import pytest
 import once
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
 from undeadzone.observers.contact import OPEN
@@ -251,6 +252,31 @@ def test_two_links_are_found_joint_by_joint() -> None:
     assert np.abs(run.z - run.z_hat)[-300:].max() < 0.004
     assert abs(run.theta_hat[-1, 0] - 0.5) < 4 * run.theta_std[-1, 0]
     assert run.consistent[-1].all()
+
+
+def test_joint_by_joint_gaps_are_less_sure_by_their_coupling() -> None:
+    """Their variance is the filter's times half the coupling, or 1.3, at most the range's."""
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    del example["compare"]
+    example["observer"] |= {"joints": "separate", "starts": 1, "compliance": 1e-6}
+    problem = resolve_scenario(convert(example))
+    observer, stds = problem.observer, []
+    first = observer.init(observer.params)
+    assert first.coupling.tolist() == [1.0, 1.0]
+    surer = tuple(
+        tuple(one._replace(covs=tuple(np.asarray(cov) / 16 for cov in one.covs)) for one in modes)
+        for modes in first.modes
+    )
+    reading = Reading(ca.SX(problem.x0[:2]), ca.SX.zeros(2))
+    for coupling in ([1.0, 2.6], [8.0 * 1.3, 2.0], [1e3, 1e3]):
+        now = first._replace(modes=surer, coupling=np.array(coupling))
+        after, shown = observer.step(observer.params, now, ca.SX.zeros(2), reading)
+        stds.append(np.asarray(ca.evalf(shown.width_std)).ravel())
+        assert (np.asarray(ca.evalf(after.coupling)).ravel() >= coupling).all()
+    claimed = 2 * np.ptp(np.broadcast_to(example["observer"]["half"], (2, 2)), axis=1) / np.sqrt(12)
+    assert (stds[0] < claimed / 3).all()
+    assert stds[1] == pytest.approx(stds[0] * [2.0, 1.0], rel=1e-3)
+    assert stds[2] == pytest.approx(claimed, rel=1e-3)
 
 
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
