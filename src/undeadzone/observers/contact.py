@@ -45,6 +45,7 @@ from undeadzone.observers.contact_filter.modes import (
     Numbers,
     Posterior,
     correct_modes,
+    normalise_weights,
     pack_modes,
     predict_modes,
     replace_diverged,
@@ -83,6 +84,7 @@ TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
 # Where filters begin of the claimed range of half the gap, as (middle, length) over its length.
 STARTS = ((0.5, 1.0), (0.25, 0.5), (0.75, 0.5))
 TRUSTED = 0.3  # share of what readings say of a filter that is counted: models are not quite right
+DOUBTED = 0.1  # share of their odds by which starts that found other gaps widen a gap's interval
 FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
@@ -444,7 +446,8 @@ def _step_contact_filter(
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_count_range_limits(layout, q.modes, whole.whole) > 0)
     coupling = s.coupling
-    shown = _to_contact_estimate(setup, q, ones, whole, coupling, reading)._replace(
+    doubt = Doubt(coupling, variance_of_starts(layout, groups, each, odds, whole.whole.mean))
+    shown = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
         **assumption_fields(ratios)
     )
     if setup.ones:
@@ -496,19 +499,59 @@ def _count_range_limits(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
+class Doubt(NamedTuple):
+    """Reasons why gaps are less sure than a filter has it.
+
+    Attributes:
+        coupling: the largest of each joint to those of other filters so far (N; 0: one filter).
+        variance: of the half gaps if the odds of the starts count for less (N) [rad^2].
+    """
+
+    coupling: Any
+    variance: Any
+
+
+def variance_of_starts(
+    layout: Layout,
+    groups: Sequence[Sequence[int]],
+    each: Sequence[Sequence[Posterior]],
+    odds: Sequence[Any],
+    mean: Any,
+) -> Any:
+    """Return the variance of the half gaps about those shown, over all starts (N) [rad^2].
+
+    A single strike that was misread may decide the odds by ten nats, so a share of them counts.
+
+    Args:
+        layout: of all joints.
+        groups: joints of each filter.
+        each: posteriors of the starts, of each group.
+        odds: log of their odds, of each group.
+        mean: of all unknowns, as shown.
+    """
+    total, shown = ca.SX.zeros(layout.size), mean[layout.slice_of("half")]
+    for group, starts, log in zip(groups, each, odds, strict=True):
+        here, half = list(group), Layout(len(group)).slice_of("half")
+        weights = normalise_weights(ca.vertsplit(ca.exp(DOUBTED * log)))
+        for weight, one in zip(weights, starts, strict=True):
+            off = one.whole.mean[half] - shown[here]
+            total[here] += weight * (ca.diag(one.whole.cov)[half] + off**2)
+    return total
+
+
 def _to_contact_estimate(
     setup: Setup,
     q: Params,
     each: Sequence[Posterior],
     told: Posterior,
-    coupling: Any,
+    doubt: Doubt,
     reading: Reading,
 ) -> Estimate:
     """Return the estimate from the posterior of each filter and of all joints.
 
     Joint by joint, what others do to a link counts as noise, though it repeats from strike to
     strike. So variances of gaps are shown larger by the coupling over EVEN, at least by WIDENED, up
-    to those of their ranges.
+    to those of their ranges. Starts that found other gaps add theirs.
     """
     layout, mean = Layout(setup.gears.joint_count), told.whole.mean
     N, of = layout.size, layout.slice_of
@@ -535,8 +578,8 @@ def _to_contact_estimate(
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))
     certain = var(halves)
     open_to = ca.fmax((q.modes.high - q.modes.low)[of("half")] ** 2 / 12, certain)
-    wider = ca.fmax(coupling / EVEN, WIDENED) if setup.ones else 1.0
-    wide = ca.fmin(wider * certain, open_to)
+    wider = ca.fmax(doubt.coupling / EVEN, WIDENED) if setup.ones else 1.0
+    wide = ca.fmin(wider * ca.fmax(certain, doubt.variance), open_to)
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
         right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),

@@ -19,7 +19,7 @@ from undeadzone.cli import group
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
-from undeadzone.observers.contact import OPEN
+from undeadzone.observers.contact import OPEN, variance_of_starts
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     apply_gear_impulses,
@@ -470,3 +470,18 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     options = ["-O0", "-std=c99", "-ffp-contract=off", "-fno-math-errno"]
     selftest = once.program(["selftest", *options, *sources], tmp_path / "fw")
     assert subprocess.run([selftest], capture_output=True).returncode == 0
+
+
+def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
+    """By a tenth of their odds; a start that was wrong by far counts no more."""
+    half, told = Layout(1).slice_of("half").start, []
+    for gap, std in ((0.02, 0.001), (0.03, 0.002)):
+        mean, cov = ca.SX.zeros(11, 1), ca.SX.eye(11)
+        mean[half], cov[half, half] = gap, std**2
+        told.append(Posterior((), (), Gaussian(mean, cov), mean, 0.0, 1.0))
+    shown = ca.SX.zeros(11, 1)
+    shown[half] = 0.02
+    for log, share in ((0.0, 0.5), (-10.0, 1 / (1 + np.e)), (-60.0, 0.0025)):
+        found = variance_of_starts(Layout(1), [(0,)], [told], [ca.SX([0.0, log])], shown)
+        expected = (1 - share) * 0.001**2 + share * (0.002**2 + 0.01**2)
+        assert float(found) == pytest.approx(expected, rel=0.03)
