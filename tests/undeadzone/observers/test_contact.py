@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -485,3 +486,13 @@ def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
         found = variance_of_starts(Layout(1), [(0,)], [told], [ca.SX([0.0, log])], shown)
         expected = (1 - share) * 0.001**2 + share * (0.002**2 + 0.01**2)
         assert float(found) == pytest.approx(expected, rel=0.03)
+
+
+def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:
+    joint = mjcf.Joint("q", "gap 0.1 rad", 0.04, 0.06, 0.01, 0.0, 0.0, contact=(200.0, 0.5))
+    soft = joint._replace(name="r", contact=None)
+    [path] = mjcf.write_gears([joint, soft], tmp_path)
+    found = [one.find("joint") for one in ElementTree.parse(path).findall(".//default[@class]")]
+    ends = [one.get("solreflimit") for one in found if one is not None and one.get("limited")]
+    assert ends[1] is None
+    assert [float(word) for word in str(ends[0]).split()] == pytest.approx([-4e4, -200.0])
