@@ -579,7 +579,7 @@ def _to_contact_estimate(
     certain = var(halves)
     open_to = ca.fmax((q.modes.high - q.modes.low)[of("half")] ** 2 / 12, certain)
     wider = ca.fmax(doubt.coupling / EVEN, WIDENED) if setup.ones else 1.0
-    wide = ca.fmin(wider * ca.fmax(certain, doubt.variance), open_to)
+    wide = ca.fmin(ca.fmax(wider * certain, doubt.variance), open_to)
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
         right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),
