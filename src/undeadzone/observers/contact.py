@@ -26,6 +26,7 @@ from undeadzone.observers.contact_filter.drive import (
     apply_gear_impulses,
     build_drive,
     contact_balance,
+    group_couplings,
     group_entries,
     group_numbers,
     group_readings,
@@ -44,6 +45,7 @@ from undeadzone.observers.contact_filter.modes import (
     Numbers,
     Posterior,
     correct_modes,
+    normalise_weights,
     pack_modes,
     predict_modes,
     replace_diverged,
@@ -52,7 +54,7 @@ from undeadzone.observers.contact_filter.modes import (
 from undeadzone.observers.filtering.consistency import BEYOND, Sums, accumulate_innovations
 from undeadzone.observers.filtering.innovation_tests import assumption_fields
 from undeadzone.observers.filtering.multiple_models import share_step_graph, update_weights
-from undeadzone.plants.robots.geared import Geared
+from undeadzone.plants.robots.geared import EVEN, Geared
 from undeadzone.plants.system import System
 from undeadzone.registry import Options
 from undeadzone.util.arrays import (
@@ -82,9 +84,11 @@ TURNED = 0.5  # by that, where nothing holds them [rad/s^2]
 # Where filters begin of the claimed range of half the gap, as (middle, length) over its length.
 STARTS = ((0.5, 1.0), (0.25, 0.5), (0.75, 0.5))
 TRUSTED = 0.3  # share of what readings say of a filter that is counted: models are not quite right
+DOUBTED = 0.1  # share of their odds by which starts that found other gaps widen a gap's interval
 FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
+WIDENED = 1.3  # factor of the variance of a gap that is shown joint by joint, at least
 CHANCE = 4.0  # mean square of the sums that is taken for chance
 
 
@@ -344,11 +348,13 @@ class State(NamedTuple):
         modes: of each filter, of all joints or of each.
         odds: log of their odds, 0 for the best.
         sums: of the innovations (p each).
+        coupling: the largest of each joint to those of other filters so far (N; 0: one filter).
     """
 
     modes: tuple[tuple[Modes, ...], ...]
     odds: tuple[Any, ...]
     sums: Sums
+    coupling: Any
 
 
 class Setup(NamedTuple):
@@ -410,7 +416,8 @@ def _start_contact_filter(setup: Setup, q: Params) -> State:
     """Return the state before the first reading."""
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
-    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)))
+    coupling = np.ones(setup.gears.joint_count if setup.ones else 0)
+    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), coupling)
 
 
 def _step_contact_filter(
@@ -438,7 +445,9 @@ def _step_contact_filter(
     )
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_count_range_limits(layout, q.modes, whole.whole) > 0)
-    shown = _to_contact_estimate(setup, q, ones, whole, reading)._replace(
+    coupling = s.coupling
+    doubt = Doubt(coupling, variance_of_starts(layout, groups, each, odds, whole.whole.mean))
+    shown = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
         **assumption_fields(ratios)
     )
     if setup.ones:
@@ -449,13 +458,14 @@ def _step_contact_filter(
         each = [list(told) for told in zip(*heard, strict=True)]
         ones = list(map(mix_posteriors, each, shares))
         parts = update_group_numbers(groups, setup.ones, drives, parts, ones, arm)
+        coupling = ca.fmax(coupling, group_couplings(groups, arm))
     after = []
     for k, (drive, part, modes) in enumerate(zip(drives, parts, s.modes, strict=True)):
         calls = [(part, one, u[list(groups[k])]) for one in each[k]]
         moved = share_step_graph(partial(predict_modes, drive), calls, LONG)
         pairs = zip(moved, modes, strict=True)
         after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
-    return State(tuple(after), odds, sums), shown
+    return State(tuple(after), odds, sums, coupling), shown
 
 
 def _weigh_filters(
@@ -489,10 +499,60 @@ def _count_range_limits(layout: Layout, q: Numbers, belief: Gaussian) -> Any:
     return bound
 
 
+class Doubt(NamedTuple):
+    """Reasons why gaps are less sure than a filter has it.
+
+    Attributes:
+        coupling: the largest of each joint to those of other filters so far (N; 0: one filter).
+        variance: of the half gaps if the odds of the starts count for less (N) [rad^2].
+    """
+
+    coupling: Any
+    variance: Any
+
+
+def variance_of_starts(
+    layout: Layout,
+    groups: Sequence[Sequence[int]],
+    each: Sequence[Sequence[Posterior]],
+    odds: Sequence[Any],
+    mean: Any,
+) -> Any:
+    """Return the variance of the half gaps about those shown, over all starts (N) [rad^2].
+
+    A single strike that was misread may decide the odds by ten nats, so a share of them counts.
+
+    Args:
+        layout: of all joints.
+        groups: joints of each filter.
+        each: posteriors of the starts, of each group.
+        odds: log of their odds, of each group.
+        mean: of all unknowns, as shown.
+    """
+    total, shown = ca.SX.zeros(layout.size), mean[layout.slice_of("half")]
+    for group, starts, log in zip(groups, each, odds, strict=True):
+        here, half = list(group), Layout(len(group)).slice_of("half")
+        weights = normalise_weights(ca.vertsplit(ca.exp(DOUBTED * log)))
+        for weight, one in zip(weights, starts, strict=True):
+            off = one.whole.mean[half] - shown[here]
+            total[here] += weight * (ca.diag(one.whole.cov)[half] + off**2)
+    return total
+
+
 def _to_contact_estimate(
-    setup: Setup, q: Params, each: Sequence[Posterior], told: Posterior, reading: Reading
+    setup: Setup,
+    q: Params,
+    each: Sequence[Posterior],
+    told: Posterior,
+    doubt: Doubt,
+    reading: Reading,
 ) -> Estimate:
-    """Return the estimate from the posterior of each filter and of all joints."""
+    """Return the estimate from the posterior of each filter and of all joints.
+
+    Joint by joint, what others do to a link counts as noise, though it repeats from strike to
+    strike. So variances of gaps are shown larger by the coupling over EVEN, at least by WIDENED, up
+    to those of their ranges. Starts that found other gaps add theirs.
+    """
     layout, mean = Layout(setup.gears.joint_count), told.whole.mean
     N, of = layout.size, layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
@@ -516,11 +576,15 @@ def _to_contact_estimate(
     names = ("payload", *FRICTION)
     variances = var(rows[: 4 * N, :])
     known = ca.fmin(variances[N : 2 * N], half**2 + variances[:N] + var(halves) + var(centres))
+    certain = var(halves)
+    open_to = ca.fmax((q.modes.high - q.modes.low)[of("half")] ** 2 / 12, certain)
+    wider = ca.fmax(doubt.coupling / EVEN, WIDENED) if setup.ones else 1.0
+    wide = ca.fmin(ca.fmax(wider * certain, doubt.variance), open_to)
     return shown._replace(
         x_std=ca.sqrt(ca.vertcat(variances[:N], known + unseen, variances[2 * N : 4 * N])),
-        right_std=ca.sqrt(ca.vertcat(var(halves + centres), both) + give),
-        left_std=ca.sqrt(ca.vertcat(var(halves - centres), both) + give),
-        width_std=2 * ca.sqrt(ca.vertcat(var(halves), both) + give),
+        right_std=ca.sqrt(ca.vertcat(var(halves + centres) + wide - certain, both) + give),
+        left_std=ca.sqrt(ca.vertcat(var(halves - centres) + wide - certain, both) + give),
+        width_std=2 * ca.sqrt(ca.vertcat(wide, both) + give),
         innovation_std=told.std,
         w=ca.vertcat(ca.SX.zeros(2 * N), push, ca.SX.zeros(N)),
         theta=ca.vertcat(*(mean[of(name)] for name in names)),

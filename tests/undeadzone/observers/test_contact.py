@@ -17,9 +17,10 @@ import pytest
 import once
 import undeadzone as uz
 from undeadzone.cli import group
+from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
-from undeadzone.observers.contact import OPEN
+from undeadzone.observers.contact import OPEN, variance_of_starts
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     apply_gear_impulses,
@@ -254,6 +255,31 @@ def test_two_links_are_found_joint_by_joint() -> None:
     assert run.consistent[-1].all()
 
 
+def test_joint_by_joint_gaps_are_less_sure_by_their_coupling() -> None:
+    """Their variance is the filter's times half the coupling, or 1.3, at most the range's."""
+    example = tomllib.loads((EXAMPLES / "two_link_gears.toml").read_text())
+    del example["compare"]
+    example["observer"] |= {"joints": "separate", "starts": 1, "compliance": 1e-6}
+    problem = resolve_scenario(convert(example))
+    observer, stds = problem.observer, []
+    first = observer.init(observer.params)
+    assert first.coupling.tolist() == [1.0, 1.0]
+    surer = tuple(
+        tuple(one._replace(covs=tuple(np.asarray(cov) / 16 for cov in one.covs)) for one in modes)
+        for modes in first.modes
+    )
+    reading = Reading(ca.SX(problem.x0[:2]), ca.SX.zeros(2))
+    for coupling in ([1.0, 2.6], [8.0 * 1.3, 2.0], [1e3, 1e3]):
+        now = first._replace(modes=surer, coupling=np.array(coupling))
+        after, shown = observer.step(observer.params, now, ca.SX.zeros(2), reading)
+        stds.append(np.asarray(ca.evalf(shown.width_std)).ravel())
+        assert (np.asarray(ca.evalf(after.coupling)).ravel() >= coupling).all()
+    claimed = 2 * np.ptp(np.broadcast_to(example["observer"]["half"], (2, 2)), axis=1) / np.sqrt(12)
+    assert (stds[0] < claimed / 3).all()
+    assert stds[1] == pytest.approx(stds[0] * [2.0, 1.0], rel=1e-3)
+    assert stds[2] == pytest.approx(claimed, rel=1e-3)
+
+
 def test_what_a_motor_tells_of_its_gears_moves_the_free_links_of_others() -> None:
     """As the arm answers to an impulse at that joint; a link in contact is left to its readings."""
     gears = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
@@ -445,6 +471,21 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     options = ["-O0", "-std=c99", "-ffp-contract=off", "-fno-math-errno"]
     selftest = once.program(["selftest", *options, *sources], tmp_path / "fw")
     assert subprocess.run([selftest], capture_output=True).returncode == 0
+
+
+def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
+    """By a tenth of their odds; a start that was wrong by far counts no more."""
+    half, told = Layout(1).slice_of("half").start, []
+    for gap, std in ((0.02, 0.001), (0.03, 0.002)):
+        mean, cov = ca.SX.zeros(11, 1), ca.SX.eye(11)
+        mean[half], cov[half, half] = gap, std**2
+        told.append(Posterior((), (), Gaussian(mean, cov), mean, 0.0, 1.0))
+    shown = ca.SX.zeros(11, 1)
+    shown[half] = 0.02
+    for log, share in ((0.0, 0.5), (-10.0, 1 / (1 + np.e)), (-60.0, 0.0025)):
+        found = variance_of_starts(Layout(1), [(0,)], [told], [ca.SX([0.0, log])], shown)
+        expected = (1 - share) * 0.001**2 + share * (0.002**2 + 0.01**2)
+        assert float(found) == pytest.approx(expected, rel=0.03)
 
 
 def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:

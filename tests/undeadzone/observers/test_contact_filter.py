@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -14,12 +14,13 @@ from undeadzone.observers.contact_filter.drive import (
     _link_mobility,
     _link_variances,
     build_drive,
+    group_couplings,
     join_posteriors,
     mean_posture,
 )
 from undeadzone.observers.contact_filter.modes import Layout, Posterior, condition_on_impact
 from undeadzone.plants.robots.build import build_two_link
-from undeadzone.plants.robots.geared import Gears, build_geared_arm
+from undeadzone.plants.robots.geared import Gears, build_geared_arm, largest_couplings
 
 GEARS = build_geared_arm(build_two_link(), Gears(half=0.05, inertia=[0.08, 0.03]))
 ALONE = ((0,), (1,))  # a filter for each joint
@@ -75,3 +76,24 @@ def test_a_link_that_struck_half_a_sample_ago_has_the_gap_that_was_foretold(join
     assert float(after.mean[layout.slice_of("half").start + joint]) == pytest.approx(
         0.05, abs=1e-12
     )
+
+
+def test_the_coupling_in_a_posture_is_that_of_the_verdict() -> None:
+    """Of joints alone, of a pair beside a third joint, and of all in one filter, which is 1."""
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(3, 3))
+    mass, inverse = root @ root.T, np.linalg.inv(root @ root.T)
+    body = SimpleNamespace(joint_count=3, mass=lambda _, __: mass)
+    arm = SimpleNamespace(
+        gears=SimpleNamespace(joint_count=3), mass=ca.SX(mass), inverse=ca.SX(inverse)
+    )
+    for groups in (((0,), (1,), (2,)), ((0, 2), (1,))):
+        told = largest_couplings(cast("Any", body), np.zeros(0), np.zeros((1, 3)), groups)
+        found = ca.evalf(group_couplings(groups, cast("Any", arm)))
+        assert np.asarray(found).ravel() == pytest.approx([each.ratio for each in told])
+    mass, inverse = mass[:2, :2], np.linalg.inv(mass[:2, :2])
+    pair = SimpleNamespace(
+        gears=SimpleNamespace(joint_count=2), mass=ca.SX(mass), inverse=ca.SX(inverse)
+    )
+    found = ca.evalf(group_couplings([(0, 1)], cast("Any", pair)))
+    assert np.asarray(found).ravel() == pytest.approx([1.0, 1.0])

@@ -373,6 +373,24 @@ def other_groups(groups: Sequence[Sequence[int]], size: int) -> ca.DM:
     return apart
 
 
+def group_couplings(groups: Sequence[Sequence[int]], arm: Posture) -> Any:
+    """Return the coupling of each joint to those of other groups (N) [1].
+
+    It is `plants.robots.geared.Coupling.ratio` in one posture, of groups of one or two joints.
+
+    Args:
+        groups: joints of each filter.
+        arm: all joints in the mean.
+    """
+    ratios = ca.SX(arm.gears.joint_count, 1)
+    for group in map(list, groups):
+        held, free = arm.mass[group, group], arm.inverse[group, group]
+        mean = ca.trace(held @ free) / len(group)
+        apart = mean**2 - ca.det(held) * ca.det(free) if len(group) > 1 else 0.0
+        ratios[group] = mean + ca.sqrt(ca.fmax(apart, 0.0))
+    return ratios
+
+
 class GearTorques(NamedTuple):
     """Moments of the torques through the gears.
 

@@ -35,6 +35,7 @@ from undeadzone.util.arrays import (
 )
 
 PLACES = 50  # of a motion at which masses are looked at
+EVEN = 2.0  # coupling up to which what other joints do to a link is mere noise
 TINY = 1e-3  # speed at which friction is linear, over that at which it fades
 
 
