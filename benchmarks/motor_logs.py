@@ -96,28 +96,44 @@ def record(motor: Motor, seed: int) -> tuple[Floats, Floats]:
         motor: which.
         seed: of phases and noise.
     """
+    u, angles = record_both(motor, seed)
+    return u, angles[:, int(motor.at_load)]
+
+
+def record_both(motor: Motor, seed: int) -> tuple[Floats, Floats]:
+    """Record the torque (N), and the angles of motor and load (N x 2), each by its own encoder.
+
+    Args:
+        motor: which; its loop has the encoder that it says.
+        seed: of phases and noise.
+    """
     import mujoco
 
     draw = np.random.default_rng([32, seed])
     phases = draw.uniform(0, 2 * math.pi, len(SINES))
     noise = 0.0 if motor.ticks else NOISE
+    of_other = noise * np.random.default_rng([33, seed]).standard_normal(COUNT)
     model = mujoco.MjModel.from_xml_string(motor.xml)
     data = mujoco.MjData(model)
-    u, y, rate, before = np.empty(COUNT), np.empty(COUNT), 0.0, 0.0
+    u, y, rate, before = np.empty(COUNT), np.empty((COUNT, 2)), 0.0, 0.0
+    own, other = int(motor.at_load), int(not motor.at_load)
     for k in range(COUNT):
-        angle = float(data.qpos[0]) + (float(data.qpos[-1]) * bool(motor.gap) * motor.at_load)
-        angle += noise * draw.standard_normal()
-        y[k] = TICK * round(angle / TICK) if motor.ticks else angle
+        angle = float(data.qpos[0])
+        both = [angle, angle + float(data.qpos[-1]) * bool(motor.gap)]
+        both[own] += noise * draw.standard_normal()
+        both[other] += of_other[k]
+        y[k] = [TICK * round(one / TICK) for one in both] if motor.ticks else both
         u[k] = sum(
             size * math.sin(2 * math.pi * rate_of * k * STEP + phase)
             for (size, rate_of), phase in zip(SINES, phases, strict=True)
         )
+        now = float(y[k, own])
         if motor.closed:
-            rate += 0.3 * ((y[k] - before) / STEP - rate)
-            error = 3.0 * u[k] - y[k]
+            rate += 0.3 * ((now - before) / STEP - rate)
+            error = 3.0 * u[k] - now
             push = INERTIA * (STIFFNESS * error - 1.4 * math.sqrt(STIFFNESS) * rate)
             u[k] = min(max(push, -MOST), MOST)
-        before = y[k]
+        before = now
         data.ctrl[0] = u[k]
         mujoco.mj_step(model, data, PARTS)
     return u, y

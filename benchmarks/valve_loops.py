@@ -138,8 +138,22 @@ class Process(NamedTuple):
         return float(np.abs(np.roots(whole)).max())
 
 
-def make(seed: int, cause: str | None = None, size: int | None = None) -> ValveLoop:
-    """A loop by its seed; the causes take turns."""
+def make(
+    seed: int,
+    cause: str | None = None,
+    size: int | None = None,
+    commanded: Step | None = None,
+    added: Step | None = None,
+) -> ValveLoop:
+    """A loop by its seed; the causes take turns.
+
+    Args:
+        seed: of everything.
+        cause: of `CAUSES`.
+        size: samples.
+        commanded: what compensates the valve, between OP and valve; None: nothing.
+        added: what the integral part adds up in place of the error; None: the error.
+    """
     rng = np.random.default_rng([53, seed])
     cause = cause or CAUSES[seed % len(CAUSES)]
     size = size or int(rng.choice(SIZES))
@@ -147,7 +161,8 @@ def make(seed: int, cause: str | None = None, size: int | None = None) -> ValveL
     account = str(rng.choice(list(ACCOUNTS)))
     stick = rng.uniform(1.0, 8.0) if cause in ("stiction", "dead band") else 0.0
     jump = stick * rng.uniform(0.15, 1.1) if cause == "stiction" else 0.0
-    valve: Step = ACCOUNTS[account](stick, jump, 50.0) if stick else lambda op: op
+    faulty: Step = ACCOUNTS[account](stick, jump, 50.0) if stick else lambda op: op
+    valve = faulty if commanded is None else lambda op: faulty(commanded(op))
     total = size + SETTLING
     set_point = np.full(total, 50.0)
     if cause in ("none", "dead band") or rng.random() < 0.5:
@@ -162,6 +177,7 @@ def make(seed: int, cause: str | None = None, size: int | None = None) -> ValveL
         drift,
         _oscillation(rng, cause, process, total, range_pv),
         rng,
+        added,
     )
     kept = slice(SETTLING, None)
     account = account if stick else ""
@@ -219,6 +235,7 @@ def run_loop(
     drift: float,
     outside: np.ndarray,
     rng: np.random.Generator,
+    added: Step | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """OP and PV of a loop (N, N)."""
     total = set_point.size
@@ -233,7 +250,7 @@ def run_loop(
         pv[t] = 50.0 + states[0] + wander + outside[t] + noise * white[t, 2]
         now = set_point[t] - pv[t]
         if t:
-            change = now - error + now / process.integral
+            change = now - error + (added(now) if added else now) / process.integral
             change += process.derivative * (now - 2 * error + before)
             out = min(max(out + process.proportional * change, 0.0), 100.0)
         before, error = error, now

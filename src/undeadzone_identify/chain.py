@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from undeadzone.results.estimation import Estimation
     from undeadzone.scenario.schema import Scenario
     from undeadzone_export.code import Code
+    from undeadzone_export.snippet import Lost
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
+    from undeadzone_identify.results.result import Identified
 
 
 class FirmwareChain(NamedTuple):
@@ -95,6 +97,21 @@ def run_firmware_chain(
     )
 
 
+def compensated(numbers: dict[str, Any], source: str) -> Lost | None:
+    """Return what a few lines compensate; None if no few lines help or nothing is certain.
+
+    Args:
+        numbers: of the answer, as in identify.json.
+        source: name of the log, for people.
+    """
+    from undeadzone_export.snippet import lost_of_answer
+
+    try:
+        return lost_of_answer(numbers, source, source)
+    except InputError:
+        return None
+
+
 def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
     """Return the few lines that compensate the finding, by the names of their files.
 
@@ -105,32 +122,47 @@ def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
     Returns:
         C, Python and Structured Text; nothing if no few lines help or nothing is certain.
     """
-    from undeadzone_export.snippet import NAMES, lost_of_answer, snippet_texts
+    from undeadzone_export.snippet import NAMES, snippet_texts
 
-    try:
-        lost = lost_of_answer(numbers, source, source)
-    except InputError:
-        return {}
-    return snippet_texts(lost, NAMES[lost.kind])
+    lost = compensated(numbers, source)
+    return {} if lost is None else snippet_texts(lost, NAMES[lost.kind])
 
 
-def run_snippet_chain(answer: IdentifiedMotion, source: Path, folder: Path) -> FirmwareChain:
-    """Write the few lines for an axis without a plant, compile the C and run it on a simulated one.
+def chain_signal(answer: Identified | IdentifiedMotion, lost: Lost) -> Floats:
+    """Return what the few lines are run along: the command [u], or the error of a loop [y] (N).
 
     Args:
-        answer: with a gap.
-        source: its identify.json.
+        answer: of one log.
+        lost: what they compensate.
+    """
+    from undeadzone_identify.results.lost_motion import IdentifiedMotion
+
+    if isinstance(answer, IdentifiedMotion):
+        return answer.answer.data.u
+    grid = answer.answer.case.grid
+    if lost.kind != "stuck":
+        return grid.u[:, 0]
+    y = grid.y[grid.ok]
+    return (grid.r[grid.ok, 0] if grid.r.shape[1] else y.mean()) - y
+
+
+def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain:
+    """Write the few lines that need no plant, compile the C and run it along the log.
+
+    Args:
+        lost: a gap, or a valve that sticks.
+        signal: the command [u], or the error of the loop [y] of such a valve (N).
         folder: where the lines go.
 
     Raises:
-        InputError: nothing is certain, no few lines help, or there is no compiler.
+        InputError: there is no compiler.
     """
     from undeadzone.nonlinearities.play import levels
     from undeadzone_export.compiler import compile_library
-    from undeadzone_export.snippet import NAMES, write_snippet
+    from undeadzone_export.snippet import NAMES, write_lost
 
-    report = write_snippet(source, folder / "snippet", None, False)
-    name, u = NAMES[report["kind"]], answer.answer.data.u
+    report = write_lost(lost, folder / "snippet", None, False)
+    name = NAMES[lost.kind]
     with tempfile.TemporaryDirectory() as scratch:
         main = Path(scratch) / "axis.c"
         called = f"float call(float x);\nfloat call(float x) {{ return {name}(x); }}\n"
@@ -138,17 +170,24 @@ def run_snippet_chain(answer: IdentifiedMotion, source: Path, folder: Path) -> F
         write_text(snippet + called, main)
         call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
         call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
-        told = np.array([call(float(one)) for one in u])
-    gap = np.array([report["width"][0]])
-    without, reached = (levels(one[:, None], gap, 0 * gap, u[:1])[:, 0] for one in (u, told))
-    errors = [float(np.abs(one - u)[1:].max()) for one in (without, reached)]
-    texts = [append_unit(f"{one:.3g}", report["unit"]) for one in errors]
-    words = {
-        "firmware": f"{name}() of snippet.h compiles. No plant is needed",
-        "axis off": f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C",
-    }
+        told = np.array([call(float(one)) for one in signal])
+    files = [Path(one) for one in report["written"]]
+    words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}
+    if lost.kind == "stuck":
+        rests = float(np.mean(told == 0.0))
+        words["integral rests"] = f"at {100 * rests:.0f} % of the samples of the log"
+        return FirmwareChain(words, {"integral_rests": rests}, files, True)
+    gap = np.array([lost.width[0]])
+    without, reached = (
+        levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, told)
+    )
+    errors = [float(np.abs(one - signal)[1:].max()) for one in (without, reached)]
+    texts = [append_unit(f"{one:.3g}", lost.unit) for one in errors]
+    words["axis off"] = (
+        f"up to {texts[0]} of an axis simulated with this gap, {texts[1]} with the C"
+    )
     numbers = {"axis_off": errors[0], "axis_off_with_code": errors[1]}
-    return FirmwareChain(words, numbers, [Path(one) for one in report["written"]], True)
+    return FirmwareChain(words, numbers, files, True)
 
 
 def firmware_errors(scenario: Scenario, found: Estimation, code: Code) -> tuple[float, float]:

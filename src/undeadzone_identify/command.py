@@ -29,6 +29,7 @@ from undeadzone.util.files import write_text
 from undeadzone.util.progress import terminal_progress as progress
 
 if TYPE_CHECKING:
+    from undeadzone_identify.chain import FirmwareChain
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.next_log import NextLog
     from undeadzone_identify.results.result import Identified, IdentifiedOutputs
@@ -126,11 +127,7 @@ def identify(
     """
     from undeadzone.logs.names import require_table
     from undeadzone.util.own_files import require_own_file
-    from undeadzone_identify.chain import (
-        compensating_lines,
-        run_firmware_chain,
-        run_snippet_chain,
-    )
+    from undeadzone_identify.chain import compensating_lines
     from undeadzone_identify.pipeline import identify as identified
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
     from undeadzone_identify.results.result import WRITTEN
@@ -174,21 +171,13 @@ def identify(
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
     is_done, more = is_found or is_written, {}
-    if chain is not None and motion is not None and folder is not None:
-        reached = run_snippet_chain(motion, folder / "identify.json", chain)
-        written, why, more = (
-            written + reached.files,
-            why | reached.words,
-            {"chain": reached.numbers},
-        )
-    elif chain is not None and is_written:
-        with progress("going on to firmware", None):
-            reached = run_firmware_chain(path, first, chain, options["columns"], options["strict"])
+    if chain is not None:
+        reached = _go_on(answer, path if is_written else None, first, chain, options)
         written, is_done = written + reached.files, reached.passed
-        why, more = why | reached.words, {"chain": reached.numbers}
-        follow = {"next": f"{shell_command('make', '-C', chain / 'firmware')} builds the self-test"}
-    elif chain is not None:
-        is_done, why = False, why | {"firmware": "none: there is no scenario to make it of"}
+        why, more = why | reached.words, {"chain": reached.numbers} if reached.numbers else {}
+        if is_written:
+            makes = shell_command("make", "-C", chain / "firmware")
+            follow = {"next": f"{makes} builds the self-test"}
     shown = [{"in C": lines["snippet.h"].splitlines()}] if lines else []
     output.print_result(
         lambda: numbers | more,
@@ -197,6 +186,31 @@ def identify(
         why | files_line(written) | follow,
     )
     return 0 if is_done else 1
+
+
+def _go_on(
+    answer: Answers, scenario: Path | None, log: Path, folder: Path, options: dict[str, Any]
+) -> FirmwareChain:
+    """Go on from a scenario to firmware, or from a width that needs no plant to a few lines."""
+    from undeadzone_export.snippet import OF_WIDTH
+    from undeadzone_identify.chain import (
+        FirmwareChain,
+        chain_signal,
+        compensated,
+        run_firmware_chain,
+        run_snippet_chain,
+    )
+    from undeadzone_identify.results.result import IdentifiedOutputs
+
+    with progress("going on to firmware", None):
+        if scenario is not None:
+            own = options["columns"], options["strict"]
+            return run_firmware_chain(scenario, log, folder, *own)
+        lost = compensated(answer.numbers(), log.name)
+        if lost is None or lost.kind not in OF_WIDTH or isinstance(answer, IdentifiedOutputs):
+            none = "none: there is neither a scenario nor a certain gap to make it of"
+            return FirmwareChain({"firmware": none}, {}, [], False)
+        return run_snippet_chain(lost, chain_signal(answer, lost), folder)
 
 
 def _next_commands(

@@ -53,7 +53,7 @@ def play(command: np.ndarray, gap: float) -> np.ndarray:
 
 
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
-@pytest.mark.parametrize("kind", ["sensor", "actuator", "backlash"])
+@pytest.mark.parametrize("kind", ["sensor", "actuator", "backlash", "stuck"])
 def test_c_and_python_say_the_same_of_50_zones(kind: str, tmp_path: Path) -> None:
     """Within 1e-6 of the largest value, and no text is longer than 20 lines."""
     rng = np.random.default_rng(7)
@@ -176,6 +176,28 @@ def test_a_dead_band_ahead_of_the_plant_is_compensated_in_units_of_the_input() -
     assert "if (wanted > before) lead = 5.0f;" in texts["snippet.h"]
     assert all("Smooth a noisy command first" in text for text in texts.values())
     assert all("LinuxCNC" not in text for text in texts.values()), "a valve is no axis"
+
+
+def test_of_a_valve_at_fault_either_way_lines_are_written() -> None:
+    """Its play or its stick band: the lines lessen the error of both (`benchmarks/valve_loops`)."""
+    odds = {"input_play": 0.6, "stiction": 0.35, "none": 0.05}
+    found = answer("input_play", right=None, left=None, width=[5.0, 4.5, 5.5], odds=odds)
+    assert lost_of_answer(found, "a.json", "a.csv").kind == "backlash"
+    with pytest.raises(InputError, match="likely to 60 %"):
+        lost_of_answer(found | {"odds": {"input_play": 0.6, "none": 0.4}}, "a.json", "a.csv")
+
+
+def test_a_valve_that_sticks_rests_within_half_of_what_its_jump_moves() -> None:
+    moved = {"loop": {"jump_of_reading": [3.0, 2.5, 3.5]}}
+    found = answer("stiction", right=None, left=None, width=[5.0, 4.5, 5.5])
+    lost = lost_of_answer(found | moved, "a.json", "a.csv")
+    assert (lost.kind, lost.unit) == ("stuck", "N")
+    scope: dict = {}
+    exec(snippet_texts(lost, "added")["snippet.py"], scope)
+    added = scope["Added"]()
+    assert [added(error) for error in (1.4, -1.4, 1.6, -1.6)] == [0.0, 0.0, 1.6, -1.6]
+    with pytest.raises(InputError, match="steps of the set point"):
+        lost_of_answer(found | {"loop": {"jump_of_reading": None}}, "a.json", "a.csv")
 
 
 @pytest.mark.parametrize(

@@ -46,8 +46,15 @@ OF_READINGS: Final = (
         *("flow", "level", "pressure", "temperature", "temp", "position", "speed", "rpm"),
         *("present position", "actual position", "measured position", "present speed"),
     ),
-    ("joint", "link", "load", "joint position", "joint angle", "link position", "link angle"),
+    (
+        *("joint", "link", "load", "joint position", "joint angle", "link position", "link angle"),
+        *("joint encoder", "link encoder", "load encoder", "load position", "load angle"),
+    ),
     ("axis", "star", "camera", "dial", "scale"),
+    (
+        *("encoder", "encoder position", "encoder angle", "angle", "q", "theta"),
+        *("motor encoder", "motor position", "motor angle"),  # beside a current or torque
+    ),
 )
 GOALS: Final = ("goal", "goal position", "target position", "commanded position", "goal speed")
 DRIVES: Final = ("current", "motor current", "present current", "torque", "motor torque", "effort")
@@ -58,6 +65,7 @@ OF_INPUTS: Final = (
     GOALS,
     ("desired", "target", "wanted"),  # where nothing else drives
     ("pulses", "pulse", "motor", "motor position", "motor angle", "motor encoder"),
+    DRIVES,  # where neither a goal nor another position is
 )
 TEST_MACHINE: Final = ("displacement", "force")  # of two such columns the first drives
 # First or last words of names that no trade has: `force_command`, `measured_angle`.

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from undeadzone.util.arrays import to_json_value
 from undeadzone.util.text import append_unit, bracket_interval
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.selection.decision import Case
 from undeadzone_identify.selection.valve import BUMP, TIGHT, ValveFindings
+
+UNSURE = 0.5  # of a gain: half its 95 % interval, above which it is not known
 
 
 def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
@@ -80,18 +84,42 @@ def _gain_to_cut(valve: ValveFindings) -> float:
     return max(2 * (1 - 1 / max(valve.sensitivity, TIGHT)), 1.0)
 
 
-def _rest(case: Case, valve: ValveFindings) -> str:
-    """Return the dead band of the integral part that lets a loop of known gain rest."""
+def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
+    """Return how far a jump of the valve moves the reading [y]; None without a known gain.
+
+    Args:
+        case: the log.
+        valve: findings on the valve.
+    """
     plant = valve.plant
     if plant is None or plant.model.simulator.is_at_limit(plant.theta):
-        return ""
-    gain = abs(float(plant.model.simulator.dc_gain(plant.theta)[0]))
-    band = (
-        gain * valve.jump.value * case.record_data.y_scale / float(case.record_data.u_scale[0]) / 2
+        return None
+    simulator, theta = plant.model.simulator, plant.theta
+    if simulator.layout.integrators:
+        return None
+    gain = float(simulator.dc_gain(theta)[0])
+    slope = np.zeros(theta.size)
+    below = 1 + float(theta[simulator.layout.denominator].sum())
+    slope[simulator.layout.denominator] = -gain / below
+    slope[simulator.layout.numerators] = 1 / below
+    V = plant.squares.robust_covariance(theta).V
+    unsure = 2 * math.sqrt(max(float(slope @ V @ slope), 0.0)) / max(abs(gain), 1e-12)
+    if unsure > UNSURE:
+        return None
+    moved = valve.jump.scale_by(
+        abs(gain) * case.record_data.y_scale / float(case.record_data.u_scale[0])
     )
-    if not 0 < band < case.record_data.y_scale:
+    if not 0 < moved.value < 2 * case.record_data.y_scale:
+        return None
+    return Interval(moved.value, moved.low * (1 - unsure), moved.high * (1 + unsure))
+
+
+def _rest(case: Case, valve: ValveFindings) -> str:
+    """Return the dead band of the integral part that lets a loop of known gain rest."""
+    moved = jump_of_reading(case, valve)
+    if moved is None:
         return ""
-    within = append_unit(f"{band:.2g}", case.grid.output_unit)
+    within = append_unit(f"{moved.value / 2:.2g}", case.grid.output_unit)
     held = f"stop the integral part while the error is within {within} of {case.grid.output}"
     return f"; meanwhile {held} (half of what a jump moves it)"
 
@@ -111,26 +139,27 @@ def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
     )
 
 
-def loop_numbers(valve: ValveFindings, step: float, scale: float) -> dict[str, Any]:
+def loop_numbers(case: Case, valve: ValveFindings) -> dict[str, Any]:
     """Return the findings on a loop's valve, for JSON.
 
     Args:
+        case: the log.
         valve: findings on the valve.
-        step: of the log [s].
-        scale: rms of the readings [y].
     """
-    period = valve.period * step
+    period = valve.period * case.grid.step
+    moved = jump_of_reading(case, valve)
     return dict(
         to_json_value(
             {
                 "S": list(valve.stick),
                 "J": list(valve.jump),
+                "jump_of_reading": None if moved is None else list(moved),
                 "account": valve.fit.account,
                 "regularity": valve.regularity,
                 "period": period if math.isfinite(period) else None,
                 "sensitivity": valve.sensitivity,
                 "shape": valve.shape,
-                "held_out_without": valve.without * scale,
+                "held_out_without": valve.without * case.record_data.y_scale,
             }
         )
     )

@@ -196,7 +196,7 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         "servo": servo_numbers(answer),
         "loop": None
         if answer.found.valve is None
-        else loop_numbers(answer.found.valve, grid.step, answer.scale),
+        else loop_numbers(answer.case, answer.found.valve),
         "held_out": {
             "error": chosen.error * answer.scale,
             "fit": chosen.share,

@@ -17,6 +17,7 @@ from undeadzone.util.arrays import Flags, Floats
 from undeadzone_identify.logs.grid import find_sample_time, printed_step
 from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.models.estimates import Interval, student_quantile
+from undeadzone_identify.models.free_load import fit_free_load
 from undeadzone_identify.models.least_squares import Density
 from undeadzone_identify.models.lost_motion import (
     FEWEST_LATE,
@@ -44,6 +45,10 @@ GOALS = ("goal", "target", "command", "desired", "setpoint", "wanted", "demand")
 PULSES = ("pulse", "pulses", "decguidedistance", "raguidedistance", "decduration", "raduration")
 DRIVES = ("current", "torque", "effort", "load")  # of a servo, beside its goal
 POSITIONS = ("position", "angle", "axis", "joint", "encoder", "motor", "link", "star", "camera")
+FLOATS = (
+    "the load floats in its gap: it is at a flank in {:.0f} % of the samples, and strikes the other"
+    " by its own motion. Lines that move the motor across at each turn help only if it is held"
+)
 STRAIGHT = (Structure(), Structure(late=True))
 BENT = (Structure(bent=True), Structure(bent=True, late=True))
 LAGGING = (Structure(lags=1, late=True), Structure(lags=2, late=True))
@@ -149,9 +154,20 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         fit, found, others = _add_lags(data, (fit, found))
         flat = min((MotionFit(data, found.structure).fit(at_rest), flat), key=LostMotion.bic)
     gap = _widest(fit, found, others)
-    odds = model_probabilities([_family(found, flat, curved, quantum)])
+    family = _family(found, flat, curved, quantum)
+    free = fit_free_load(data) if _may_float(log, is_goal or is_summed, white) else None
+    if free is not None:
+        family = {
+            word: min(one, free.rivals.get(word, one), key=_bic) for word, one in family.items()
+        }
+        if family["play"] is free.density:
+            fit, found, gap = MotionFit(data, Structure()), free.found, free.gap
+        else:
+            free = None
+    odds = model_probabilities([family])
     explained = 1 - found.rms**2 / max(float(np.var(data.y)), 1e-300)
     small = found.rms < SMALL * abs(found.gain) * found.gap
+    white = white or free is not None  # whose motion in the gap is its own
     fits = explained > SHARE and (white or small)
     is_gap = odds["play"] > LIKELY and gap.low > 0
     word = "play" if is_gap else "none"
@@ -181,6 +197,8 @@ def find_lost_motion(log: Log, options: Options) -> tuple[LostMotionAnswer | Non
         reasons=[],
         remarks=[*log.remarks],
     )
+    if free is not None:
+        answer.remarks.append(FLOATS.format(100 * free.contact))
     return _described(_split(answer), explained, white), stands
 
 
@@ -273,6 +291,17 @@ def _widest(fit: MotionFit, found: LostMotion, others: list[LostMotion]) -> Inte
     more = max(gaps) - min(gaps) + (ASSUMED * gap.value if found.structure.lags else 0.0)
     low = min(gap.low, min(gaps)) - more
     return Interval(gap.value, max(low, 0.0), max(gap.high, max(gaps)) + more)
+
+
+def _may_float(log: Log, is_told: bool, white: bool) -> bool:
+    """Return whether a load may float in the gap between two positions that are read."""
+    alike = _is_alike(log) and not is_told and not white
+    return alike and log.t.size >= FEWEST_LATE and _has_grid(log)
+
+
+def _bic(one: Density) -> float:
+    """Return the BIC of a density."""
+    return one.bic
 
 
 def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: float) -> Family:

@@ -6,6 +6,7 @@ stand beside those of every other model that foretells these readings.
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import CHANCE, Density, LeastSquares
-from undeadzone_identify.models.plant import PlantSimulator, RecordData
+from undeadzone_identify.models.plant import PlantSimulator, RecordData, polynomial_roots
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
@@ -43,6 +44,7 @@ FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
+REAL, LEAST_POLE = 1e-9, 1e-6  # of an imaginary part, and of a pole, which is 0 below
 TIGHTENED = {"none": "tight_tuning"}  # the word of a loop that swings by its own tuning
 
 
@@ -291,7 +293,10 @@ def _score(case: Case, fits: LoopFits, v: Floats, part: slice) -> tuple[HeldOutS
 
 
 def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | None:
-    """Return the linear plant behind a position, of the best order; None if none settles."""
+    """Return the linear plant behind a position; None if none settles.
+
+    Its order is the best of those whose poles a plant in continuous time has, else of all.
+    """
     data = case.recorded
     delayed = np.append(np.full(late, v[0]), v[: v.size - late]) * np.ptp(data.u[part, 0])
     delayed += float(data.u[part, 0].mean())
@@ -308,8 +313,21 @@ def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | N
         simulator = PlantSimulator(begun, n, case.options.integrators)
         fit = fit_linear(simulator, begun.ok)
         found.append((fit.bic, n, simulator, fit.theta[: simulator.layout.right]))
-    _, _, simulator, theta = min(found, key=lambda one: one[:2])
-    return LeastSquares(ChainModel(simulator)).fit_from_starts([theta])
+    plants = (
+        LeastSquares(ChainModel(simulator)).fit_from_starts([theta])
+        for _, _, simulator, theta in sorted(found, key=lambda one: one[:2])
+    )
+    best = next(plants)
+    return next(filter(_is_continuous, itertools.chain([best], plants)), best)
+
+
+def _is_continuous(fit: ChainFit | None) -> bool:
+    """Return whether a plant in continuous time has the poles: none is 0, or negative and real."""
+    if fit is None:
+        return False
+    poles = polynomial_roots(fit.theta[fit.model.simulator.layout.denominator])
+    real = np.abs(poles.imag) < REAL * np.abs(poles)
+    return not bool(np.any((np.abs(poles) < LEAST_POLE) | (real & (poles.real < 0))))
 
 
 def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:

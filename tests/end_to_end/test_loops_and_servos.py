@@ -1,0 +1,109 @@
+"""From the log of a loop or of a servo to compiled C in one command, and what the C is worth."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from benchmarks.servo_logs import Servo, input_at_random, recorded
+from benchmarks.valve_loops import ValveLoop, make
+from click.testing import CliRunner
+
+from undeadzone.cli import group
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+SIZE = 800
+
+
+def invoke(*words: str) -> str:
+    result = CliRunner().invoke(group, list(words))
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def write_loop(loop: ValveLoop, path: Path) -> None:
+    columns = np.column_stack([np.arange(loop.op.size), loop.op, loop.pv, loop.sp])
+    np.savetxt(path, columns, delimiter=",", header="time,OP,PV,SP", comments="")
+
+
+def compiled(snippet: Path, name: str) -> Callable[[float], float]:
+    """Return the function of a snippet, compiled with warnings as errors."""
+    source, library = snippet.with_name("call.c"), snippet.with_name("call.so")
+    source.write_text(f"{snippet.read_text()}float call(float x) {{ return {name}(x); }}\n")
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run(["gcc", *flags, source, "-o", library], check=True)
+    call = ctypes.CDLL(str(library)).call
+    call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
+    return lambda x: float(call(float(x)))
+
+
+def error_of(loop: ValveLoop) -> float:
+    """Return the rms of the control error, without the start."""
+    return float(np.std((loop.sp - loop.pv)[SIZE // 4 :]))
+
+
+def test_a_valve_with_play_ends_in_firmware_and_lines_that_lessen_the_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scenario has the play; its lines and those of the answer are the same code."""
+    monkeypatch.chdir(tmp_path)
+    loop = make(7, "dead band", SIZE)
+    write_loop(loop, Path("loop.csv"))
+    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    assert "every bit agrees" in shown
+    assert "return wanted + lead;" in shown
+    assert '[actuator]\nkind = "play"' in Path("o/loop.toml").read_text()
+    assert Path("fw/firmware/loop.c").exists()
+    bodies = []
+    for source in ("o/identify.json", "o/loop.toml"):
+        invoke("export", source, "--to", "snippet", "--out", f"few-{Path(source).suffix[1:]}")
+        text = Path(f"few-{Path(source).suffix[1:]}/snippet.h").read_text()
+        bodies.append(text[text.index("static float") :])
+    assert bodies[0] == bodies[1]
+    with_lines = make(7, "dead band", SIZE, compiled(Path("few-json/snippet.h"), "commanded"))
+    assert error_of(with_lines) < 0.9 * error_of(loop)
+
+
+def test_a_valve_that_sticks_ends_in_lines_that_end_its_cycle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has no scenario; the lines stop the integral part, and OP comes to rest."""
+    monkeypatch.chdir(tmp_path)
+    loop = make(36, "stiction", SIZE)
+    write_loop(loop, Path("loop.csv"))
+    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    numbers = json.loads(Path("o/identify.json").read_text())
+    assert numbers["verdict"] == "stiction"
+    jump = numbers["loop"]["jump_of_reading"]
+    assert jump[1] < jump[0] < jump[2]
+    assert "added() of snippet.h compiles" in shown
+    rests = make(36, "stiction", SIZE, None, compiled(Path("fw/snippet/snippet.h"), "added"))
+    swings = [float(np.ptp(one.op[SIZE // 2 :])) for one in (loop, rests)]
+    assert swings[1] < 0.7 * swings[0]
+
+
+def test_a_servo_by_current_and_encoder_ends_in_firmware(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No option is needed: the names tell what drives and what is read."""
+    monkeypatch.chdir(tmp_path)
+    servo = Servo(6.0, 8.0, 0.0, 0.0, 0.12, 0.03, 0.002, 1, 0.0, 0.0)
+    draw = np.random.default_rng(1)
+    command, torque = input_at_random(draw, 1600), 0.03 * draw.standard_normal(1600)
+    u, y = recorded(servo, 0.005, command, torque, np.zeros(1600), False)
+    table = np.column_stack([0.005 * np.arange(1600), u, y])
+    np.savetxt(
+        "servo.csv", table, delimiter=",", header="t [s],current [A],encoder [rad]", comments=""
+    )
+    shown = invoke("identify", "servo.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    assert "every bit agrees" in shown
+    low, high = json.loads(Path("o/identify.json").read_text())["width"][1:]
+    assert low < servo.gap < high
+    assert "static float commanded" in shown
+    assert Path("fw/firmware/servo.c").exists()
