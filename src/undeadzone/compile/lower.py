@@ -8,6 +8,7 @@ place, so that all of a lane is vectorised.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
@@ -17,7 +18,7 @@ import casadi as ca
 from undeadzone.compile import elementary
 from undeadzone.compile.assumptions import KernelAssumption
 from undeadzone.compile.casadi_reader import build_nodes
-from undeadzone.compile.coefficients import DOUBLE, FUSED
+from undeadzone.compile.coefficients import DOUBLE, FUSED, SINGLE
 from undeadzone.compile.graph import (
     CONSTANT,
     LANES,
@@ -26,6 +27,7 @@ from undeadzone.compile.graph import (
     Nodes,
     Results,
     count_uses,
+    required_nodes,
     to_condition,
 )
 from undeadzone.compile.simplify import ExactRules, FusedRules, PortableRules
@@ -100,7 +102,38 @@ def build_portable_nodes(function: ca.Function, kind: str) -> Results:
     Raises:
         InputError: names an instruction that no code can be made of.
     """
-    return build_nodes(function, PortableRules(Nodes(), kind))
+    results = build_nodes(function, PortableRules(Nodes(), kind))
+    return _find_erf_by_exp(results) if kind == SINGLE.kind else results
+
+
+def _find_erf_by_exp(results: Results) -> Results:
+    """Return results whose erf x takes e^-x^2 along, if that is computed anyhow."""
+    nodes, new = Nodes(), dict[Node, Node]()
+    order = required_nodes(itertools.chain(*results))
+    exponentials = {}
+    for node in order:
+        if node.text == "exp" and node.args[0].op == "neg":
+            (square,) = node.args[0].args
+            if square.op == "mul" and square.args[0] is square.args[1]:
+                exponentials[square.args[0]] = node
+
+    def copy_node(node: Node) -> Node:
+        """Return the copy of a node whose operands, if they are not copied, depend on such."""
+        if node not in new:
+            args = [copy_node(arg) for arg in node.args]
+            text = node.text
+            (of, *_) = node.args or (node,)
+            found = exponentials.get(of.args[0] if of.op == "neg" else of)
+            if text == "erf" and found is not None:
+                text, args = "erf_by_exp", [*args, copy_node(found)]
+            new[node] = nodes.intern(
+                node.op, *args, text=text, kind=node.kind, level=node.level
+            )
+        return new[node]
+
+    for node in order:
+        copy_node(node)
+    return [[new[node] for node in result] for result in results]
 
 
 class Term(NamedTuple):
