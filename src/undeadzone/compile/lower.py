@@ -103,12 +103,11 @@ def build_portable_nodes(function: ca.Function, kind: str) -> Results:
         InputError: names an instruction that no code can be made of.
     """
     results = build_nodes(function, PortableRules(Nodes(), kind))
-    return _find_erf_by_exp(results) if kind == SINGLE.kind else results
+    return _use_exponentials_in_erf(results) if kind == SINGLE.kind else results
 
 
-def _find_erf_by_exp(results: Results) -> Results:
+def _use_exponentials_in_erf(results: Results) -> Results:
     """Return results whose erf x takes e^-x^2 along, if that is computed anyhow."""
-    nodes, new = Nodes(), dict[Node, Node]()
     order = required_nodes(itertools.chain(*results))
     exponentials = {}
     for node in order:
@@ -116,19 +115,20 @@ def _find_erf_by_exp(results: Results) -> Results:
             (square,) = node.args[0].args
             if square.op == "mul" and square.args[0] is square.args[1]:
                 exponentials[square.args[0]] = node
+    if not exponentials:
+        return results
+    nodes, new = Nodes(), dict[Node, Node]()
 
     def copy_node(node: Node) -> Node:
-        """Return the copy of a node whose operands, if they are not copied, depend on such."""
+        """Return the copy of a node, in which an erf gets its exponential."""
         if node not in new:
-            args = [copy_node(arg) for arg in node.args]
-            text = node.text
-            (of, *_) = node.args or (node,)
-            found = exponentials.get(of.args[0] if of.op == "neg" else of)
-            if text == "erf" and found is not None:
-                text, args = "erf_by_exp", [*args, copy_node(found)]
-            new[node] = nodes.intern(
-                node.op, *args, text=text, kind=node.kind, level=node.level
-            )
+            text, args = node.text, node.args
+            if text == "erf":
+                (x,) = args
+                found = exponentials.get(x.args[0] if x.op == "neg" else x)
+                text, args = ("erf_by_exp", (x, found)) if found is not None else (text, args)
+            copies = map(copy_node, args)
+            new[node] = nodes.intern(node.op, *copies, text=text, kind=node.kind, level=node.level)
         return new[node]
 
     for node in order:
