@@ -15,9 +15,10 @@ import msgspec
 import numpy as np
 
 import undeadzone
+from undeadzone.compile.casadi_reader import read_constants
 from undeadzone.compile.graph import required_nodes
-from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import c_literal
+from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.registry import OBSERVERS
 from undeadzone.scenario.problem import resolve_scenario
@@ -148,7 +149,7 @@ def export(
     steps = STEPS if printed.single else accuracy.MACHINE_STEPS
     rows = record_inputs(continue_scenario(scenario, steps), step)
     report = _initial_report(printed, text, labels, tunable)
-    report["replaced_constants"] = constants_beyond_float(step) if printed.single else []
+    report["replaced_constants"] = constants_beyond_float(printed) if printed.single else []
     report |= _accuracy_report(printed, text, rows)
     if to in FIRMWARE:
         found = fit_boards(report)
@@ -284,13 +285,16 @@ def _struct_bytes(printed: Code) -> dict[str, int]:
     return {name: each * total_size(structs[name]) for name in ("state", "in", "out", "params")}
 
 
-def constants_beyond_float(step: exported_step.ExportedStep) -> list[str]:
+def constants_beyond_float(printed: Code) -> list[str]:
     """Return the numbers in double of a step that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
-    for node in required_nodes(itertools.chain(*build_portable_nodes(step.function, "float64"))):
-        size = abs(node.constant_value or 0.0)
-        if size > float(limits.max) or 0 < size < float(limits.tiny):
-            texts.add(f"{node.text}: {c_literal(float(node.text), 'float32')}")
+    order = required_nodes(itertools.chain(*printed.results))
+    kept = {node.constant_value for node in order if node.is_real}
+    function = printed.step.function
+    for value in itertools.chain(*map(read_constants, [function, *function.find_functions()])):
+        is_beyond = abs(value) > float(limits.max) or 0 < abs(value) < float(limits.tiny)
+        if is_beyond and round_to_type(value, "float32") in kept:
+            texts.add(f"{value!r}: {c_literal(value, 'float32')}")
     return sorted(texts)
 
 

@@ -37,7 +37,8 @@ from undeadzone.compile.machine import (
 LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 IN_PIECES: Final = 100_000  # lines of a text in whose many loads and stores schedulers get lost
 LESS: Final = 1  # LLVM's effort without them
-FRAME: Final = 32  # bytes of the stack that a line takes in such code, which shares nothing
+# Bytes of the stack that a line takes in such code, which shares nothing: of vectors, of numbers.
+FRAME, FRAME_OF_ONE = 32, 8
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
 # Time of other jobs is not counted, except on Windows, where it is coarse (1/64 s).
@@ -196,7 +197,7 @@ def load_block(text: str, kinds: tuple[str, ...]) -> CompiledBlock:
 
 @functools.lru_cache(maxsize=64)
 def load_or_compile(
-    recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False, brief: bool = False
+    recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False, most: float = np.inf
 ) -> CompiledBlock:
     """Return the function `block` of a recipe, compiled now or read from disk.
 
@@ -207,7 +208,7 @@ def load_or_compile(
         kinds: of its arguments.
         hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
             best one behind it.
-        brief: the best one is not worth its time.
+        most: lines of a text beyond which the best one is not worth its time.
     """
     block = read_cached_block(recipe, kinds)
     if block is not None:
@@ -215,13 +216,15 @@ def load_or_compile(
     text, note = recipe.make()
     lines = text.count("\n")
     longest = max(part.count("\n") for part in text.split("\n}\n"))  # of its functions
-    if not hurry or lines < LONG or longest * FRAME > stack() // 4:
+    frame = longest * (FRAME if " x double>" in text else FRAME_OF_ONE)
+    if not hurry or lines < LONG or frame > stack() // 4:
         return CompiledBlock(_compile_fully(recipe, kinds, text, note), kinds, note, text)
-    block = CompiledBlock(
-        _require_linked(link_block(compile_text(text, 0), kinds)), kinds, note, text
-    )
-    if not brief:
+    code = compile_text(text, 0)
+    block = CompiledBlock(_require_linked(link_block(code, kinds)), kinds, note, text)
+    if lines <= most:
         block.improve(lambda: _compile_fully(recipe, kinds, text, note))
+    elif most:
+        _write_cached(recipe.key, kinds, note, code)
     return block
 
 

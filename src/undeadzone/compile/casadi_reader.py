@@ -91,6 +91,13 @@ def read_program(function: ca.Function) -> Program:
     return Program(function.name(), lines, results)
 
 
+def read_constants(function: ca.Function) -> list[float]:
+    """Return the constants of a function, those of functions that it calls apart."""
+    count = range(function.n_instructions())
+    places = [k for k in count if function.instruction_id(k) == ca.OP_CONST]
+    return list(map(function.instruction_constant, places))
+
+
 def evaluate_program(
     of: Program,
     read: Callable[[str, int], Any],

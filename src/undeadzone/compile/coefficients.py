@@ -39,6 +39,9 @@ class Numbers(msgspec.Struct, frozen=True):
         head: 2 / sqrt(pi), with the first of `erf`.
         erf: -log(1 - erf a) / a - head by powers of a in [0, certain] (weight a (1 - erf a) / erf
             a).
+        erf_by_exp: (1 - e^a^2 (1 - erf a)) / (a t) by powers of t = 1 / (2 + a) (weight a t e^-a^2)
+            (empty: the exponential is of no use to erf).
+        flushes: whether exp is 0 of arguments up to `least`, so that no result is subnormal.
         atan: (atan(x) / x - 1) / x^2 by powers of x^2, |x| <= tan(pi / 8).
         pi4, pi2: pi / 4 and pi / 2, each as a number and its rest.
     """
@@ -65,6 +68,8 @@ class Numbers(msgspec.Struct, frozen=True):
     atan: tuple[float, ...]
     pi4: tuple[float, float]
     pi2: tuple[float, float]
+    erf_by_exp: tuple[float, ...] = ()
+    flushes: bool = False
 
     @property
     def bits(self) -> int:

@@ -110,6 +110,13 @@ def shifted_power(m: Maths, shifted: Any, less: Any = None) -> Any:
     return m.from_bits((bits << m.c.mantissa) + m.c.one_bits)
 
 
+def halved_power(m: Maths, n: Any, shifted: Any) -> Any:
+    """Return 2^(n - 1), 0 of the least n, from n and n + shift."""
+    if m.bitless:
+        return m.select(n < 1.5 - m.c.bias, 0.0, m.call("power", n - 1.0))
+    return m.from_bits((m.bits(shifted) << m.c.mantissa) + (m.c.one_bits - (1 << m.c.mantissa)))
+
+
 def reduce_exponent(m: Maths, x: Any) -> Any:
     """Return n, n + shift and e^r - 1 for x = n log 2 + r, |r| <= log(2) / 2."""
     c = m.c
@@ -163,10 +170,14 @@ def ceil(m: Maths, x: Any) -> Any:
 
 
 def exp(m: Maths, x: Any) -> Any:
-    """Return exponential, with 2^n in two factors, so that the largest numbers and subnormal ones
-    come out.
+    """Return exponential, with 2^n in two factors, so that the largest numbers come out, and
+    subnormal ones in double.
     """
     n, shifted, part = reduce_exponent(m, clip_exponent(m, x))
+    if m.c.flushes:
+        scale = halved_power(m, n, shifted)
+        half_value = m.fma(scale, part, scale)
+        return half_value + half_value
     half = m.fma(n, 0.5, m.c.shift)
     scale = shifted_power(m, half)
     return m.fma(scale, part, scale) * shifted_power(m, shifted, half)
@@ -220,6 +231,17 @@ def erf(m: Maths, x: Any) -> Any:
     c, a = m.c, abs(x)
     a = m.select(a > c.certain, c.certain, a)
     value = one_minus_exp(m, m.fma(a, c.head, a * m.polynomial(a, c.erf)))
+    return m.call("copysign", value, x)
+
+
+def erf_by_exp(m: Maths, x: Any, e: Any) -> Any:
+    """Return error function from e = e^-x^2, as (1 - e) + e |x| t p(t), t = 1 / (2 + |x|)."""
+    c, a = m.c, abs(x)
+    if not c.erf_by_exp:
+        return m.call("erf", x)
+    a = m.select(a > c.certain, c.certain, a)
+    t = 1.0 / (2.0 + a)
+    value = (1.0 - e) + (e * a) * (t * m.polynomial(t, c.erf_by_exp))
     return m.call("copysign", value, x)
 
 
@@ -342,7 +364,24 @@ def hypot(m: Maths, x: Any, y: Any) -> Any:
 # --- As graphs
 
 _OWN: Final = (
-    *(sign, floor, ceil, exp, expm1, log, log1p, erf, sin, cos, tan, atan, atan2, asin, acos),
+    *(
+        sign,
+        floor,
+        ceil,
+        exp,
+        expm1,
+        log,
+        log1p,
+        erf,
+        erf_by_exp,
+        sin,
+        cos,
+        tan,
+        atan,
+        atan2,
+        asin,
+        acos,
+    ),
     *(sinh, cosh, tanh, asinh, acosh, atanh, hypot),
 )
 FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {

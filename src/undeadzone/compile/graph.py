@@ -74,10 +74,10 @@ class Nodes:
         key = (op, text, kind, *[arg.number for arg in args])
         node = self._known.get(key)
         if node is None:
-            levels = {level, *(arg.level for arg in args)}
+            levels = {level, *[arg.level for arg in args]}
             level = max(levels)
-            if op != "const":
-                level = max(level, STEADY)
+            if level == CONSTANT and op != "const":
+                level = STEADY
             if level == STILL and SHARED in levels:
                 level = LANES
             node = self._known[key] = Node(op, args, text, kind, level, len(self._known))

@@ -8,6 +8,7 @@ place, so that all of a lane is vectorised.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
@@ -17,7 +18,7 @@ import casadi as ca
 from undeadzone.compile import elementary
 from undeadzone.compile.assumptions import KernelAssumption
 from undeadzone.compile.casadi_reader import build_nodes
-from undeadzone.compile.coefficients import DOUBLE, FUSED
+from undeadzone.compile.coefficients import DOUBLE, FUSED, SINGLE
 from undeadzone.compile.graph import (
     CONSTANT,
     LANES,
@@ -26,6 +27,7 @@ from undeadzone.compile.graph import (
     Nodes,
     Results,
     count_uses,
+    required_nodes,
     to_condition,
 )
 from undeadzone.compile.simplify import ExactRules, FusedRules, PortableRules
@@ -100,7 +102,38 @@ def build_portable_nodes(function: ca.Function, kind: str) -> Results:
     Raises:
         InputError: names an instruction that no code can be made of.
     """
-    return build_nodes(function, PortableRules(Nodes(), kind))
+    results = build_nodes(function, PortableRules(Nodes(), kind))
+    return _use_exponentials_in_erf(results) if kind == SINGLE.kind else results
+
+
+def _use_exponentials_in_erf(results: Results) -> Results:
+    """Return results whose erf x takes e^-x^2 along, if that is computed anyhow."""
+    order = required_nodes(itertools.chain(*results))
+    exponentials = {}
+    for node in order:
+        if node.text == "exp" and node.args[0].op == "neg":
+            (square,) = node.args[0].args
+            if square.op == "mul" and square.args[0] is square.args[1]:
+                exponentials[square.args[0]] = node
+    if not exponentials:
+        return results
+    nodes, new = Nodes(), dict[Node, Node]()
+
+    def copy_node(node: Node) -> Node:
+        """Return the copy of a node, in which an erf gets its exponential."""
+        if node not in new:
+            text, args = node.text, node.args
+            if text == "erf":
+                (x,) = args
+                found = exponentials.get(x.args[0] if x.op == "neg" else x)
+                text, args = ("erf_by_exp", (x, found)) if found is not None else (text, args)
+            copies = map(copy_node, args)
+            new[node] = nodes.intern(node.op, *copies, text=text, kind=node.kind, level=node.level)
+        return new[node]
+
+    for node in order:
+        copy_node(node)
+    return [[new[node] for node in result] for result in results]
 
 
 class Term(NamedTuple):

@@ -104,7 +104,7 @@ class CompiledStepper:
     def _compile(self) -> None:
         """Compile, and exchange the called code each time that better code is ready."""
         try:
-            block = cache.load_or_compile(self._recipe, KINDS, True)
+            block = cache.load_or_compile(self._recipe, KINDS, True, cache.IN_PIECES)
         except InputError as error:
             self.engine = f"virtual machine: {error}"
             return
@@ -135,7 +135,7 @@ class CompiledStepper:
         outputs = np.empty((len(w), self.out.size))
         for start in range(0, len(w), ROWS):
             if self._left <= 0:
-                self._take_code(cache.load_or_compile(self._recipe, KINDS, True, True))
+                self._take_code(cache.load_or_compile(self._recipe, KINDS, True, 0))
                 self._left = np.inf
             rows = w[start : start + ROWS]
             self._left -= len(rows)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from graphlib import TopologicalSorter
 from typing import Final, NamedTuple
 
@@ -65,16 +65,28 @@ def order_depth_first(made: list[Node], results: list[Node]) -> list[Node]:
     """
     length: dict[Node, int] = {}
     for node in made:
-        length[node] = 1 + max((length.get(arg, 0) for arg in node.args), default=0)
+        longest = 0
+        for arg in node.args:
+            longest = max(longest, length.get(arg, 0))
+        length[node] = 1 + longest
     order: dict[Node, None] = {}
-    waiting = [node for node in reversed(results) if node in length]
-    while waiting:
-        needed_first = [arg for arg in waiting[-1].args if arg in length and arg not in order]
-        if needed_first:
-            waiting.append(max(needed_first, key=length.__getitem__))
-        else:
-            order[waiting.pop()] = None
+    for result in results:
+        waiting = [(result, _longest_first(result, length))] if result in length else []
+        while waiting:
+            node, operands = waiting[-1]
+            needed_first = next((arg for arg in operands if arg not in order), None)
+            if needed_first is not None:
+                waiting.append((needed_first, _longest_first(needed_first, length)))
+            else:
+                order[node] = None
+                waiting.pop()
     return list(order)
+
+
+def _longest_first(node: Node, length: dict[Node, int]) -> Iterator[Node]:
+    """Return the operands of a node that are instructions, those of the longest chain first."""
+    made = [arg for arg in node.args if arg in length]
+    return iter(sorted(made, key=length.__getitem__, reverse=True))
 
 
 class _ListSchedule(NamedTuple):

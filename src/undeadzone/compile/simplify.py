@@ -315,6 +315,8 @@ class PortableRules:
         for factor, value in ((a, b), (b, a)):
             if factor is self.exact.one:
                 return value
+            if factor.constant_value == -1.0:
+                return self.nodes.intern("neg", value)
             truth = to_condition(factor)
             if truth is not None:
                 return self._select_positive(truth, value, self.exact.zero)
@@ -328,6 +330,8 @@ class PortableRules:
         for one, other in ((a, b), (b, a)):
             if one is zero:
                 return other
+            if one.op == "neg":
+                return self.nodes.intern("sub", other, one.args[0])
         if a.op == "select" and b.op == "select" and a.args[0] is b.args[0]:
             (truth, first, second), (_, third, fourth) = a.args, b.args
             if second is zero and third is zero:

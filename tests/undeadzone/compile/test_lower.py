@@ -73,6 +73,28 @@ def same(a: Floats, b: Floats) -> Any:
     return (a == b) | (np.isnan(a) & np.isnan(b))
 
 
+def operations(single: bool, *outputs: ca.SX) -> dict[str, int]:
+    """How many operations of each kind a step of A and B needs."""
+    return count_operations(build_code(stateless([A, B], [*outputs]), single).results)
+
+
+def test_erf_shares_the_exponential_of_its_square_in_single() -> None:
+    x = A * B
+    outputs = ca.erf(x), ca.erf(-x), ca.exp(-(x**2)), ca.erf(B)
+    counts = operations(True, *outputs)
+    assert (counts["erf_by_exp"], counts["erf"], counts["exp"]) == (2, 1, 1)
+    assert "erf_by_exp" not in operations(False, *outputs)
+    assert "erf_by_exp" not in operations(True, ca.erf(x), ca.exp(-(A**2)))
+    rows = np.random.default_rng(2).uniform(-2, 2, size=(200, 2)).astype(np.float32).astype(float)
+    step = stateless([A, B], [*outputs])
+    assert np.abs(by_replica(step, rows, True) - by_machine(step, rows)).max() < 1e-6
+
+
+def test_minus_one_times_a_number_is_no_product() -> None:
+    assert operations(True, B + A * ca.SX(-1.0)) == {"add": 1}
+    assert operations(True, ca.mtimes(ca.SX([[-1.0, 1.0]]), ca.vertcat(A, B))) == {"add": 1}
+
+
 A, B = ca.SX.sym("a"), ca.SX.sym("b")
 EXACT = [f(A) for f in UNARY.values()] + [f(A, B) for f in BINARY.values()]
 CLOSE = [f(A, B) for f in ELEMENTARY.values()]

@@ -84,6 +84,34 @@ def test_erf_and_atan2_and_pow() -> None:
             assert error.max() < 16 * np.finfo(kind).eps * 8
 
 
+def test_erf_by_the_exponential_of_its_square() -> None:
+    """Absolute errors as of erf itself, whatever the argument; in double it is erf."""
+    f = elementary_functions("float32")
+    x = np.concatenate([points(-6.0, 6.0, True), np.float32([0.0, 1e-30, 1e30, np.inf, -np.inf])])
+    with np.errstate(all="ignore"):
+        values = f["erf_by_exp"](x, f["exp"](-(x * x)))
+        assert np.isnan(f["erf_by_exp"](np.float32(np.nan), np.float32(np.nan)))
+    expected = np.array([math.erf(value) for value in x.tolist()])
+    assert values.dtype == np.float32
+    assert np.abs(values - expected).max() < 3e-7
+    assert values[-5] == 0
+    assert values[-3:].tolist() == [1.0, 1.0, -1.0]
+    double, y = elementary_functions("float64"), np.array([0.3])
+    assert double["erf_by_exp"](y, np.nan * y) == double["erf"](y)
+
+
+def test_exp_in_single_is_never_subnormal() -> None:
+    """To 2^-126 it is exact to its last places, and 0 from there on."""
+    x = np.linspace(-120.0, -80.0, 20_001, dtype=np.float32)
+    with np.errstate(all="ignore"):
+        values = elementary_functions("float32")["exp"](x)
+    exact = np.exp(x.astype(float))
+    kept = values > 0
+    assert (values[kept] >= np.finfo(np.float32).tiny).all()
+    assert np.abs(values[kept] / exact[kept] - 1).max() < 3e-7
+    assert exact[~kept].max() < 2 * np.finfo(np.float32).tiny
+
+
 @pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
 def test_edges(single: bool) -> None:
     f, kind = elementary_functions(real(single).__name__), real(single)

@@ -1,5 +1,7 @@
 """Steps of a single run: the virtual machine first, machine code once it is worth compiling."""
 
+from pathlib import Path
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -78,3 +80,46 @@ def test_lanes_and_portable_code_have_the_bits_of_a_step_with_calls() -> None:
     entries = {"s0": start[0], "s1": start[1], "w0": w[0, 0], "p0": params[0]}
     _, out = evaluate({name: np.float64(value) for name, value in entries.items()})
     np.testing.assert_allclose(out, expected[0], rtol=1e-14)
+
+
+@pytest.fixture
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("UNDEADZONE_CACHE", str(tmp_path / "kernels"))
+    monkeypatch.setattr(cache, "LONG", 0)
+    cache.load_or_compile.cache_clear()
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_code_of_no_effort_stays_if_better_code_is_not_worth_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    step, start, params = chaotic_step(), np.array([0.3]), np.array([3.7])
+    monkeypatch.setattr(cache, "IN_PIECES", 1)
+    first = CompiledStepper(step, start, params)
+    first.settle()
+    assert first.engine == "compiled"
+    assert len(first._block._codes) == 1
+    cache.load_or_compile.cache_clear()
+    again = CompiledStepper(step, start, params)  # from the cache
+    assert again.engine == "compiled"
+    w = np.random.default_rng(0).random((50, 1))
+    np.testing.assert_array_equal(again.run(w), run_interpreted(step, start, w, params)[0])
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_code_of_no_effort_of_numbers_takes_less_of_the_stack_than_that_of_vectors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A quarter of the stack, for the lines of the longest function."""
+    step, start, params = chaotic_step(), np.array([0.3]), np.array([3.7])
+    probe = CompiledStepper(step, start, params)
+    probe.settle()
+    longest = max(part.count("\n") for part in probe._block.text.split("\n}\n"))
+    for bytes_of_line, codes in ((cache.FRAME_OF_ONE, 2), (cache.FRAME_OF_ONE - 1, 1)):
+        monkeypatch.setattr(cache, "stack", lambda room=4 * longest * bytes_of_line: room)
+        monkeypatch.setattr(cache, "read_cached_block", lambda *_: None)
+        cache.load_or_compile.cache_clear()
+        stepper = CompiledStepper(step, start, params)
+        stepper.settle()
+        assert len(stepper._block._codes) == codes
+    assert cache.FRAME_OF_ONE < cache.FRAME

@@ -23,6 +23,7 @@ from undeadzone.plants.system import System, hold_integral, scale_states, state_
 from undeadzone.util.arrays import Array, Floats, require_nonnegative, require_number
 
 OFFSET = 0.25  # default bias, in disturbances
+ROUNDING = 1e-13  # entry of a state at rest, over its largest, that rounding alone makes
 SMALL = 0.01  # bias of a calibrated input, relative to that of another
 
 BRIEF = 0.25  # default correlation time, in quarter periods of the plant
@@ -212,6 +213,7 @@ def bias_rest_state(model: System, biased: Floats) -> Floats:
     units = state_units(model.continuous)
     even = change_state_units(A, units)
     rest = np.linalg.lstsq(even, -(B / units[:, None]) @ biased, rcond=None)[0]
+    rest[np.abs(rest) < ROUNDING * np.abs(rest).max(initial=0.0)] = 0.0
     return np.asarray(units[:, None] * rest)
 
 
