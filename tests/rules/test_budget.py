@@ -153,4 +153,4 @@ def test_every_table_of_results_names_the_commit_of_the_code_that_made_it() -> N
     named = re.compile(r"\b(commit|[Aa]t) [0-9a-f]{7,8}\b")
     unnamed = [title for title, text in sections.items() if not named.search(text)]
     summary = "## Summary: best and worst figure of each subject"
-    assert unnamed == [summary, "## Numbers behind decisions"]
+    assert set(unnamed) <= {summary, "## Numbers behind decisions"}
