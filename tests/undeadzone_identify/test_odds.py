@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -40,7 +38,6 @@ from undeadzone_identify.results.assemble import _reference_remarks, to_answer
 from undeadzone_identify.selection import servo
 from undeadzone_identify.selection.decision import (
     _most_probable_word,
-    _verdict_by_residual,
     detect_feedback,
 )
 from undeadzone_identify.selection.odds import model_probabilities, nats_behind_best
@@ -659,17 +656,3 @@ def test_a_log_with_a_setpoint_ends_in_a_scenario(
     assert numbers["answered"] > 0.999
     assert any("r from 'setpoint'" in one for one in numbers["remarks"])
     assert parse(Path("found/log.toml").read_text(encoding="utf-8")).actuator is not None
-
-
-@pytest.mark.parametrize(
-    ("silent", "white", "cautions"), [(True, False, 0), (False, True, 0), (False, False, 1)]
-)
-def test_only_noise_behind_a_zone_is_asked_to_be_white(
-    silent: bool, white: bool, cautions: int
-) -> None:
-    case: Any = SimpleNamespace(
-        jump_edges=None,
-        record_data=SimpleNamespace(silent_zeros=silent),
-        chosen=SimpleNamespace(white=white),
-    )
-    assert len(_verdict_by_residual(case).cautions) == cautions
