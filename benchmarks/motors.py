@@ -17,12 +17,13 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 import undeadzone as uz
 from benchmarks.markdown import head, row
-from benchmarks.motor_logs import INERTIA, PARTS, STEP, Motor, random_motor, record
+from benchmarks.motor_logs import INERTIA, PARTS, STEP, Motor, random_motor, record, record_both
 from undeadzone.util.arrays import Floats
 
 FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there is one
@@ -66,6 +67,18 @@ def identified(u: Floats, y: Floats) -> Answer:
     width = found.width if found.verdict == "play" else None
     gap = None if width is None else (width.value, width.low, width.high)
     return Answer(found.verdict, gap, level, samples, seconds)
+
+
+def by_both_encoders(u: Floats, angles: Floats) -> Answer:
+    """Return what `identify` says of torque, motor and load by their names, without any option."""
+    begun = time.process_time()
+    columns = {"t [s]": STEP * np.arange(u.size), "torque [Nm]": u}
+    columns |= {"motor [rad]": angles[:, 0], "load [rad]": angles[:, 1]}
+    found = uz.identify(pd.DataFrame(columns))
+    seconds = time.process_time() - begun
+    width = found.width if found.verdict == "play" else None
+    gap = None if width is None else (width.value, width.low, width.high)
+    return Answer(found.verdict, gap, math.nan, math.nan, seconds)
 
 
 def output_error(u: Floats, y: Floats) -> Answer:
@@ -218,6 +231,9 @@ def table() -> str:
             name = f"{'gap' if with_gap else 'rigid'}, {kind}"
             answers = [identified(*log) for log in logs.values()]
             lines.append(_row(name, "identify", motors, answers))
+            answers = [by_both_encoders(*record_both(one, seed)) for seed, one in own.items()]
+            rubs = [one._replace(friction=0.0) for one in motors]  # which it does not ask
+            lines.append(_row(name, "identify, both encoders", rubs, answers))
             answers = [output_error(*log) for log in logs.values()]
             lines.append(_row(name, "output error", motors, answers))
             if with_model:

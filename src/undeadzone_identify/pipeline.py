@@ -65,10 +65,12 @@ from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_
 from undeadzone_identify.selection.location import find_zone_locations
 from undeadzone_identify.selection.lost_motion import (
     find_lost_motion,
+    is_motor_position,
     needs_motion_test,
     without_drive,
 )
 from undeadzone_identify.selection.servo import (
+    NAMELESS,
     add_servo,
     add_servo_element,
     has_no_gap,
@@ -79,6 +81,11 @@ from undeadzone_identify.selection.servo import (
 )
 from undeadzone_identify.selection.valve import is_named_loop
 from undeadzone_identify.servo.gap import ServoGap
+
+INTEGRATES = (
+    "a torque or current moves a position, by their names, and no plant that settles explains it:"
+    " taken to integrate, as with --integrators 1"
+)
 
 
 def identify(
@@ -239,6 +246,9 @@ def _identify_logs(
         require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
         grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
         answers = [identify_output(grid, options, advance) for grid in grids]
+        if len(answers) == 1 and answers[0].verdict in NAMELESS and _may_integrate(logs, options):
+            grid = to_grid(logs, options.resample)._replace(climbs=climbs)
+            answers = [_integrate_motor(grid, options, advance, answers[0])]
     except InputError as error:  # no plant fits, or an irregular step, which positions may have
         refused = error
     else:
@@ -284,6 +294,26 @@ class Hypothesis(NamedTuple):
     name: str
     is_asked: Callable[[Case, Findings], bool]
     found: Callable[[Case, Findings], Findings]
+
+
+def _may_integrate(logs: list[Log], options: Options) -> bool:
+    """Return whether a plant may integrate without being declared to: a motor's by its names."""
+    plain = options.kind == options.place == "auto" and not options.integrators
+    return plain and is_motor_position(logs[0])
+
+
+def _integrate_motor(
+    grid: Grid, options: Options, advance: Callable[[int], None], first: Identified
+) -> Identified:
+    """Return the answer of a motor that integrates its torque, if one names something."""
+    try:
+        again = identify_output(grid, msgspec.structs.replace(options, integrators=1), advance)
+    except InputError:
+        return first
+    if again.verdict in NAMELESS:
+        return first
+    answer = again.answer
+    return Identified(answer._replace(remarks=[INTEGRATES, *answer.remarks]))
 
 
 def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]) -> Identified:

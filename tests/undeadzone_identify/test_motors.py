@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from benchmarks.motor_logs import NOISE, STEP, Motor, random_motor, record
+from benchmarks.lost_motion_logs import torque_and_friction
+from benchmarks.motor_logs import NOISE, STEP, Motor, random_motor, record, record_both
 from benchmarks.motors import output_error
 from scipy.io import savemat
 
 import undeadzone as uz
 from undeadzone.errors import FileError, InputError
 from undeadzone_identify.logs.log import read_log
+from undeadzone_identify.models.free_load import fit_free_load
+from undeadzone_identify.models.lost_motion import Positions
 from undeadzone_identify.servo.gap import are_errors_in_bursts
 
 
@@ -68,6 +72,60 @@ def test_output_error_finds_the_time_constant_of_a_linear_motor() -> None:
     """The rival in the benchmark is worth its place."""
     motor = random_motor(0, with_gap=False)
     assert output_error(*record(motor, 0)).samples == pytest.approx(motor.samples, rel=0.01)
+
+
+# --- Both sides of the gears
+
+
+@pytest.mark.parametrize("seed", [103, 104])
+def test_a_load_that_floats_in_its_gap_is_measured_by_both_encoders(seed: int) -> None:
+    """One rubs and one does not, one by ticks and one by noise: plants called the latter linear."""
+    motor = random_motor(seed, with_gap=True)
+    u, angles = record_both(motor, seed)
+    columns = {"t [s]": STEP * np.arange(u.size), "torque [Nm]": u}
+    columns |= {"motor [rad]": angles[:, 0], "load [rad]": angles[:, 1]}
+    found = uz.identify(pd.DataFrame(columns))
+    assert isinstance(found, uz.IdentifiedMotion)
+    assert found.verdict == "play"
+    assert found.gap.low < motor.gap < found.gap.high
+    assert found.gap.value == pytest.approx(motor.gap, rel=0.15)
+    assert "floats in its gap" in found.answer.remarks[-1]
+
+
+def shaft(motor: np.ndarray, stiffness: float) -> np.ndarray:
+    """Return the angle of a load behind a shaft that bends, by stiffness over inertia [1/s^2]."""
+    x, v, parts, out = 0.0, 0.0, 20, np.empty(motor.size)
+    for k in range(motor.size):
+        out[k] = x
+        for ahead in np.linspace(motor[max(k - 1, 0)], motor[k], parts, endpoint=False):
+            v += STEP / parts * (stiffness * (ahead - x) - 0.1 * math.sqrt(stiffness) * v)
+            x += STEP / parts * v
+    return out
+
+
+@pytest.mark.parametrize("stiffness", [900.0, 6000.0])
+def test_a_shaft_that_bends_has_no_flanks(stiffness: float) -> None:
+    """Its load lies at either end of its way most of the time, as in a gap, and is linear."""
+    rng = np.random.default_rng(1)
+    _, angles = record_both(random_motor(101, with_gap=False), 101)
+    noise = NOISE * rng.standard_normal((2, len(angles)))
+    t, load = STEP * np.arange(len(angles)), shaft(angles[:, 0], stiffness)
+    free = fit_free_load(Positions(t, angles[:, 0] + noise[0], load + noise[1]))
+    assert free is None or free.linear.bic < free.density.bic
+    motor = random_motor(103, with_gap=True)
+    _, angles = record_both(motor, 103)
+    free = fit_free_load(Positions(t, *angles.T))
+    assert free is not None
+    assert free.density.bic < free.linear.bic
+
+
+def test_a_torque_and_a_position_are_a_motor_by_their_names() -> None:
+    """It integrates, though nobody said so, where no plant that settles explains the log."""
+    log = torque_and_friction(np.random.default_rng(3))
+    found = uz.identify(pd.DataFrame(log.columns))
+    assert isinstance(found, uz.Identified)
+    assert found.verdict == "friction"
+    assert any("taken to integrate" in remark for remark in found.answer.remarks)
 
 
 # --- Files

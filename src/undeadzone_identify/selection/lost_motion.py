@@ -271,6 +271,17 @@ def _is_alike(log: Log) -> bool:
     return units == ("1", "1") and both
 
 
+def is_motor_position(log: Log) -> bool:
+    """Return whether names say that a torque or current moves a position.
+
+    Args:
+        log: with one output.
+    """
+    plain = log.outputs[0].lower() in ("q", "theta")
+    is_position = plain or _is_named(log.outputs[0], POSITIONS)
+    return log.u.shape[1] == 1 and _is_named(log.inputs[0], DRIVES[:3]) and is_position
+
+
 def _add_lags(
     data: Positions, best: tuple[MotionFit, LostMotion]
 ) -> tuple[MotionFit, LostMotion, list[LostMotion]]:
