@@ -13,6 +13,7 @@ import numpy as np
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, required_nodes, to_condition
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.print_c import TYPES
+from undeadzone.compile.repeats import Part
 from undeadzone_export.exported_step import ExportedStep, Field
 
 _COUNTED: Final = {
@@ -46,12 +47,14 @@ class Code(NamedTuple):
         single: whether numbers are float, else double.
         results: next and out.
         phases: the same in two calls (None if no input acts from outside).
+        parts: functions that they call, each after those that it calls.
     """
 
     step: ExportedStep
     single: bool
     results: Results
     phases: Phases | None
+    parts: list[Part]
 
     @property
     def dtype_name(self) -> str:
@@ -77,13 +80,19 @@ class Code(NamedTuple):
         return fields | ({"params": step.params} if step.params else {})
 
     @property
+    def operations(self) -> dict[str, int]:
+        """Return the operations of a step by their names, those of calls included."""
+        return count_operations(self.results, self.parts)
+
+    @property
     def hash(self) -> str:
         """Return the hash of nodes, numbers and precision, 16 hexadecimal digits."""
-        order = required_nodes(itertools.chain(*self.results))
+        every = [*self.results, *[part.results for part in self.parts]]
+        order = required_nodes(itertools.chain(*every))
         nodes = [(n.op, [arg.number for arg in n.args], n.text, n.kind, n.number) for n in order]
         fields = (self.step.state, self.step.inputs, self.step.outputs, self.step.params)
         numbers = (self.step.start.tolist(), self.step.defaults.tolist(), self.step.Ts)
-        results = [[node.number for node in result] for result in self.results]
+        results = [[node.number for node in result] for result in every]
         text = repr((nodes, results, fields, numbers))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -98,9 +107,10 @@ def build_code(step: ExportedStep, single: bool) -> Code:
     Raises:
         InputError: an instruction that the export cannot print.
     """
-    results = build_portable_nodes(step.function, "float32" if single else "float64")
+    parts: list[Part] = []
+    results = build_portable_nodes(step.function, "float32" if single else "float64", parts)
     phases = split_phases(results, {f"w{k}" for k in step.acting}) if step.acting else None
-    return Code(step, single, results, phases)
+    return Code(step, single, results, phases, parts)
 
 
 def split_phases(results: Results, acting: Iterable[str]) -> Phases:
@@ -152,6 +162,7 @@ def _smallest_cut(nodes: list[Node], needed: set[Node], first: set[Node]) -> lis
     for node, top in at.items():
         pipes += [(top + 1, at[arg], _WIDE) for arg in set(node.args) & at.keys()]
         pipes += [(start, top, _WIDE)] * (node in needed)
+        pipes += [(top, top + 1, _WIDE)] * (node.op == "apply")  # no number
         pipes += [(top + 1, end, _WIDE)] * (node in first or node.op == "input")
     tails, heads, capacities = np.array(pipes, np.int32).reshape(-1, 3).T
     graph = csr_matrix((capacities, (tails, heads)), (end + 1, end + 1))
@@ -167,14 +178,28 @@ def _is_computed(node: Node) -> bool:
     return node.op != "input" or node.text.startswith("w")
 
 
-def count_operations(results: Results) -> dict[str, int]:
+def count_operations(results: Results, parts: Iterable[Part] = ()) -> dict[str, int]:
     """Count the operations of each kind in one evaluation, by their names.
 
-    Truths as numbers are the truths themselves. The operations of repeated parts are not counted.
+    Truths as numbers are the truths themselves.
+
+    Args:
+        results: the nodes.
+        parts: functions whose operations count at each call, each after those that it calls.
     """
+    own = dict[str, Counter[str]]()
+    for part in parts:
+        own[part.name] = _count_calls([part.results], own)
+    return dict(sorted(_count_calls(results, own).items()))
+
+
+def _count_calls(results: Results, own: dict[str, Counter[str]]) -> Counter[str]:
+    """Count operations, with those of functions by name."""
     counts: Counter[str] = Counter()
     for node in required_nodes(itertools.chain(*results)):
         is_call = node.op in ("apply", "part")  # of a repeated part
         if node.args and not is_call and to_condition(node) is None:
             counts[node.text or _COUNTED[node.op]] += 1
-    return dict(sorted(counts.items()))
+        elif node.op == "apply":
+            counts += own.get(node.text, Counter())
+    return counts

@@ -27,7 +27,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone.util.text import count_noun
 from undeadzone_export import accuracy, compiler, exported_step, targets
 from undeadzone_export.boards import fit_boards
-from undeadzone_export.code import Code, build_code, count_operations
+from undeadzone_export.code import Code, build_code
 from undeadzone_export.exported_step import Field, to_identifier, total_size
 from undeadzone_export.fmu.package import require_buildable
 from undeadzone_export.page.build import write_live_page
@@ -140,7 +140,7 @@ def export(
     began = time.monotonic()
     step = exported_step.build_step(problem, part, tunable)
     printed = build_code(step, single=precision == "single")
-    operations = sum(count_operations(printed.results).values())
+    operations = sum(printed.operations.values())
     if told is not None and operations > MANY:
         seconds = SHARE * (time.monotonic() - began)
         told(_slow_export_warning(operations, seconds, scenario.observer))
@@ -257,7 +257,7 @@ def _initial_report(
         "tunable": list(tunable),
         "two_phase": printed.phases is not None,
         "sizes": _struct_bytes(printed),
-        "operations": count_operations(printed.results),
+        "operations": printed.operations,
         "code_operations": text.operations,
         "functions": text.functions,
     }
@@ -288,7 +288,8 @@ def _struct_bytes(printed: Code) -> dict[str, int]:
 def constants_beyond_float(printed: Code) -> list[str]:
     """Return the numbers in double of a step that float cannot represent, with substitutes."""
     limits, texts = np.finfo(np.float32), set()
-    order = required_nodes(itertools.chain(*printed.results))
+    bodies = [part.results for part in printed.parts]
+    order = required_nodes(itertools.chain(*printed.results, *bodies))
     kept = {node.constant_value for node in order if node.is_real}
     function = printed.step.function
     for value in itertools.chain(*map(read_constants, [function, *function.find_functions()])):

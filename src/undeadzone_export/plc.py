@@ -26,7 +26,7 @@ from undeadzone.compile.print_st import (
     initial_literal,
     statement_operands,
 )
-from undeadzone.compile.repeats import Part, outline_repeats
+from undeadzone.compile.repeats import Part, outline_parts, outline_repeats
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
@@ -166,7 +166,7 @@ class _BlockBuilder:
         self.missing, self.read, self.following = named[4:]
         given = [*self.read, *self.inputs[step.readings :]]
         self.entries = name_entries(s=self.states, w=given, p=self.params)
-        repeats: list[Part] = []
+        repeats = outline_parts(code.parts)
         self.results = outline_repeats(code.results, repeats)
         self.repeats = [_Repeat(part, repeats, labels, style) for part in repeats]
         labelled = local_meanings(self.results, step, 1)

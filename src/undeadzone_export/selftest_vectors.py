@@ -114,7 +114,7 @@ def reference_vectors(code: Code, rows: Floats) -> Vectors:
         code: the printed nodes.
         rows: inputs, a row for each sample.
     """
-    kind, evaluate = code.dtype_name, reference_evaluator(code.results)
+    kind, evaluate = code.dtype_name, reference_evaluator(code.results, code.parts)
     rows = rows.astype(kind)
     state = code.step.start.astype(kind)
     params = code.step.defaults.astype(kind)

@@ -12,7 +12,7 @@ from undeadzone.compile import elementary, print_c
 from undeadzone.compile.graph import Node, Results, required_nodes, to_condition
 from undeadzone.compile.print_c import INDENT, SMALL, Body, Names, Style, build_body, c_literal
 from undeadzone.compile.print_calls import Calls, Place
-from undeadzone.compile.repeats import Part, outline_repeats
+from undeadzone.compile.repeats import outline_parts, outline_repeats
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.interfaces import ASSUMPTION_CHECKS
 from undeadzone.util.text import to_one_line
@@ -129,7 +129,7 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
 
     A step calls its two halves. A short step is written once more as a whole, without calls.
     """
-    step, parts = code.step, list[Part]()
+    step, parts, printed = code.step, outline_parts(code.parts), set[str]()
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
@@ -156,7 +156,7 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
     count = sum(sum(count_operations([part.results]).values()) for part in parts)
     for name, (results, place, targets, locals_) in functions.items():
         calls = Calls(parts, results, _places_in_arrays(results, inputs, targets, style))
-        texts += calls.print_functions(parts, style)
+        texts += calls.print_functions(parts, style, printed)
         known = local_meanings(results, step, place)
         names = Names(inputs, targets, locals_, known, kept, calls)
         named[name] = build_body(results, style, names)

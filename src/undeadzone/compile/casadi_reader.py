@@ -103,7 +103,7 @@ def evaluate_program(
     read: Callable[[str, int], Any],
     constant: Callable[[float], Any],
     apply: Callable[..., Any],
-    call: Callable[[ca.Function, list[Any]], list[Any]] | None = None,
+    call: Callable[[ca.Function, list[Any]], list[Any] | None] = lambda called, given: None,
 ) -> list[list[Any]]:
     """Evaluate the outputs of a function with values of any kind.
 
@@ -112,8 +112,8 @@ def evaluate_program(
         read: (name of an input, entry) -> its value.
         constant: a number -> its value.
         apply: (word, values of the operands) -> the value of an instruction.
-        call: (function of one input, its values) -> the values of all its results (default: they
-            are evaluated, too).
+        call: (function of one input, its values) -> the values of all its results (None: they are
+            evaluated, too).
     """
 
     def evaluate(called: ca.Function, given: list[Any]) -> list[Any]:
@@ -125,7 +125,6 @@ def evaluate_program(
         return [*itertools.chain(*own)]
 
     programs: dict[int, Program] = {}
-    call = call or evaluate
     values: list[Any] = []
     for word, operands, leaf in of.lines:
         if word == "input":
@@ -133,7 +132,8 @@ def evaluate_program(
         elif word == "const":
             values.append(constant(leaf))
         elif word == "call":
-            values.append(call(leaf, [values[operand] for operand in operands]))
+            given = [values[operand] for operand in operands]
+            values.append(call(leaf, given) or evaluate(leaf, given))
         elif word == "part":
             values.append(values[operands[0]][leaf])
         else:
@@ -155,15 +155,16 @@ class Rules(Protocol):
 
 
 def build_nodes(
-    function: ca.Function, rules: Rules, kept: dict[str, ca.Function] | None = None
+    function: ca.Function,
+    rules: Rules,
+    call: Callable[[ca.Function, list[Node]], list[Node] | None] = lambda called, given: None,
 ) -> Results:
     """Return the results of a function as nodes, whether or not lanes share its inputs.
 
     Args:
         function: with dense outputs. Its inputs named p are steady.
         rules: what makes the nodes.
-        kept: functions of one input of which calls stay calls, by names that end with the number of
-            results (grows; None: none does).
+        call: as of `evaluate_program`.
 
     Raises:
         InputError: names an instruction that cannot be compiled.
@@ -193,14 +194,4 @@ def build_nodes(
             return rules.build_instruction("div", rules.build_constant(1.0), args[0])
         return rules.build_instruction("pow" if word == "constpow" else word, *args)
 
-    def call(called: ca.Function, args: list[Node]) -> list[Node]:
-        """Return the nodes of the results of a call."""
-        assert kept is not None
-        count, made = called.nnz_out(), rules.nodes.intern
-        name = f"called{called.__hash__()}.{count}"
-        kept[name] = called
-        one = made("apply", *args, text=name, kind=rules.real, level=LANES)
-        return [made("part", one, text=str(k)) for k in range(count)]
-
-    kept_call = None if kept is None else call
-    return evaluate_program(lines, read, rules.build_constant, apply, kept_call)
+    return evaluate_program(lines, read, rules.build_constant, apply, call)

@@ -30,6 +30,7 @@ from undeadzone.compile.graph import (
     required_nodes,
     to_condition,
 )
+from undeadzone.compile.repeats import Part
 from undeadzone.compile.simplify import ExactRules, FusedRules, PortableRules
 
 SUMS: Final = ("add", "sub", "neg")
@@ -66,14 +67,26 @@ def lower_function(
         levels: of its inputs.
         arithmetic: how it rounds.
         granted: promises that are taken for granted, which fused lanes do (grows).
-        kept: functions of which calls stay calls, by name (grows; None: none does).
+        kept: functions of which calls stay calls, by names that end with the number of results
+            (grows; None: none does).
 
     Raises:
         InputError: names an instruction that the engine lacks.
     """
     fused = arithmetic.fused
     rules = FusedRules(Nodes(), granted) if fused else ExactRules(Nodes())
-    results = build_nodes(function, rules, kept)
+
+    def keep_call(called: ca.Function, args: list[Node]) -> list[Node] | None:
+        """Return the nodes of the results of a call, if it stays one."""
+        if kept is None:
+            return None
+        count, made = called.nnz_out(), rules.nodes.intern
+        name = f"called{called.__hash__()}.{count}"
+        kept[name] = called
+        one = made("apply", *args, text=name, kind=rules.real, level=LANES)
+        return [made("part", one, text=str(k)) for k in range(count)]
+
+    results = build_nodes(function, rules, keep_call)
     counts = count_uses(results)
     order = sorted(counts, key=lambda node: node.number)
     taken = _absorbed_nodes(order, counts) if fused else set()
@@ -92,18 +105,70 @@ def _library_replacements(nodes: Nodes, arithmetic: Arithmetic) -> dict[str, Cal
     return elementary.inline_functions(nodes, DOUBLE, names)
 
 
-def build_portable_nodes(function: ca.Function, kind: str) -> Results:
+def build_portable_nodes(
+    function: ca.Function, kind: str, parts: list[Part] | None = None
+) -> Results:
     """Return the results of a function for printers of code that runs without this package.
 
     Args:
         function: with dense outputs.
         kind: NumPy's name of the type of numbers: float32 or float64.
+        parts: gets the functions of which calls stay calls, each after those that it calls (None:
+            none does).
 
     Raises:
         InputError: names an instruction that no code can be made of.
     """
-    results = build_nodes(function, PortableRules(Nodes(), kind))
-    return _use_exponentials_in_erf(results) if kind == SINGLE.kind else results
+    return _PortableLowering(kind, parts).build_results(function)[0]
+
+
+class _PortableLowering:
+    """Lowering of a function and of those that it calls.
+
+    Args:
+        kind, parts: as above.
+    """
+
+    def __init__(self, kind: str, parts: list[Part] | None) -> None:
+        self._kind, self._parts = kind, parts
+        self._bodies: dict[int, Part | None] = {}  # None: its results may be NaN
+
+    def build_results(self, function: ca.Function) -> tuple[Results, bool]:
+        """Return the results, and whether no rule makes one of them NaN."""
+        rules = PortableRules(Nodes(), self._kind)
+
+        def keep_call(called: ca.Function, args: list[Node]) -> list[Node] | None:
+            """Return the nodes of the results of a call among numbers, if it stays one."""
+            if self._parts is None or not all(map(rules.is_number, args)):
+                return None
+            part = self._body_of(called)
+            if part is None:
+                return None
+            made, given = rules.nodes.intern, [args[int(one.text[1:])] for one in part.inputs]
+            one = made("apply", *given, text=part.name, kind="call", level=LANES)
+            real = rules.real
+            count = range(len(part.results))
+            return [made("part", one, text=str(k), kind=real) for k in count]
+
+        results = build_nodes(function, rules, keep_call)
+        are_numbers = all(map(rules.is_number, itertools.chain(*results)))
+        if self._kind == SINGLE.kind:
+            results = _use_exponentials_in_erf(results)
+        return results, are_numbers
+
+    def _body_of(self, called: ca.Function) -> Part | None:
+        """Return the function of a call, with the inputs that it needs."""
+        key = called.__hash__()
+        if key not in self._bodies:
+            assert self._parts is not None
+            made, are_numbers = self.build_results(called)
+            results = list(itertools.chain(*made))
+            inputs = [node for node in required_nodes(results) if node.op == "input"]
+            part = Part(f"shared_{len(self._parts)}", inputs, results)
+            if are_numbers:
+                self._parts.append(part)
+            self._bodies[key] = part if are_numbers else None
+        return self._bodies[key]
 
 
 def _use_exponentials_in_erf(results: Results) -> Results:

@@ -6,25 +6,37 @@ import functools
 import itertools
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
 import numpy as np
 
 from undeadzone.compile.elementary import FUNCTIONS, build_formula
 from undeadzone.compile.graph import Results, required_nodes
+from undeadzone.compile.repeats import Part
 
 Evaluate = Callable[[dict[str, Any]], list[list[Any]]]
 
 
-def reference_evaluator(results: Results) -> Evaluate:
+def reference_evaluator(results: Results, parts: Iterable[Part] = ()) -> Evaluate:
     """Return the results as a function of inputs by name (numbers or arrays of a type).
 
     Args:
         results: the nodes. There is at least one.
+        parts: functions that they call, each after those that it calls.
     """
     (kind,) = {node.kind for node in itertools.chain(*results)}
-    return _build_evaluator(results, elementary_functions(kind))
+    functions = dict(elementary_functions(kind))
+    for part in parts:
+        functions[part.name] = _build_part(part, functions)
+    return _build_evaluator(results, functions)
+
+
+def _build_part(part: Part, functions: dict[str, Callable[..., Any]]) -> Callable[..., list[Any]]:
+    """Return a part as a function. The functions that it calls are built before."""
+    evaluate = _build_evaluator([part.results], functions)
+    names = [node.text for node in part.inputs]
+    return lambda *arguments: evaluate(dict(zip(names, arguments, strict=True)))[0]
 
 
 @functools.cache
@@ -67,7 +79,11 @@ def _build_evaluator(results: Results, functions: dict[str, Callable[..., Any]])
             begun[place] = np.dtype(node.kind).type(number)
         else:
             own = _OPERATIONS | {"view": operator.methodcaller("view", node.kind)}
-            operation = functions[node.text] if node.op == "call" else own[node.op]
+            if node.op == "part":
+                operation: Callable[..., Any] = operator.itemgetter(int(node.text))
+            else:
+                is_call = node.op in ("call", "apply")
+                operation = functions[node.text] if is_call else own[node.op]
             taken: list[Any] = [places[one] for one in node.args]
             if len(taken) == 1:  # of it a slice, so that there is a sequence
                 taken = [slice(taken[0], taken[0] + 1)]

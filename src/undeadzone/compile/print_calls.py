@@ -87,6 +87,7 @@ class CalledPart:
         places: Mapping[Node, Place],
     ) -> None:
         self.part, self._calls, self._taken = part, calls, taken
+        self.name = part.name
         self._places, self._has_shared = places, False
         given = list(zip(*[call.args for call in calls], strict=True))
         self._given = self._parameters("a", given)
@@ -150,9 +151,7 @@ class CalledPart:
         body = build_body([self.part.results], style, Names(inputs, *names, {}, {}, calls))
         declared = [f"const {TYPES[each.kind]} *restrict {each.name}" for each in self._given]
         declared += [f"{TYPES[each.kind]} *restrict {each.name}" for each in self._results]
-        head = wrap_statement(
-            f"static void {style.prefix}_{self.part.name}({', '.join(declared)})", ""
-        )
+        head = wrap_statement(f"static void {style.prefix}_{self.name}({', '.join(declared)})", "")
         return Body([*head, "{", *body.lines, "}"], body.functions)
 
     def print_call(self, name: str, node: Node, expressions: Expressions) -> list[str]:
@@ -185,7 +184,7 @@ class CalledPart:
                     own = f"{copy}[{index}]"
                     expressions.names[result] = self._places[result].text if each.array else own
             passed.append(_address(each, k) or copy)
-        function = f"{expressions.style.prefix}_{self.part.name}"
+        function = f"{expressions.style.prefix}_{self.name}"
         return [*lines, *wrap_statement(f"{function}({', '.join(passed)});")]
 
 
@@ -226,11 +225,20 @@ class Calls:
         """Return the statements of a call."""
         return self.parts[node.text].print_call(name, node, expressions)
 
-    def print_functions(self, parts: list[Part], style: Style) -> list[Body]:
-        """Return the texts of the functions, each after those that it calls."""
+    def print_functions(self, parts: list[Part], style: Style, names: set[str]) -> list[Body]:
+        """Return the texts of the functions, each after those that it calls.
+
+        Args:
+            parts: all functions.
+            style: how numbers and functions are written.
+            names: of the functions that are printed (grows): each caller has its own.
+        """
         found: list[Body] = []
         for called in self.parts.values():
             inner = Calls(parts, [called.part.results])
-            found += inner.print_functions(parts, style)
+            found += inner.print_functions(parts, style, names)
+            while called.name in names:
+                called.name += "_"
+            names.add(called.name)
             found.append(called.print_function(style, inner))
         return found

@@ -314,6 +314,15 @@ def _find_region(results: Results) -> _Region | None:
     return best
 
 
+def outline_parts(given: list[Part]) -> list[Part]:
+    """Return functions in which repeated parts are calls, each after those that it calls."""
+    parts = list[Part]()
+    for part in given:
+        (inner,) = outline_repeats([part.results], parts)
+        parts.append(part._replace(results=inner))
+    return parts
+
+
 def outline_repeats(results: Results, parts: list[Part]) -> Results:
     """Return results in which repeated parts are calls.
 

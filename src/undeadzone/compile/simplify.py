@@ -250,6 +250,10 @@ class PortableRules:
         """Return the node of a constant."""
         return self.nodes.intern_constant(round_to_type(value, self.real), self.real)
 
+    def is_number(self, node: Node) -> bool:
+        """Return whether no rule makes a node NaN."""
+        return self._number_and_validity(node)[1] is self.exact.yes
+
     def _number_and_validity(self, node: Node) -> tuple[Node, Node]:
         """Return the number of a node, and the condition without which the node is NaN."""
         if node is self.nan:
