@@ -284,7 +284,7 @@ def _require_informative(grid: Grid, y: Floats, side: Integers, remarks: str) ->
     if not side.any():
         raise InputError("log: the sensor never speaks, all is silent. Record with a larger input")
     if np.ptp(y) <= 1e-12 * np.abs(y).max():
-        stays = f"{grid.output!r} is {y[0]:.4g} all along, while {grid.inputs[0]!r} moves by"
+        stays = f"{grid.output!r} never changes ({y[0]:.4g}), while {grid.inputs[0]!r} moves by"
         raise InputError(
             f"log: {stays} {np.ptp(grid.u[:, 0]):.3g}: nothing can be known from it. Is it the"
             " right column, and its sensor alive? Else record with a larger input"
