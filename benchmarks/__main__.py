@@ -48,6 +48,7 @@ NAMES = (
     "strangers",
     "lost_motion",
     "motors",
+    "reports",
     "valves",
     "identify_known",
     "identify_speed",
