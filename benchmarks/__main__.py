@@ -50,6 +50,7 @@ NAMES = (
     "plain_fits",
     "lost_motion",
     "motors",
+    "reports",
     "valves",
     "identify_known",
     "identify_speed",

@@ -1,7 +1,8 @@
 """Motors: is a gap named where none is, and found where one is? Beside two fits from outside.
 
-MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_RIVALS: 0 leaves the fit
-that is told MuJoCo's model away, which takes most of the time.
+MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_METHODS: which, separated
+by semicolons, MOTORS_RIVALS: 0 leaves the fit that is told MuJoCo's model away, which takes most of
+the time. With both encoders `identify` asks for no friction, so none counts as right of rigid ones.
 
 `mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is
 `mujoco.minimize.least_squares`, which is used here, on simulated readings, told all of the model
@@ -30,6 +31,7 @@ FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there i
 STARTS = (0.005, 0.04)  # gaps [rad]
 STEPS = 12  # of a fit in MuJoCo
 NO_NAME = ("undecided", "unclear")
+TOLD = "MuJoCo, told the model"
 
 
 class Answer(NamedTuple):
@@ -69,8 +71,9 @@ def identified(u: Floats, y: Floats) -> Answer:
     return Answer(found.verdict, gap, level, samples, seconds)
 
 
-def by_both_encoders(u: Floats, angles: Floats) -> Answer:
+def by_both_encoders(motor: Motor, seed: int) -> Answer:
     """Return what `identify` says of torque, motor and load by their names, without any option."""
+    u, angles = record_both(motor, seed)
     begun = time.process_time()
     columns = {"t [s]": STEP * np.arange(u.size), "torque [Nm]": u}
     columns |= {"motor [rad]": angles[:, 0], "load [rad]": angles[:, 1]}
@@ -173,7 +176,8 @@ def _row(kind: str, method: str, motors: Sequence[Motor], answers: Sequence[Answ
     has_gap = bool(motors[0].gap)
     named = [one.word == "play" for one in answers]
     withheld = [one.word in (*NO_NAME, "refused") for one in answers]
-    truths = ["friction" if motor.friction else "none" for motor in motors]
+    rubs = method != "identify, both encoders"
+    truths = ["friction" if motor.friction and rubs else "none" for motor in motors]
     truths = ["play"] * len(truths) if has_gap else truths
     other = [
         one.word not in (truth, "play", *NO_NAME, "refused", "")
@@ -205,11 +209,21 @@ KINDS: dict[str, Callable[[Motor], bool]] = {
 }
 
 
+METHODS: dict[str, Callable[[Floats, Floats, Motor, int], Answer]] = {
+    "identify": lambda u, y, motor, seed: identified(u, y),
+    "identify, both encoders": lambda u, y, motor, seed: by_both_encoders(motor, seed),
+    "output error": lambda u, y, motor, seed: output_error(u, y),
+    TOLD: lambda u, y, motor, seed: told_the_model(u, y, motor),
+}
+
+
 def table() -> str:
     """Return the section of RESULTS.md."""
     count = int(os.environ.get("MOTORS_LOGS", "4"))
     first = int(os.environ.get("MOTORS_FIRST", "100"))
-    with_model = os.environ.get("MOTORS_RIVALS", "1") != "0"
+    wanted = os.environ.get("MOTORS_METHODS", ";".join(METHODS)).split(";")
+    if os.environ.get("MOTORS_RIVALS", "1") == "0":
+        wanted = [one for one in wanted if one != TOLD]
     lines = [
         "## Motors",
         "",
@@ -229,14 +243,8 @@ def table() -> str:
             logs = {seed: record(one, seed) for seed, one in own.items()}
             motors = list(own.values())
             name = f"{'gap' if with_gap else 'rigid'}, {kind}"
-            answers = [identified(*log) for log in logs.values()]
-            lines.append(_row(name, "identify", motors, answers))
-            answers = [by_both_encoders(*record_both(one, seed)) for seed, one in own.items()]
-            rubs = [one._replace(friction=0.0) for one in motors]  # which it does not ask
-            lines.append(_row(name, "identify, both encoders", rubs, answers))
-            answers = [output_error(*log) for log in logs.values()]
-            lines.append(_row(name, "output error", motors, answers))
-            if with_model:
-                answers = [told_the_model(*logs[seed], own[seed]) for seed in own]
-                lines.append(_row(name, "MuJoCo, told the model", motors, answers))
+            for method, ask in METHODS.items():
+                if method in wanted:
+                    answers = [ask(*log, own[seed], seed) for seed, log in logs.items()]
+                    lines.append(_row(name, method, motors, answers))
     return "\n".join([*lines, ""])

@@ -104,8 +104,6 @@ def table() -> str:
                     f"{np.median([one.seconds for one in own]):.1f}",
                 )
             )
-            for one in own:
-                print(name, one, flush=True)
     words = [one.word for one in every]
     sure = sum(one.word == "wrong" and one.odds > SURE for one in every)
     known = [one.holds for one in every if one.holds is not None]

@@ -193,9 +193,12 @@ class LogReader:
         numbered = self._first + self._number_lines(self._text.feed(data, last))
         self._first = []
         if self._dialect is None and numbered:
-            if not self._live:
-                self.ahead = lines_ahead([line for _, line in numbered[:PREAMBLE]])
-                numbered = numbered[self.ahead :]
+            ahead = self._lines_ahead([line for _, line in numbered[:PREAMBLE]])
+            if ahead is None and not last and len(numbered) < PREAMBLE:
+                self._first = numbered  # the header may follow, or its first line of numbers
+                return self._none()
+            self.ahead = ahead or 0
+            numbered = numbered[self.ahead :]
             lines = self._telling([line for _, line in numbered[:FIRST]])
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
@@ -212,6 +215,19 @@ class LogReader:
         if self._live and not self._dialect.mark:
             self._dialect = self._with_mark(self._dialect, [line for _, line in numbered])
         return self._samples(numbered, self._dialect, self.layout)
+
+    def _lines_ahead(self, lines: Sequence[str]) -> int | None:
+        """Return how many lines stand ahead of the header; None while a live log may show it.
+
+        When live the first lines that tell it do so, in whatever pieces they come.
+        """
+        if not self._live:
+            return lines_ahead(lines) or 0
+        by_number = self._chosen and all(name.isdigit() for name in self._chosen.values())
+        if by_number and dialect_of(lines[:1]).heads == 0:
+            return 0  # times may be stamps
+        found = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
+        return next((ahead for ahead in found if ahead is not None), None)
 
     def _with_mark(self, dialect: Dialect, lines: Sequence[str]) -> Dialect:
         """Return the dialect with the decimal mark that lines tell. Raises FileError."""

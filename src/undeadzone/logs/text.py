@@ -296,21 +296,23 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     return "", False
 
 
-def lines_ahead(lines: Sequence[str]) -> int:
+def lines_ahead(lines: Sequence[str]) -> int | None:
     """Return how many lines stand ahead of the header, which have another content.
 
-    The header has two names or more, no number, and as many cells as most lines behind it.
+    None: no line is a header so far. The header has two names or more, no number, and as many
+    cells as most lines behind it.
 
     Args:
         lines: the first lines with content.
     """
+    first = split_cells(lines[0], _separator(lines))
+    if all(parse_cell(cell, "") is not None for cell in first if cell):
+        return 0
     for k, line in enumerate(lines[:-1]):
         behind = lines[k + 1 :]
         separator = _separator(lines[k:])
         cells = split_cells(line, separator)
         named = [cell for cell in cells if cell]
-        if k == 0 and all(parse_cell(cell, "") is not None for cell in named):
-            return 0
         if len(named) < 2 or len({*named}) < len(named):
             continue
         if any(parse_cell(cell, "") is not None for cell in named):
@@ -324,7 +326,7 @@ def lines_ahead(lines: Sequence[str]) -> int:
         ]
         if 2 * len(alike) >= len(rows):
             return k
-    return 0
+    return None
 
 
 def _separator(lines: Sequence[str]) -> str:

@@ -62,7 +62,7 @@ def test_usual_names(header: str, p: int, m: int, columns: list[int]) -> None:
 @pytest.mark.parametrize(
     ("header", "columns", "words"),
     [
-        ("time,angle,voltage", None, "'angle', 'voltage'"),
+        ("time,tilt,voltage", None, "'tilt', 'voltage'"),
         ("t,yy,u", None, "Did you mean 'yy'"),
         ("t,y,y,u", None, "the log has 2"),
         ("t,y[0],y[1],u", None, "the log has 2"),
@@ -150,6 +150,33 @@ def test_the_same_samples_in_whatever_pieces_they_come(size: int, encoding: str)
     np.testing.assert_array_equal(u[:, 0], [2, 3, 3, np.nan, 4])
     assert reader.faults.unreadable == 1
     assert "line 6" in reader.faults.why
+
+
+@pytest.mark.parametrize("size", [1, 3, 40, 1000])
+@pytest.mark.parametrize("ahead", ["", "Logger 3\n\nserial no, 17 b\n", "Rig;A\nstart at noon\n"])
+@pytest.mark.parametrize("units", ["", "[ms];[N];[V]\n"])
+def test_lines_ahead_of_a_live_header_are_skipped(size: int, ahead: str, units: str) -> None:
+    """As those of a whole file, with the same units, in whatever pieces they come."""
+    head = "t;y;u\n" + units if units else "t_ms;y;u\n"
+    data = f"{ahead}{head}0;1,5;2\n10;2,5;3\n20;nan;3\n".encode()
+    read = {}
+    for live, step in ((False, len(data)), (True, size)):
+        reader = LogReader("log", 1, 1, {}, live=live)
+        parts = [reader.feed(data[k : k + step]) for k in range(0, len(data), step)]
+        parts.append(reader.feed(b"", last=True))
+        read[live] = np.concatenate([np.column_stack([one.t, one.y, one.u]) for one in parts])
+        assert reader.ahead == len([line for line in ahead.splitlines() if line])
+        assert reader.faults.unreadable == 0
+    np.testing.assert_array_equal(read[True], read[False])
+    np.testing.assert_array_equal(read[True][:, 0], [0.0, 0.01, 0.02])
+
+
+def test_a_live_sample_is_read_with_the_line_that_ends_it() -> None:
+    """Lines ahead are waited for, samples are not."""
+    reader = LogReader("log", 1, 1, {}, live=True)
+    assert reader.feed(b"Logger 3\nt,y,u\n").t.size == 0
+    assert reader.feed(b"0,1.5,2\n").t.tolist() == [0.0]
+    assert reader.feed(b"1,1.5,2\n").t.tolist() == [1.0]
 
 
 def test_strict_stops_at_a_line_that_cannot_be_read() -> None:
