@@ -17,8 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+import undeadzone as uz
 from benchmarks import firmware
 from benchmarks.markdown import head, row
+from undeadzone.simulation.online import build_observer, observer_graph, require_graph
 from undeadzone_export.boards import BOARDS
 
 ROOT = Path(__file__).parents[1]
@@ -84,7 +86,7 @@ def table() -> str:
     pythons = {"this": sys.executable}
     if "UNDEADZONE_BESIDE" in os.environ:
         pythons = {"beside": os.environ["UNDEADZONE_BESIDE"]} | pythons
-    return "\n".join([exports(pythons), waits(pythons), uno()])
+    return "\n".join([exports(pythons), waits(pythons), outputs(), uno()])
 
 
 def scenarios(folder: Path) -> dict[str, Path]:
@@ -168,6 +170,32 @@ def waits(pythons: dict[str, str]) -> str:
                 done = subprocess.run(command, capture_output=True, text=True, check=True)
                 times = map(float, done.stdout.split())
                 lines.append(row(name, checkout, *(f"{each:.2f}" for each in times)))
+    return "\n".join([*lines, ""])
+
+
+def outputs() -> str:
+    """Instructions of one member of the filter bank by the number of outputs."""
+    lines = [
+        "## Cost of several outputs\n",
+        "`censored` with one level: as many plants of order 2, inputs and sensors as outputs.\n",
+        *head("outputs", "numbers in the memory", "instructions", "power of the outputs"),
+    ]
+    before = 0
+    for p in (1, 2, 4, 8):
+        one = np.eye(p)
+        plant = uz.Plant(
+            A=np.kron(one, [[0.0, 1.0], [-1.0, -2.0]]).tolist(),
+            B=np.kron(one, [[0.0], [1.0]]).tolist(),
+            C=np.kron(one, [[1.0, 0.0]]).tolist(),
+        )
+        sensor = uz.Sensor(right=[1.0] * p, left=[0.7] * p, noise=0.02)
+        observer = uz.Censored(right=[0.0, 2.0], levels=1)
+        model, zone, built = build_observer(observer, plant, sensor, 5e-3, 1, None)
+        graph = observer_graph(model, require_graph(built), zone)
+        count = graph.step.n_instructions()
+        power = f"{np.log2(count / before):.1f}" if before else ""
+        lines.append(row(str(p), f"{graph.start.size:,}", f"{count:,}", power))
+        before = count
     return "\n".join([*lines, ""])
 
 

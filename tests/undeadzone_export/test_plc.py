@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from test_engines import CONTROLLERS, OBSERVERS, PENDULUM, TWO_OUTPUTS, small
 from test_exporting import EXPORTED
+from test_lower import A, B, calling_outputs, stateless
 
 import once
 import undeadzone as uz
@@ -209,6 +210,23 @@ def assert_same_bits(first: Any, second: Any) -> None:
 
 
 PRECISIONS = pytest.mark.parametrize("single", [True, False], ids=["REAL", "LREAL"])
+
+
+@PRECISIONS
+def test_calls_that_the_graph_keeps_have_the_bits_of_the_c(single: bool, tmp_path: Path) -> None:
+    step = stateless([A, B], calling_outputs())
+    printed = build_code(step, single)
+    exported = plc.export_plc(printed, LABELS, reference_vectors(printed, np.zeros((1, 2))))
+    each = Made(
+        printed,
+        build_source(printed, LABELS).texts_by_name(),
+        plcopen.st_text(exported.units, LABELS, printed),
+        plcopen.st_text([exported.test], LABELS, printed),
+        exported.units,
+    )
+    assert each.blocks.count("FUNCTION_BLOCK fb_o_shared_") == 2
+    rows = np.random.default_rng(5).normal(size=(500, 2))
+    assert_same_bits(by_reader(each, rows, tmp_path), by_c(each, rows, tmp_path))
 
 
 @PRECISIONS

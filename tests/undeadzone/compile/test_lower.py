@@ -28,6 +28,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_export.accuracy import CompiledStep
 from undeadzone_export.code import build_code, count_operations, split_phases
 from undeadzone_export.exported_step import ExportedStep, Field
+from undeadzone_export.source import Labels, build_source
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +56,8 @@ def stateless(inputs: list[ca.SX], outputs: list[ca.SX]) -> ExportedStep:
 def by_replica(step: ExportedStep, rows: Floats, single: bool) -> Floats:
     """The outputs by NumPy, a row for each row of inputs."""
     real = np.float32 if single else np.float64
-    evaluate = reference_evaluator(build_code(step, single).results)
+    code = build_code(step, single)
+    evaluate = reference_evaluator(code.results, code.parts)
     values = []
     for row in rows.astype(real):
         entries = {f"w{k}": value for k, value in enumerate(row)}
@@ -93,6 +95,58 @@ def test_erf_shares_the_exponential_of_its_square_in_single() -> None:
 def test_minus_one_times_a_number_is_no_product() -> None:
     assert operations(True, B + A * ca.SX(-1.0)) == {"add": 1}
     assert operations(True, ca.mtimes(ca.SX([[-1.0, 1.0]]), ca.vertcat(A, B))) == {"add": 1}
+
+
+def calling_outputs() -> list[ca.SX]:
+    """Results of a function that stays a call, called twice, and that calls another one twice."""
+    w, kept = ca.SX.sym("w", 3), {"never_inline": True}
+    wave = ca.sin(w[0]) * w[1] + ca.exp(-(w[0] ** 2)) + ca.erf(w[0])
+    inner = ca.Function("inner", [w], [ca.vertcat(wave, w[2] / 3, w[0], 2.0)], ["w"], ["o"], kept)
+    deeper = inner(ca.vertcat(w[0], inner(w)[0], 0.5))
+    outer = ca.Function("outer", [w], [deeper + w[1], ca.if_else(w[0] > 0, 1.0, w[1])],
+                        ["w"], ["o", "more"], kept)  # fmt: skip
+    first, more = outer(ca.vertcat(A, B, 0.1))
+    second, _ = outer(ca.vertcat(first[0], more, B))
+    return [first, second, more, inner(ca.vertcat(B, A, 1.0))]
+
+
+@pytest.mark.parametrize("single", [True, False], ids=["single", "double"])
+def test_calls_that_the_graph_keeps_are_functions_of_the_same_bits(
+    single: bool, tmp_path: Path
+) -> None:
+    step = stateless([A, B], calling_outputs())
+    assert {one.name() for one in step.function.find_functions()} == {"inner", "outer"}
+    code = build_code(step, single)
+    assert [part.name for part in code.parts] == ["shared_0", "shared_1"]
+    rows = np.random.default_rng(3).uniform(-2, 2, size=(100, 2)).astype(np.float32).astype(float)
+    values = by_replica(step, rows, single)
+    assert np.abs(values - by_machine(step, rows)).max() < (1e-5 if single else 1e-13)
+    assert same(CompiledStep(code, tmp_path)(rows), values).all()
+    text = build_source(code, Labels("o", "", "observer")).code
+    assert text.count("static void o_shared_1(") == 1
+    assert text.count("static void o_shared_0") == 2  # one for each of its callers
+    assert code.operations["sin"] == 5
+
+
+def test_a_call_with_a_number_that_may_be_missing_is_written_out() -> None:
+    """A function computes with numbers alone; NaN would show in none of its comparisons."""
+    w, kept = ca.SX.sym("w", 2), {"never_inline": True}
+    seen = ca.if_else(w[0] == w[0], w[0] + w[1], -w[1])
+    called = ca.Function("called", [w], [seen], ["w"], ["o"], kept)
+    reading = ca.if_else(ca.fabs(A) < 1e300, A, np.nan)
+    step = stateless([A, B], [called(ca.vertcat(reading, B))])
+    assert not build_code(step, False).parts
+    rows = np.array([[np.nan, 2.0], [1.0, 2.0]])
+    assert same(by_replica(step, rows, False), by_machine(step, rows)).all()
+
+
+def test_no_call_passes_from_the_first_half_of_a_step_to_the_second() -> None:
+    results = build_portable_nodes(
+        ca.Function("f", [A, B], [calling_outputs()[0] * B, A], ["s", "w"], ["next", "out"]),
+        "float64", [],
+    )  # fmt: skip
+    phases = split_phases(results, {"w0"})
+    assert {node.op for node in phases.estimate[1]}.isdisjoint({"apply"})
 
 
 A, B = ca.SX.sym("a"), ca.SX.sym("b")
