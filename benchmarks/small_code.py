@@ -20,7 +20,8 @@ import numpy as np
 import undeadzone as uz
 from benchmarks import firmware
 from benchmarks.markdown import head, row
-from undeadzone.simulation.online import build_observer, observer_graph, require_graph
+from undeadzone.interfaces import require_graph
+from undeadzone.simulation.online import build_observer, observer_graph
 from undeadzone_export.boards import BOARDS
 
 ROOT = Path(__file__).parents[1]

@@ -27,12 +27,10 @@ KINDS: Final = {
     "input_zone": "actuator",
     "play": "backlash",
     "input_play": "backlash",
-    "stiction": "stuck",
 }
-VALVE: Final = ("stiction", "input_play")  # of either the lines of both lessen the error
+VALVE: Final = ("stiction", "input_play")  # the lead lessens the error of either
 OF_INPUT: Final = ("input_zone", "input_play")  # verdicts with widths in the input's unit
-OF_WIDTH: Final = ("backlash", "stuck")  # kinds whose width alone counts
-NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded", "stuck": "added"}
+NAMES: Final = {"sensor": "undead", "actuator": "driven", "backlash": "commanded"}
 
 _HEADS: Final = {
     "sensor": (
@@ -51,17 +49,12 @@ _HEADS: Final = {
         "Backlash: gap {width} {unit} ({interval}), from {source}. Reach the start from above.",
         "It cannot see a load or gravity that pushes through the gap, friction, or a spring.",
     ),
-    "stuck": (
-        "Valve that sticks: a jump moves PV by {width} {unit} ({interval}), from {source}.",
-        "Feed the integral part with it, P and D with the error. The cycle ends, the error stays.",
-    ),
 }
 _SETTINGS: Final = {
     "sensor": "A PID controller: error dead band 0, with limits on its integral.",
     "one_edge": "A PID controller: error dead band 0, with limits on its integral.",
     "actuator": "A PID controller: output dead band {right_low} / -{left_low} {unit}.",
     "backlash": "LinuxCNC: BACKLASH = {width} in [JOINT_n]. Klipper and GRBL have no setting.",
-    "stuck": "A PID controller: dead band +-{half} {unit} of its integral part. Repair the valve.",
     "ahead": "Smooth a noisy command first: at each of its turns the actuator crosses the gap.",
 }
 _SETTINGS_OF_GAPS: Final = {
@@ -102,11 +95,6 @@ _C: Final = {
     return wanted + lead;
 }}
 """,
-    "stuck": """static float {name}(float error)
-{{
-    return error > {half}f || error < -{half}f ? error : 0.0f;
-}}
-""",
 }
 _PYTHON: Final = {
     "sensor": """class {Name}:
@@ -135,10 +123,6 @@ _PYTHON: Final = {
             self.lead = {width} if wanted > self.before else 0.0
         self.before = wanted
         return wanted + self.lead
-""",
-    "stuck": """class {Name}:
-    def __call__(self, error):
-        return error if abs(error) > {half} else 0.0
 """,
 }
 _ST: Final = {
@@ -179,12 +163,6 @@ before := wanted;
 command := wanted + lead;
 END_FUNCTION_BLOCK
 """,
-    "stuck": """FUNCTION_BLOCK {name}
-VAR_INPUT error : REAL; END_VAR
-VAR_OUTPUT share : REAL; END_VAR
-IF ABS(error) > {half} THEN share := error; ELSE share := 0.0; END_IF;
-END_FUNCTION_BLOCK
-""",
 }
 
 
@@ -195,9 +173,8 @@ class Lost(NamedTuple):
     """Widths that a snippet compensates.
 
     Attributes:
-        kind: sensor, actuator, backlash or stuck.
-        right, left, width: each as (value, low, high) (of a gap the width counts alone, of a valve
-            that sticks what its jump moves the reading).
+        kind: sensor, actuator, or backlash.
+        right, left, width: each as (value, low, high) (of a gap the width counts alone).
         unit: of them.
         source: description of their source.
         silent: |y| up to which a sensor's sample is censored.
@@ -266,7 +243,7 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
     kind, sign = lost.kind, ""
-    bounded = [lost.width] if kind in OF_WIDTH else [lost.right, lost.left]
+    bounded = [lost.width] if kind == "backlash" else [lost.right, lost.left]
     if lost.absent:
         kind, sign = "one_edge", "-" if lost.absent == "right" else ""
         bounded = [lost.left if sign else lost.right]
@@ -285,7 +262,6 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
         "right_low": _literal(max(lost.right[1], 0.0)),
         "left_low": _literal(max(lost.left[1], 0.0)),
         "width": _literal(lost.width[0]),
-        "half": _literal(lost.width[0] / 2),
         "silent": _literal(lost.silent),
         "ramp": _literal(RAMP * max(min(lost.right[0], lost.left[0]), 1e-3 * lost.width[0])),
     }
@@ -350,25 +326,22 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
         share = max(faulty * (verdict in VALVE), *map(float, odds.values()))
         unit = found["units"]["input" if verdict in OF_INPUT or motion else "output"]
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
-        if kind in OF_WIDTH:  # which alone may be known, and alone counts
-            width = _triple(_lost_width(found, kind))
+        if kind == "backlash":  # which alone may be known, and alone counts
+            width = _triple(motion["gap"] if motion else found["width"])
             right = left = (0.0, 0.0, 0.0)
         else:
             right, left, width = _edges(found)
     except (KeyError, TypeError, ValueError):
-        missing = (
-            "does not tell how far a jump of the valve moves the reading. Record steps of the set "
-            "point that settle"
-            if kind == "stuck"
-            else "has no widths with intervals. Record longer, with more passages of the edges"
-        )
-        raise InputError(f"{path}: the verdict {verdict} {missing}, and identify again") from None
+        raise InputError(
+            f"{path}: the verdict {verdict} has no widths with intervals. Record longer, with "
+            "more passages of the edges, and identify again"
+        ) from None
     if share < SURE:
         raise InputError(
             f"{path}: {verdict} is likely to {100 * share:.0f} % only, and {100 * SURE:.0f} % are "
             "needed. Record the input that `identify --next` proposes"
         )
-    absent = [side for side in ("right", "left") if kind not in OF_WIDTH and found[side] is None]
+    absent = [side for side in ("right", "left") if kind != "backlash" and found[side] is None]
     if absent and kind == "actuator":
         raise InputError(
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
@@ -376,14 +349,6 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
         )
     gone, is_ahead = absent[0] if absent else "", verdict == "input_play"
     return Lost(kind, right, left, width, unit, name, silent, gone, is_ahead)
-
-
-def _lost_width(found: dict[str, Any], kind: str) -> Any:
-    """Return the only width of an answer's gap [u or y], or of a valve's jump [y]."""
-    if kind == "stuck":
-        return found["loop"]["jump_of_reading"]
-    motion = found.get("lost_motion")
-    return motion["gap"] if motion else found["width"]
 
 
 def _edges(found: dict[str, Any]) -> tuple[Triple, Triple, Triple]:

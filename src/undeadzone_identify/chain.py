@@ -128,30 +128,25 @@ def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
     return {} if lost is None else snippet_texts(lost, NAMES[lost.kind])
 
 
-def chain_signal(answer: Identified | IdentifiedMotion, lost: Lost) -> Floats:
-    """Return what the few lines are run along: the command [u], or the error of a loop [y] (N).
+def command_of_log(answer: Identified | IdentifiedMotion) -> Floats:
+    """Return the command of a log, along which the few lines are run [u] (N).
 
     Args:
         answer: of one log.
-        lost: what they compensate.
     """
     from undeadzone_identify.results.lost_motion import IdentifiedMotion
 
     if isinstance(answer, IdentifiedMotion):
         return answer.answer.data.u
-    grid = answer.answer.case.grid
-    if lost.kind != "stuck":
-        return grid.u[:, 0]
-    y = grid.y[grid.ok]
-    return (grid.r[grid.ok, 0] if grid.r.shape[1] else y.mean()) - y
+    return answer.answer.case.grid.u[:, 0]
 
 
 def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain:
     """Write the few lines that need no plant, compile the C and run it along the log.
 
     Args:
-        lost: a gap, or a valve that sticks.
-        signal: the command [u], or the error of the loop [y] of such a valve (N).
+        lost: a gap.
+        signal: the command [u] (N).
         folder: where the lines go.
 
     Raises:
@@ -173,10 +168,6 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         told = np.array([call(float(one)) for one in signal])
     files = [Path(one) for one in report["written"]]
     words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}
-    if lost.kind == "stuck":
-        rests = float(np.mean(told == 0.0))
-        words["integral rests"] = f"at {100 * rests:.0f} % of the samples of the log"
-        return FirmwareChain(words, {"integral_rests": rests}, files, True)
     gap = np.array([lost.width[0]])
     without, reached = (
         levels(one[:, None], gap, 0 * gap, signal[:1])[:, 0] for one in (signal, told)

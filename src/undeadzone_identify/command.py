@@ -192,10 +192,9 @@ def _go_on(
     answer: Answers, scenario: Path | None, log: Path, folder: Path, options: dict[str, Any]
 ) -> FirmwareChain:
     """Go on from a scenario to firmware, or from a width that needs no plant to a few lines."""
-    from undeadzone_export.snippet import OF_WIDTH
     from undeadzone_identify.chain import (
         FirmwareChain,
-        chain_signal,
+        command_of_log,
         compensated,
         run_firmware_chain,
         run_snippet_chain,
@@ -207,10 +206,10 @@ def _go_on(
             own = options["columns"], options["strict"]
             return run_firmware_chain(scenario, log, folder, *own)
         lost = compensated(answer.numbers(), log.name)
-        if lost is None or lost.kind not in OF_WIDTH or isinstance(answer, IdentifiedOutputs):
+        if lost is None or lost.kind != "backlash" or isinstance(answer, IdentifiedOutputs):
             none = "none: there is neither a scenario nor a certain gap to make it of"
             return FirmwareChain({"firmware": none}, {}, [], False)
-        return run_snippet_chain(lost, chain_signal(answer, lost), folder)
+        return run_snippet_chain(lost, command_of_log(answer), folder)
 
 
 def _next_commands(

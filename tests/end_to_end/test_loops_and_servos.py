@@ -70,22 +70,18 @@ def test_a_valve_with_play_ends_in_firmware_and_lines_that_lessen_the_error(
     assert error_of(with_lines) < 0.9 * error_of(loop)
 
 
-def test_a_valve_that_sticks_ends_in_lines_that_end_its_cycle(
+def test_a_valve_that_sticks_is_named_and_gets_no_lines(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It has no scenario; the lines stop the integral part, and OP comes to rest."""
+    """A dead band of its integral part ended the cycle of 1 of 6 such loops: it is not offered."""
     monkeypatch.chdir(tmp_path)
-    loop = make(36, "stiction", SIZE)
-    write_loop(loop, Path("loop.csv"))
-    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o", "--chain", "fw")
+    write_loop(make(25, "stiction", SIZE), Path("loop.csv"))
+    shown = invoke("identify", "loop.csv", "--no-figures", "--out", "o")
     numbers = json.loads(Path("o/identify.json").read_text())
     assert numbers["verdict"] == "stiction"
     jump = numbers["loop"]["jump_of_reading"]
     assert jump[1] < jump[0] < jump[2]
-    assert "added() of snippet.h compiles" in shown
-    rests = make(36, "stiction", SIZE, None, compiled(Path("fw/snippet/snippet.h"), "added"))
-    swings = [float(np.ptp(one.op[SIZE // 2 :])) for one in (loop, rests)]
-    assert swings[1] < 0.7 * swings[0]
+    assert "see to its packing" in shown
 
 
 def test_a_servo_by_current_and_encoder_ends_in_firmware(

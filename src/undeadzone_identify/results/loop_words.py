@@ -32,7 +32,7 @@ def describe_loop(case: Case, verdict: str, valve: ValveFindings) -> list[str]:
         return [
             f"the valve sticks: S {stick}, J {jump}",
             "tuning does not cure it: see to its packing, its positioner and the size of its"
-            f" actuator{_rest(case, valve)}",
+            " actuator",
             BUMP,
         ]
     if verdict == "input_play":
@@ -112,16 +112,6 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
     if not 0 < moved.value < 2 * case.record_data.y_scale:
         return None
     return Interval(moved.value, moved.low * (1 - unsure), moved.high * (1 + unsure))
-
-
-def _rest(case: Case, valve: ValveFindings) -> str:
-    """Return the dead band of the integral part that lets a loop of known gain rest."""
-    moved = jump_of_reading(case, valve)
-    if moved is None:
-        return ""
-    within = append_unit(f"{moved.value / 2:.2g}", case.grid.output_unit)
-    held = f"stop the integral part while the error is within {within} of {case.grid.output}"
-    return f"; meanwhile {held} (half of what a jump moves it)"
 
 
 def shape_in_words(valve: ValveFindings, grid: Grid) -> str:
