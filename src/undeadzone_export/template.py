@@ -18,7 +18,7 @@ def read_template(path: str) -> str:
 
 
 def fill_template(path: str, words: dict[str, Any]) -> str:
-    """Fill the words of a template file, as `util.text.filled` does.
+    """Fill the words of a template file, as `util.text.fill_words` does.
 
     Args:
         path: as seen from here.

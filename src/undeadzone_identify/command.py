@@ -204,7 +204,12 @@ def _next_commands(
 ) -> str:
     """Return the commands to type next, with the scenario that was written, as text.
 
-    Where fewer inputs drive than outputs are read nothing follows a reference.
+    Args:
+        scenario: file that was written.
+        logs: that were read.
+        options: of the command.
+        driven: whether the plant has as many inputs as outputs. Else no controller can follow a
+            reference, and `watch` takes the place of `run` and `export`.
     """
     words = shell_command("undeadzone", "run", scenario)
     if not driven:

@@ -268,12 +268,12 @@ def _plot_residual_map(found_log: Identified) -> Figure:
 
 
 def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
-    """Return z in ascending order and the reading of the fitted sensor there (N, N) [y]."""
+    """Return z in ascending order, and the mean reading of the fitted sensor there [y] (N each)."""
     answer = found_log.answer
     fit, jumps = answer.chosen.singles, answer.case.jump_edges
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
-        return z, np.sort(mean_reading(fit)) * answer.scale
+        return z, np.sort(mean_reading(fit)) * answer.scale  # it rises with z
     right, left = (edge.value * answer.scale for edge in jumps)
     return z, np.where((z > right) | (z < -left), z, 0.0)
 

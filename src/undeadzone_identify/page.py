@@ -99,7 +99,7 @@ def build_identified_page(
 
     Args:
         found_log: the answer.
-        images: SVGs by the names of `identify_figures.figures`.
+        images: SVGs by the names of `figures.build_figures`.
         source: name of the log.
         origin: how to compute the same again; None: it cannot be.
 

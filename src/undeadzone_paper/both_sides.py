@@ -141,7 +141,12 @@ def _saturation_by_branches(z: Floats, right: Floats | float, left: Floats | flo
 
 
 def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
-    """Compare both sides of (1)-(13), as printed along p, as mended along q."""
+    """Return the largest difference of both sides of (1)-(13) and (21), by equation number.
+
+    Args:
+        p: signals of the run as printed.
+        q: signals of the repaired run.
+    """
     sat = _saturation_by_branches(p.z, D, D)
     branches = np.where(p.z > D, p.z - D, np.where(p.z < -D, p.z + D, 0.0))
     outside, read = p.side != 0, q.side != 0
@@ -160,7 +165,7 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
         ),
         2: BothSides(
             "largest |Sat x|, and the least d_M of the bound",
-            max(0.0, largest_absolute(sat) - abs(D - D)),
+            max(0.0, largest_absolute(sat) - abs(D - D)),  # |d_r - d_l| as printed, here 0
             max(0.0, largest_absolute(sat) - saturation_bound(D, D)),
         ),
         3: BothSides("y that was read, and x - Sat(x)", largest_absolute(p.y - (p.z - sat)), None),

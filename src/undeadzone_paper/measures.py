@@ -110,10 +110,13 @@ def side_error(run: Run) -> float:
 
 
 def steep_ratio(run: Run, slope: float = 0.1) -> float:
-    """Return how often x^_1 - x_1 changes faster than `slope` in the last 5 s, relative to the
-    first 5 s [1].
+    """Return how often x^_1 - x_1 is steep in the last 5 s, relative to the first 5 s [1].
 
-    Infinite if the run diverges.
+    The first 5 s count as one steep sample at least. The ratio is infinite if the run diverges.
+
+    Args:
+        run: the run.
+        slope: rate of x^_1 - x_1 above which it is steep [x_1/s].
     """
     if run.divergence_time is not None:
         return np.inf

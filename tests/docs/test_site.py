@@ -129,19 +129,27 @@ def test_old_addresses_lead_on(site: Path) -> None:
         assert 'http-equiv="refresh"' in (site / f"{old}.html").read_text()
 
 
+SCENARIO, LOG = "examples/asymmetric_noise.toml", "examples/samples.csv"
+REPORTS = {
+    "run": ["run", SCENARIO],
+    "arm": ["run", "examples/two_link.toml"],
+    "check": ["check", SCENARIO],
+    "estimate": ["estimate", SCENARIO, LOG],
+    "identify": ["identify", LOG, "--order", "3", "--delay", "0"],
+    "ensemble": ["ensemble", "examples/ensemble.toml", "--runs", "40"],
+    "tune": ["tune", "examples/tune.toml", "--runs", "4", "--budget", "4"],
+    "arena": ["arena", SCENARIO, "--methods", "censored,ekf", "--seeds", "1"],
+    "design": ["design", SCENARIO],
+    "paper": ["paper"],
+}
+
+
 def test_reports_are_whole_on_a_telephone(screen: Browser, tmp_path: Path) -> None:
-    example = str(ROOT / "examples/asymmetric_noise.toml")
-    log = str(ROOT / "examples/samples.csv")
-    asked = {
-        "run": ["run", example],
-        "check": ["check", example],
-        "estimate": ["estimate", example, log],
-        "identify": ["identify", log, "--order", "3", "--delay", "0"],
-    }
     pages = []
-    for name, words in asked.items():
-        done = undeadzone(*words, "--out", str(tmp_path / name))
+    for name, words in REPORTS.items():
+        done = undeadzone(*words, "--out", str(tmp_path / name), cwd=ROOT)
         assert done.returncode in (0, 1), done.stderr
-        page = tmp_path / name / "report.html"
-        pages.append(page.rename(tmp_path / f"{name}.html"))
-    assert found_faults(screen, pages) == {}
+        pages.append((tmp_path / name / "report.html").rename(tmp_path / f"{name}.html"))
+    live = tmp_path / "live.html"
+    assert not undeadzone("export", SCENARIO, "--to", "page", "--out", str(live)).returncode
+    assert found_faults(screen, [*pages, live]) == {}

@@ -132,6 +132,68 @@ def test_public_functions_explain_their_arguments() -> None:
     assert not {name: arguments for name, arguments in found.items() if arguments}
 
 
+NAMES_ELSEWHERE = {  # in single words: of Python, of other packages, of files, and examples
+    *("Class", "StateSpace", "__file__", "control", "csv", "dir", "format", "matplotlibrc"),
+    *("d_left_error", "d_right_error", "module", "npz", "openat2", "parquet", "pyi", "pyproject"),
+    *("scipy", "ss", "t_ms", "tf", "uz", "voltage"),
+}
+
+
+def defined(tree: ast.Module) -> set[str]:
+    """Names that other files can mean: functions, classes, fields, attributes, module's names."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            names.add(node.attr)
+    bodies = [tree, *(node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))]
+    for statement in (one for body in bodies for one in body.body):
+        targets = statement.targets if isinstance(statement, ast.Assign) else []
+        targets = [statement.target] if isinstance(statement, ast.AnnAssign) else targets
+        for target in targets:
+            names |= {one.id for one in ast.walk(target) if isinstance(one, ast.Name)}
+    return names
+
+
+def mentioned(tree: ast.Module) -> set[str]:
+    """Names that a file uses, arguments, keywords and words of short texts among them."""
+    names: set[str] = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name):
+                names.add(name)
+            case ast.keyword(arg=str(name)):
+                names.add(name)
+            case ast.alias(name=name, asname=other):
+                names |= {*name.split("."), other or name}
+            case ast.Constant(value=str(text)) if len(text) < 60 and "\n" not in text:
+                names |= set(re.findall(r"\w+", text))
+    return names
+
+
+def unknown_names(docstring: str, known: set[str]) -> set[str]:
+    """Names in backticks that nothing has; phrases in backticks are none."""
+    quoted = [one for one in re.findall(r"`([^`\n]+)`", docstring) if " " not in one.strip()]
+    words = {word for one in quoted for word in re.findall(r"[A-Za-z_][A-Za-z_0-9]+", one)}
+    return words - known - NAMES_ELSEWHERE
+
+
+def test_names_in_docstrings_exist() -> None:
+    """A renamed function is renamed in what is said of it."""
+    trees = {name: ast.parse(text) for name, text in TEXTS.items()}
+    everywhere = {part for name in TEXTS for part in Path(name).with_suffix("").parts}
+    everywhere |= {name for tree in trees.values() for name in defined(tree)}
+    stale = []
+    for file, tree in trees.items():
+        known = everywhere | mentioned(tree)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef):
+                lost = unknown_names(ast.get_docstring(node) or "", known)
+                stale += [f"{file}: {name}" for name in sorted(lost)]
+    assert stale == []
+
+
 def test_the_measures_see_what_they_should() -> None:
     assert tangled("x = [a for b in c for a in b]")
     assert tangled("x = {a: 1 if a else 2 for a in b}")

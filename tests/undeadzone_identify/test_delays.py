@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from undeadzone.nonlinearities.sensor import DIRECTIONS
 from undeadzone_identify.models.plant import RecordData, delay_inputs
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.selection.delays import (
+    REACH,
     _refit_with_delay,
     find_equivalents,
     is_delay_better,
@@ -94,3 +96,13 @@ def test_intervals_reach_over_a_delay_that_is_not_excluded(data: RecordData) -> 
         assert wide.low == pytest.approx(min(one.low, one.low + gap))
         assert wide.high == pytest.approx(max(one.high, one.high + gap))
         assert abs(gap) > 0
+
+
+@pytest.mark.parametrize(("behind", "there"), [(0.0, 1), (0.9 * REACH, 1), (1.1 * REACH, 0)])
+def test_a_delay_nearly_as_likely_is_another_explanation(behind: float, there: int) -> None:
+    def order(bic: float) -> Any:
+        simulator = SimpleNamespace(is_at_limit=lambda theta: False)
+        fit = SimpleNamespace(bic=bic, theta=None, objective=SimpleNamespace(simulator=simulator))
+        return SimpleNamespace(pairs=fit, n=1, white=True)
+
+    assert len(find_equivalents([order(100.0)], [order(100.0 + behind)])) == there

@@ -34,6 +34,7 @@ from undeadzone_identify.models.lost_motion import (
     MotionFit,
     Positions,
     Structure,
+    _crossing,
     lag_signal,
     reversal_blocks,
 )
@@ -241,3 +242,10 @@ def test_every_kind_of_the_benchmark_names_its_columns_by_titles(tmp_path: Path)
         write_table(log, tmp_path / "log.csv")
         named = "y=q,u=torque" if "q [rad]" in log.columns else None
         assert read_log(tmp_path / "log.csv", named).y.shape[1] == 1
+
+
+@pytest.mark.parametrize(("side", "expected"), [(1, 2.75), (-1, 1.0 - 0.4)])
+def test_a_profile_is_interpolated_where_it_passes_its_limit(side: int, expected: float) -> None:
+    gaps = np.array([0.0, 1.0, 2.0, 3.0])
+    costs = np.array([4.0, 1.5, 1.0, 3.0])
+    assert _crossing(gaps, costs, 2.5, side) == pytest.approx(expected)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +38,11 @@ from undeadzone_identify.models.zone_fit import fit_linear, fit_zone
 from undeadzone_identify.page import build_identified_page
 from undeadzone_identify.results.assemble import _reference_remarks, to_answer
 from undeadzone_identify.selection import servo
-from undeadzone_identify.selection.decision import _most_probable_word, detect_feedback
+from undeadzone_identify.selection.decision import (
+    _most_probable_word,
+    _verdict_by_residual,
+    detect_feedback,
+)
 from undeadzone_identify.selection.odds import model_probabilities, nats_behind_best
 from undeadzone_identify.selection.orders import feedback_share, training_samples
 from undeadzone_identify.selection.servo import identify_tick_servo, to_observations
@@ -402,11 +408,11 @@ def test_a_servo_that_rests_at_0_is_a_servo(seed: int) -> None:
 
 
 def test_no_memory_is_named_where_most_readings_stick_at_the_ends() -> None:
-    """Of this saturation 74 % do; a play between them had odds of .9."""
+    """Of this saturation 74 % do; a play between them had odds of 0.9."""
     log = make(3002, "saturation")
     answer = asked(log)
-    assert answer.verdict == "undecided"
-    assert "stick at the ends" in answer.answer.reasons[0]
+    assert answer.verdict == "unclear"
+    assert any("readings stick at the ends" in one for one in answer.numbers()["remarks"])
 
 
 def test_odds_are_printed_and_sum_to_1() -> None:
@@ -653,3 +659,17 @@ def test_a_log_with_a_setpoint_ends_in_a_scenario(
     assert numbers["answered"] > 0.999
     assert any("r from 'setpoint'" in one for one in numbers["remarks"])
     assert parse(Path("found/log.toml").read_text(encoding="utf-8")).actuator is not None
+
+
+@pytest.mark.parametrize(
+    ("silent", "white", "cautions"), [(True, False, 0), (False, True, 0), (False, False, 1)]
+)
+def test_only_noise_behind_a_zone_is_asked_to_be_white(
+    silent: bool, white: bool, cautions: int
+) -> None:
+    case: Any = SimpleNamespace(
+        jump_edges=None,
+        record_data=SimpleNamespace(silent_zeros=silent),
+        chosen=SimpleNamespace(white=white),
+    )
+    assert len(_verdict_by_residual(case).cautions) == cautions

@@ -7,6 +7,8 @@ import math
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree
 
 import casadi as ca
@@ -23,6 +25,8 @@ from undeadzone.scenario.reader import parse
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exporting
 from undeadzone_identify.logs.grid import common_spacing
+from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.selection import servo as selection
 from undeadzone_identify.servo import predictor
 from undeadzone_identify.servo.crossings import GapCrossings, find_crossings
 from undeadzone_identify.servo.gap import ServoGap, collect_odd_errors, identify_servo_gap
@@ -427,3 +431,47 @@ def test_motors_and_lags_climb_side_by_side(with_friction: tuple[Observations, S
     tops = ServoLikelihood(log).maximise_from_starts([lag, found.servo], 2)
     assert [top.structure.lag for top in tops] == [True, False]
     assert tops[1].value >= found.servo.value - 1e-6
+
+
+def gap_found(probability: float, low: float, few: bool, integrates: bool) -> Any:
+    """What a servo's predictor found, as far as its name depends on it."""
+    return SimpleNamespace(
+        gap_probability=probability,
+        gap=Interval(0.5, low, 0.6),
+        has_few_reversals=few,
+        is_integrating=integrates,
+    )
+
+
+def test_a_servo_is_likely_beside_words_that_name_nothing() -> None:
+    sure = gap_found(0.99, 0.4, True, True)
+    assert all(selection._is_servo_likely(sure, word) for word in ("undecided", "unclear", "none"))
+    assert not selection._is_servo_likely(sure, "dead_zone")
+    assert not selection._is_servo_likely(gap_found(0.5, 0.4, True, True), "undecided")
+    assert not selection._is_servo_likely(gap_found(0.99, 0.4, False, True), "undecided")
+    assert not selection._is_servo_likely(None, "undecided")
+
+
+def test_only_an_undecided_record_has_the_word_of_its_odds() -> None:
+    verdict = SimpleNamespace(word="undecided")
+    found: Any = SimpleNamespace(verdict=verdict, odds={"input_zone": 0.6})
+    assert selection._likeliest_word(found) == "input_zone"
+    found.verdict.word = "dead_zone"
+    assert selection._likeliest_word(found) == "dead_zone"
+
+
+@pytest.mark.parametrize(
+    ("prior", "half"), [(0.0, 0.1), (0.3, math.hypot(0.1, 0.6)), (None, math.inf)]
+)
+def test_an_offset_widens_the_sides_of_a_play_but_not_its_gap(
+    prior: float | None, half: float
+) -> None:
+    case: Any = SimpleNamespace(offset_prior=prior, record_data=SimpleNamespace(y_scale=2.0))
+    servo = gap_found(0.99, 0.4, True, True)
+    centre = Interval.from_half_width(0.2, 0.1)
+    found = selection._servo_widths(case, servo, centre)
+    assert found["width"] == servo.gap
+    assert found["centre"] is not None
+    assert found["centre"].half_width == pytest.approx(half)
+    if math.isfinite(half):
+        assert [found[side].value for side in ("right", "left")] == pytest.approx([0.45, 0.05])

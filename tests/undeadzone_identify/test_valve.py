@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from undeadzone_identify.models.valve import (
     valve_positions,
 )
 from undeadzone_identify.page import build_identified_page
-from undeadzone_identify.selection.valve import ellipse_width
+from undeadzone_identify.selection.valve import _verdict_of, ellipse_width
 
 SIZE = 800
 
@@ -139,3 +140,15 @@ def test_a_valve_that_sticks_has_no_scenario(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "the valve sticks" in done.stdout
     assert not (tmp_path / "o" / "loop.toml").exists()
+
+
+def test_play_and_stiction_beside_each_other_are_both_named() -> None:
+    found: Any = SimpleNamespace(held_out=SimpleNamespace(error=0.1), without=0.2)
+    verdict = _verdict_of({"stiction": 0.6, "input_play": 0.39, "none": 0.01}, found)
+    assert (verdict.word, len(verdict.cautions)) == ("stiction", 1)
+    assert "39 %" in verdict.cautions[0]
+    sure = _verdict_of({"stiction": 0.99, "input_play": 0.01}, found)
+    assert (sure.word, sure.cautions) == ("stiction", [])
+    assert _verdict_of({"stiction": 0.6, "none": 0.4}, found).word == "undecided"
+    found.held_out.error = 0.3  # more than without a valve
+    assert _verdict_of({"stiction": 0.99, "input_play": 0.01}, found).word == "undecided"

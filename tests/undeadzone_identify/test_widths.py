@@ -13,7 +13,9 @@ import undeadzone as uz
 from undeadzone.errors import InputError
 from undeadzone_identify.logs.prepare import jump_edge_below
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.results.assemble import Answer, prior_width_range
+from undeadzone_identify.models.likelihood import Readings
+from undeadzone_identify.results.assemble import Answer, _widen_to_rounding, prior_width_range
+from undeadzone_identify.selection.widths import measure_excitation
 
 RIGHT, LEFT = 0.4, 0.9
 
@@ -85,3 +87,22 @@ def test_the_range_of_a_jump_edge_holds() -> None:
         below["lowest"] += edge.lowest > 0
     assert 140 <= below["low"] <= 260
     assert 0 < below["lowest"] <= 14
+
+
+def test_visits_of_each_edge_are_counted() -> None:
+    z = np.array([0.0, 2.0, 2.0, 0.0, 0.0, 2.0, -2.0, -2.0, -2.0, 0.0])
+    whole = np.ones(z.size, bool)
+    found = measure_excitation(
+        Readings(z, np.sign(z).astype(int), whole, whole), z, 1.0, 1.0, False
+    )
+    assert found.samples == (3, 3)
+    assert found.visits == (2, 1)
+    assert found.silent == pytest.approx(0.4)
+    assert found.longest == 2
+
+
+@pytest.mark.parametrize("value", [0.0, 0.4, 1e6])
+def test_a_range_is_wider_than_rounding(value: float) -> None:
+    low, high = _widen_to_rounding(value, value)
+    assert 0 <= low <= value < high
+    assert _widen_to_rounding(0.3, 0.5) == (0.3, 0.5)

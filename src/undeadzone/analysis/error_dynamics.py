@@ -79,7 +79,7 @@ class Dynamics(NamedTuple):
         Args:
             W: weights of the outputs (p).
             E: how outside signals w enter x~' (n x q).
-            terms: blocks to be added, see `dissipation.quadratic`.
+            terms: blocks to be added, see `dissipation.build_quadratic_form`.
             decay: rate [1/s] at which sqrt(x~'P x~) must fall besides.
         """
         n, p = self.L.shape

@@ -53,7 +53,7 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
     """Convert white noise to first-order coloured noise, in place.
 
     Args:
-        numbers: as `fill` left them (steps x channels x lanes) (at least one step).
+        numbers: as `fill_normal` left them (steps x channels x lanes) (at least one step).
         state: the last numbers (channels x lanes), overwritten (at step 0 it is not read).
         first: number of the first step.
         memory, drive: `noise.colour`.

@@ -324,7 +324,11 @@ def print_lanes(
     have: list[dict[Node, str]] = [{} for _ in sources]
 
     def name(node: Node, group: int) -> str:
-        """Return the name of a node's value in a group."""
+        """Return the operand of a node's value in a group.
+
+        A value below level `STILL` is common to all groups: it is loaded once, and all share its
+        name unless `every_use`.
+        """
         if node.level == CONSTANT:
             return text.constant_text(node)
         if node in have[group]:

@@ -1,9 +1,9 @@
 """Simplification rules: the same values by fewer instructions.
 
-`Exact` changes no bit. `Plain`, for exported code, changes the sign of zero, and the value of 0
-times infinity: conditions select instead of multiplying by 0 and 1, and NaN is left in results
-alone. `Gathered`, for fused lanes, rounds otherwise: conditions move into products, inverses of
-steady values and products with them are gathered.
+`ExactRules` changes no bit. `PortableRules`, for exported code, changes the sign of zero, and the
+value of 0 times infinity: conditions select instead of multiplying by 0 and 1, and NaN is left in
+results alone. `FusedRules`, for fused lanes, rounds otherwise: conditions move into products,
+inverses of steady values and products with them are gathered.
 """
 
 from __future__ import annotations
@@ -255,13 +255,13 @@ class PortableRules:
         return self._number_and_validity(node)[1] is self.exact.yes
 
     def _number_and_validity(self, node: Node) -> tuple[Node, Node]:
-        """Return a number and the truth without which it is NaN."""
+        """Return the number of a node, and the condition without which the node is NaN."""
         if node is self.nan:
             return self.exact.zero, self.exact.no
         if node.op != "select" or node.args[2] is not self.nan:
             return node, self.exact.yes
         truth, number, _ = node.args
-        if number.op == "input":  # nothing is computed with one that is absent
+        if number.op == "input":  # an absent input counts as 0
             number = self.exact.select_number(truth, number, self.exact.zero)
         return number, truth
 

@@ -93,7 +93,7 @@ class Batch(NamedTuple):
 
         Args:
             kernel: that of the batch, or one that is called in its place
-            runs, own: as of `measure`
+            runs, own: as of `measure_lanes`
             options: of `lanes.run`
         """
         nothing_yet = np.zeros((len(own.states), tree.count_numbers(self.measured.tally)))

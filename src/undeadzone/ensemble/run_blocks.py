@@ -40,8 +40,8 @@ def compute_job(
         progress: called with the number of runs just done
 
     Returns:
-        The complete store: read its `columns` inside `keeping`, then `remove` it once they are
-        elsewhere, or `close` it.
+        The complete store: read its `map_columns()` inside `close_on_failure`, then `remove` it
+        once they are elsewhere, or `close` it.
 
     Raises:
         InputError or a subclass: FileError, ClusterError

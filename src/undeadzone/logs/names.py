@@ -419,8 +419,14 @@ class _Header(NamedTuple):
         return 1
 
     def usual(self, name: str, count: int) -> list[int]:
-        """Return the columns of a usual name: the one of that name, or those with an index, in
-        order.
+        """Return the columns of a usual name, by their places in the file.
+
+        They are those of the name itself if there are enough, else those with an index in its
+        order (`y[0]`, `y[1]`), else again those of the name; empty if there are none.
+
+        Args:
+            name: of the signal, in small letters.
+            count: channels of the signal.
         """
         same = self.find_equal_names(name)
         if same and (count == 1 or len(same) > 1):

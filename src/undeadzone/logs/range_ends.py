@@ -41,7 +41,7 @@ class RangeEnds(NamedTuple):
         return f"[{self.low:.9g}, {self.high:.9g}]"
 
     def find_readings_at_ends(self, y: Floats, ok: np.ndarray) -> np.ndarray:
-        """Which readings are at an end (N, bool).
+        """Return whether each reading is at an end (N, bool).
 
         Args:
             y: readings (N).
@@ -178,12 +178,12 @@ class _End:
 
 
 def _is_at(y: Floats, top: float) -> np.ndarray:
-    """Which readings are at the largest one (N, bool)."""
+    """Return whether each reading is at the largest one (N, bool)."""
     return np.asarray(y >= top * (1 - SAME))
 
 
 def _first_of_runs(at: np.ndarray, ok: np.ndarray) -> Integers:
-    """Where `RUN` readings in a row are at the limit, after as many that are there and are not."""
+    """Return the first index of `RUN` readings at the limit after as many present ones off it."""
     if at.size < 2 * RUN:
         return np.empty(0, int)
     before = _all_in_a_row(ok & ~at)[:-RUN]

@@ -124,7 +124,11 @@ def _columns(log: Any) -> Columns:
 
 
 def _with_time_named(columns: Columns) -> Columns:
-    """Return the columns with the first of a matrix named time, if it increases as times do."""
+    """Return the columns with a time, if there is one: a first column that increases regularly.
+
+    It is the first column of a matrix of another name than those of readings, inputs and
+    references, if no column is a time.
+    """
     if has_time([title for title, _ in columns]):
         return columns
     known = [f"{name}[0]" for name in (*READINGS, *INPUTS, *REFERENCES)]

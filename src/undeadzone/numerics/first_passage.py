@@ -65,6 +65,6 @@ def condition_on_edge(belief: Gaussian, h: Any, excess: Any, R: Any, moved: Any 
         h: row of the edge (1 x N).
         excess: by which the mean x^ lies beyond it.
         R: variance of v.
-        moved: as `update_unless_glitch` takes it.
+        moved: as `update_with_outliers` takes it.
     """
     return update_with_outliers(belief, h, -excess, R, 1.0, None, 0.0, moved).belief

@@ -311,17 +311,21 @@ def update_with_gain(
 ) -> RobustUpdate:
     """Update a state estimate by a measurement of known gain that may be an outlier.
 
-    The covariance loses one product k k', which rounds each entry once and leaves it unchanged if
-    nothing is used. No variance falls below that of v seen through the gain, as in exact
-    arithmetic.
+    The covariance loses one product k k' with k = sqrt(S) K, which rounds each entry once and
+    leaves it unchanged if nothing is used. A variance stays at least K^2 R, as in exact arithmetic.
 
     Args:
         belief: of x (N).
         K: gain of the regular update (N), the best one.
         e: innovation.
         S: variance of the innovation.
-        R: variance of v.
-        use, odds, reach, moved, surprise: as `update_unless_glitch` takes them.
+        R: variance of the measurement's noise v.
+        use, odds, reach, moved, surprise: see `update_with_outliers`; odds is the logarithm of
+            the prior odds of an outlier (None: there are none).
+
+    Returns:
+        The updated belief, the clipped innovation, its deviation, the probability that the
+        measurement is no outlier, its predicted density, and the gain that was used.
     """
     std = ca.sqrt(S)
     shift = K if moved is None else moved * K

@@ -1,6 +1,7 @@
 """Seeded search for minima of functions without useful gradients, with many points per call.
 
-`evolve` minimises one objective, and `pareto` finds the trade-off between several.
+`minimise_by_cmaes` minimises one objective. `find_pareto_front` finds the trade-off between
+several.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Contact filter for arms with encoders at motors, links or both, and with gaps in the gears.
 
 Each joint is in one of three contacts, right flank, gap or left flank, and each combination is an
-extended Kalman filter (`parts.contact_modes` has the mathematics). It finds link angles, gaps,
+extended Kalman filter (`contact_filter.modes` has the mathematics). It finds link angles, gaps,
 payload and friction on the way.
 """
 

@@ -1,7 +1,7 @@
 """Numbers of a result, each defined once for JSON, a terminal, a notebook and a page.
 
 A row has a value and all known facts about it. JSON takes key and value. A terminal and a notebook
-take label and `words`. A page takes title and `cell`, as `report.html.estimates_table` sets them.
+take label and `words`. A page takes title and `page_cell`, as `estimates_table` sets them.
 """
 
 from __future__ import annotations

@@ -229,8 +229,7 @@ def with_tables(scenario: S, changes: Mapping[str, Any]) -> S:
 
 
 def alike(compare: Any, observer: Any) -> Any:
-    """Return the table [compare], in place of `like = "observer"` all keys of [observer] that it
-    lacks.
+    """Return the table [compare], with the keys of [observer] that it lacks if it has `like`.
 
     Args:
         compare: the table as TOML gives it.

@@ -297,13 +297,16 @@ def _wave_derivatives(harmonics: np.ndarray, angle: list[Floats]) -> np.ndarray:
 
 
 def _harmonic_closure(harmonics: np.ndarray, w: float) -> Floats:
-    """Return the closure of harmonics that turn evenly with w [rad/s] (ORDER + 1), as in
-    `Curve`.
+    """Return c (ORDER + 1) with x^(ORDER + 1) = sum of c_k x^(k) for a sum of harmonics of w.
+
+    Args:
+        harmonics: factors h of the frequency; sines of h w are roots of s^2 + (h w)^2.
+        w: frequency [rad/s].
     """
-    vanishing = np.array([1.0])  # polynomial in s, highest power first
+    characteristic = np.array([1.0])  # polynomial in s, highest power first
     for harmonic in harmonics:
-        vanishing = np.polymul(vanishing, np.array([1.0, 0.0, (harmonic * w) ** 2]))
-    lowest_first = -vanishing[:0:-1]
+        characteristic = np.polymul(characteristic, np.array([1.0, 0.0, (harmonic * w) ** 2]))
+    lowest_first = -characteristic[:0:-1]  # fewer harmonics: the rest are roots at s = 0
     closure = np.zeros(ORDER + 1)
     closure[-lowest_first.size :] = lowest_first
     return closure

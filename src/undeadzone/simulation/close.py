@@ -225,7 +225,7 @@ def close(problem: Problem) -> loop.Loop:
 
     In continuous time it finds changes of side inside a step if simulation.switching is "located".
     Else every stage of RK4 reads its own side. With simulation.order above 4 it takes Taylor series
-    (`dense_output.taylor`), whose exogenous inputs are `order` coefficients of a step in place of
+    (`build_taylor_arcs`), whose exogenous inputs are `order` coefficients of a step in place of
     three instants.
 
     Raises:
@@ -397,7 +397,7 @@ def exogenous_at(columns: list[ca.SX], c: Any, p: int) -> ca.SX:
 
 
 def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]:
-    """Return attempts at a step with its changes of side located (`event_location.located_step`).
+    """Return attempts at a step with its changes of side located (`locate_side_changes`).
 
     A change of zone that leaves the side as it is (noise beyond the threshold) is not located.
 

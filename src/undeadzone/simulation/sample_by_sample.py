@@ -38,7 +38,7 @@ def run_sample_by_sample(
         exogenous: exogenous inputs (steps + 1 rows).
         progress: called with the number of steps just done.
         law: law(t, estimate, r) is the input (m) at t [s]. The problem's controller is then
-            `commanded`. None: the problem's controller is a graph.
+            `placeholder_controller`. None: the problem's controller is a graph.
 
     Raises:
         InputError: the law gives no finite input of m entries.

@@ -44,8 +44,8 @@ def design(
             `Weights`, the best for rate / (disturbance^a mismatch^b noise^c).
         margin: least margin of the certificate, between 0 and 1.
         seed: of the search. The same seed gives the same gains.
-        progress: called with the number of rounds just done, `rounds(maximise)` in all (None: a bar
-            in a notebook).
+        progress: called with the number of rounds just done, `count_design_rounds` in all (None: a
+            bar in a notebook).
 
     Returns:
         The gains, their proof, their scores, and the identifiability.

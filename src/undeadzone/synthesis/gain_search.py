@@ -114,9 +114,18 @@ def describe_gain_limit(task: Task, best: Candidate) -> tuple[str, ...]:
 
 
 def search_seeded(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[Task, Floats]:
-    """Return the best of several seeded searches, before it is polished, and its task.
+    """Return the best point of the search box from several seeded searches, and its task.
 
-    If it touches the largest gains that are tried, larger ones are tried too.
+    If the point touches the largest gains that are tried, larger ones are tried too.
+
+    Args:
+        task: the plant and the limits of its gains.
+        weights: of the objectives.
+        seed: of the searches.
+        tick: called with 1 after each short search.
+
+    Returns:
+        The task with the limit it ended at, and the point (d), see `to_certified_gains`.
     """
     low, high = search_box(task)
     cost, size = _build_trade_cost(task, weights), search_population(task)

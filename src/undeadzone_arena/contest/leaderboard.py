@@ -81,9 +81,9 @@ def select_contestants(rows: Sequence[Row]) -> list[Row]:
 def compute_regrets(results: Sequence[Result]) -> dict[str, Floats]:
     """Compute the regret (scenarios x seeds) [zones] of each method, NaN if it was refused.
 
-    It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r, `bounded`: of
-    two runs that do not diverge the one with the smaller J has the smaller regret, for any
-    reference lines.
+    It is (J - J_informed) / zone of the same scenario and seed, J the rms of z - r. Of two
+    runs that do not diverge the one with the smaller J has the smaller regret, for any reference
+    lines.
     """
     scenarios = list(dict.fromkeys(result.scenario for result in results))
     seeds = list(dict.fromkeys(result.seed for result in results))

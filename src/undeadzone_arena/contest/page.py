@@ -95,7 +95,7 @@ def write_arena(
 
     Args:
         contest: contest to show
-        runs: of some methods, as `traces.traced` gives them
+        runs: of some methods, as `traces.trace_runs` gives them
         folder: folder of the files (created if needed)
         origin: data to compute the same again (None: unknown)
 

@@ -265,7 +265,7 @@ def find_quantum(y: Floats) -> float:
         y: readings (N), none missing.
 
     Returns:
-        As of `rounding_of`; 0 if the readings are many and different.
+        As of `rounding_step`; 0 if the readings are many and different.
     """
     different = np.unique(np.append(np.abs(y), 0.0)).size
     few = 4 <= different <= 0.5 * max(int(np.count_nonzero(y)), 8)

@@ -323,14 +323,17 @@ ChainFit = FittedModel[ChainModel]
 def fit_chains(
     fit: ZoneFit, places: dict[str, PlaceFit], recorded: RecordData, orders: Sequence[int]
 ) -> Chains:
-    """Return the best chain of each word.
+    """Fit every chain (input element, plant, zone, filter) and return the best of each class.
+
+    The best one has the least BIC. A plant of several inputs has no chain.
 
     Args:
         fit: plant and sensor zone of one record.
-        places: other models of the same record.
-        recorded: the same readings with the input as it was recorded: a delay that the zone's plant
-            asked for may be that of an element.
-        orders: that the log is long enough for; of the fit's and the next ones the best is taken.
+        places: other models of the same record, by class.
+        recorded: the same readings with the input as it was recorded, since the delay of the zone's
+            plant may be that of an element.
+        orders: of plants that the log is long enough for. The fit's order and the next are tried,
+            with the recorded input two higher ones.
     """
     starts = PlaceStarts(fit)
     layout, data = starts.simulator.layout, starts.simulator.data

@@ -336,7 +336,7 @@ def fit_static_rivals(fit: ZoneFit) -> dict[str, Density]:
 
 
 def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
-    """Return the fits whose densities `static_rivals` returns, by the verdict's words.
+    """Return the fits whose densities `fit_static_rivals` returns, by the verdict's words.
 
     Args:
         fit: plant and zone of the record, where the rivals start.

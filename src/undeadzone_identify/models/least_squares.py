@@ -300,3 +300,8 @@ def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
     statistic = wald * degrees / (COSINES * count)
     std = np.sqrt(np.maximum(np.diag(spread.V), 0.0))
     return coefficients, std, share, float(fisher.sf(statistic, count, degrees))
+
+
+def describe_p_value(chance: float) -> str:
+    """Describe a p value; very small values are not resolved."""
+    return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"

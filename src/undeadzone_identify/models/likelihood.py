@@ -15,7 +15,7 @@ from scipy.special import log_ndtr, ndtr
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 
-Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `Terms.slopes`
+Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `DensityTerms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
 NARROW = 1e-5  # intervals below this width are taken by the midpoint, where a difference cancels
 FAR = -36.0  # limits beyond which a tail's mass underflows, and logarithms are taken first
@@ -470,7 +470,7 @@ def rectangle_rho_slope(
         R. L. Plackett (1954), doi:10.1093/biomet/41.3-4.351
 
     Args:
-        a0, b0, a, b, rho: as for `log_rectangle`.
+        a0, b0, a, b, rho: as for `log_rectangle_mass`.
         log_mass: ln P (N).
     """
     rest = 1 - rho**2

@@ -71,16 +71,16 @@ def detect_motion_rule(
         ok: whether there is a reading (N).
         start: first sample of each record (R).
         quantum: smallest common spacing of the readings, 0 if there is none.
-        longest: window over which z hardly turns.
+        longest: window over which z may be taken as monotone [samples].
 
     Returns:
-        The rule; of noisy readings with the window that makes out most sides.
+        The rule. For noisy readings its window is the one that decides the direction most often.
     """
     change, known = reading_changes(y, ok, start)
-    spoken = change[known & (y != 0)]
-    if (
-        spoken.size
-        and (spoken == 0).mean() > REPEATED_SHARE
+    active = change[known & (y != 0)]
+    if (  # exact readings or an encoder's: some repeat, and none go to and fro
+        active.size
+        and (active == 0).mean() > REPEATED_SHARE
         and not _has_chatter(np.where(known, change, 0.0))
     ):
         return MotionRule(0.0, quantum, 1)

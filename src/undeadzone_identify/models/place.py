@@ -457,7 +457,15 @@ def fit_input_and_sensor(fits: Sequence[ZoneFit], known: PlaceFit) -> InputZoneF
 def _starts_between_zones(
     plain: ZoneFit, objective: ZoneObjective, known: PlaceFit
 ) -> list[Floats]:
-    """Return start points: a linear plant of raised gain between zones of several sizes."""
+    """Return start points (parameters each): a plant between zones of its input and its sensor.
+
+    Both zones make the gain of a linear fit too small, so that it is raised.
+
+    Args:
+        plain: the linear plant.
+        objective: whose parameters the starts have.
+        known: an earlier fit with both zones, whose widths are scaled.
+    """
     layout, begun = objective.layout, list[Floats]()
     for gain, size in LOUDER:
         theta = np.zeros(layout.parameter_count)
@@ -467,6 +475,7 @@ def _starts_between_zones(
         )
         theta[layout.input_widths] = size * known.model.part_numbers(known.theta, "input")
         sensor = size * known.model.part_numbers(known.theta, "sensor")
+        # d_r, d_l, and the logarithm of the rms of the noise
         theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
         begun.append(theta)
     return begun

@@ -385,7 +385,9 @@ class InputDisturbance(NamedTuple):
 def find_input_disturbance(
     layout: Layout, plant: Floats, residual: Floats, ok: Flags
 ) -> InputDisturbance:
-    """Find the input disturbance with the residual's autocovariance after the plant.
+    """Find the first-order input disturbance whose response matches the residual.
+
+    The autocovariance of its response at z is fitted to that of the residual by least squares.
 
     Args:
         layout: of the plant's numbers.
@@ -397,16 +399,16 @@ def find_input_disturbance(
         The disturbance; lag 0 is not looked at, so that white noise of the readings is none of it.
     """
     lags = max(2, min(LAGS, residual.size // 10))
-    seen = mean_lag_products(residual, ok, lags)[1:]
+    measured = mean_lag_products(residual, ok, lags)[1:]
     best, error = InputDisturbance(0.0, 0.0, 0.0), math.inf
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
         shape = mean_lag_products(w, np.ones(w.size, bool), lags)
-        power = max(float(shape[1:] @ seen) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
-        left = float(np.sum((seen - power * shape[1:]) ** 2))
-        if left < error:
+        power = max(float(shape[1:] @ measured) / max(float(shape[1:] @ shape[1:]), 1e-300), 0.0)
+        misfit = float(np.sum((measured - power * shape[1:]) ** 2))
+        if misfit < error:
             rms = math.sqrt(power * shape[0])
-            best, error = InputDisturbance(rms, phi, math.sqrt(power)), left
+            best, error = InputDisturbance(rms, phi, math.sqrt(power)), misfit
     return best
 
 

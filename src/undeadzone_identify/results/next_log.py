@@ -122,17 +122,19 @@ class ModelAccount(NamedTuple):
 
 
 def best_next_log(answer: Answer) -> NextLog:
-    """Return the best of the candidate inputs.
+    """Return the candidate input that narrows the interval of the least known width most.
+
+    If the log is undecided, it is the one that best separates the two likeliest classes.
 
     Args:
-        answer: to the log.
+        answer: of the identification of one output.
 
     Raises:
-        InputError: there is no interval and there are no two names, or no candidate gains anything.
+        InputError: there is no interval and are no two classes, or no candidate gains anything.
     """
-    own = _least_known_width(answer)
-    if own is not None:
-        name, account = own
+    least_known = _least_known_width(answer)
+    if least_known is not None:
+        name, account = least_known
         scored = _score_by_interval(answer, name, account)
         return _require_gain(min(scored, key=lambda one: one.left or 0.0, default=None), name)
     first, second = _likeliest_pair(answer)

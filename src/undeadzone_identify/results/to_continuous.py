@@ -38,7 +38,8 @@ def to_continuous_plant(a: Floats, b: Floats, layout: Layout, step: float) -> Ma
         step: sample time [s].
 
     Returns:
-        A with rows that name a state but for the last, B, C. One input: B in the last row alone.
+        A (n x n) in companion form, B (n x m), C (1 x n). For one input it is the controller form:
+        B has an entry in its last row alone. For several it is the observer form: C = [1, 0, ...].
 
     Raises:
         InputError: a pole that no plant in continuous time has: negative and real, or a delay.

@@ -15,6 +15,7 @@ from undeadzone.results.mjcf import Joint
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import bracket_interval
 from undeadzone_identify.models.estimates import Interval
+from undeadzone_identify.models.least_squares import describe_p_value
 from undeadzone_identify.models.shape import SensorShape
 from undeadzone_identify.results.assemble import Answer
 from undeadzone_identify.results.loop_words import loop_numbers, shape_in_words
@@ -489,11 +490,6 @@ def _describe_certainty(answer: Answer) -> str:
     if answer.fit.objective.kind != "behind":
         return " (silence)"
     return f" ({describe_p_value(answer.case.no_zone.chance)})"
-
-
-def describe_p_value(chance: float) -> str:
-    """Describe a p value; very small values are not resolved."""
-    return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"
 
 
 def describe_probabilities(answer: Answer) -> str:

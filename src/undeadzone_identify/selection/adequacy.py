@@ -21,7 +21,13 @@ from scipy.signal import lfilter
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models import least_squares
 from undeadzone_identify.models.chain import limit_rate
-from undeadzone_identify.models.least_squares import CHANCE, LEAST_ODD, FittedModel, Model
+from undeadzone_identify.models.least_squares import (
+    CHANCE,
+    LEAST_ODD,
+    FittedModel,
+    Model,
+    describe_p_value,
+)
 
 SHARE = 0.03  # of the innovations' variance, from which a direction is real
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
@@ -90,11 +96,10 @@ class Remainder(NamedTuple):
         Args:
             model: the model in words.
         """
-        explained = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, p < 0.001)"
-        seen = f"the residual of the best one, {model}, depends on {explained}"
-        return f"none of the known models explains this log: {seen}; nothing is named", SEEN[
-            self.on
-        ]
+        on = f"{DEPENDS[self.on]} ({100 * self.share:.0f} % of it, {describe_p_value(self.chance)})"
+        seen = f"the residual of the best one, {model}, depends on {on}"
+        said = f"none of the known models explains this log: {seen}; nothing is named"
+        return said, SEEN[self.on]
 
 
 def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder | None:

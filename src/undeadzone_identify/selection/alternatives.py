@@ -8,7 +8,7 @@ disturbs the plant, as long as u does not answer to it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from operator import itemgetter
 from typing import Any, NamedTuple
 
@@ -792,7 +792,7 @@ def fit_of(case: Case, found: Findings, word: str) -> FittedModel[Any] | None:
     """
     plays = {} if found.plays is None else found.plays.fits
     there = [fits.get(word) for fits in (case.maps, found.places, found.chains, plays)]
-    fits: list[FittedModel[Any]] = [one for one in there if one is not None]
+    fits: Iterable[FittedModel[Any]] = filter(None, there)
     return min(fits, key=lambda one: one.density.bic / one.density.value.size, default=None)
 
 

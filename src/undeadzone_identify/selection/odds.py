@@ -67,7 +67,7 @@ def nats_behind_best(families: Sequence[Family]) -> dict[str, float]:
     """Return the nats per reading by which each model is behind the best, by class.
 
     Args:
-        families: as for `odds_of`.
+        families: as for `model_probabilities`.
     """
     gained: dict[str, float] = {}
     for family in families:

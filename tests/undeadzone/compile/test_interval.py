@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from decimal import Decimal, localcontext
 from typing import Any
 
 import numpy as np
@@ -131,3 +132,13 @@ def test_conditions_are_decided_or_refused() -> None:
     assert arithmetic.interval_sign(box(-2.0, -1.0)).high == -1.0
     with pytest.raises(InputError, match=SMOOTH):
         arithmetic.compare_less(box(0.0, 2.0), box(1.0, 3.0))
+
+
+def test_the_exact_exponential_lies_between_its_bounds() -> None:
+    """In forty digits: NumPy's own value is rounded."""
+    with localcontext() as context:
+        context.prec = 40
+        for x in np.linspace(-20.0, 20.0, 401):
+            bound = arithmetic.exp(box(x, x))
+            assert Decimal(float(bound.low)) < Decimal(float(x)).exp() < Decimal(float(bound.high))
+            assert float(bound.high - bound.low) <= 1e-14 * float(bound.high)

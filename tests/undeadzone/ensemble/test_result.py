@@ -16,6 +16,7 @@ import pytest
 from undeadzone.ensemble.metrics import LEVELS, error_bands, true_width
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.saved import Info
+from undeadzone.ensemble.words import _format_share
 from undeadzone.errors import FileError, InputError
 from undeadzone.report.ensemble_page import draw_ensemble_figures, write_ensemble
 from undeadzone.scenario.schema import Units
@@ -394,3 +395,10 @@ def test_units_and_words() -> None:
         "plant.x0[0]": "1",
     }
     assert {name: result.unit(name) for name in units} == units
+
+
+def test_shares_at_0_and_1_have_one_bound() -> None:
+    share = {"value": 0.0, "low": 0.0, "high": 0.03}
+    assert _format_share(share) == "0 % (3 % or less)"
+    assert _format_share({"value": 1.0, "low": 0.97, "high": 1.0}) == "100 % (97 % or more)"
+    assert _format_share({"value": 0.5, "low": 0.4, "high": 0.6}) == "50 % [40 %, 60 %]"

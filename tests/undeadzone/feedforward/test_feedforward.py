@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from scenes import PAPER_PLANT, linear, random_plant, response
-from undeadzone.errors import TrackingError
+from undeadzone.errors import StructureError, TrackingError
+from undeadzone.feedforward.flank_path import crossing
 from undeadzone.feedforward.targets import invert_targets, linear_targets, regulator
 from undeadzone.plants.build import system
 from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
@@ -263,3 +264,14 @@ def test_inversion_of_fast_and_large_references() -> None:
         assert target.u_ff[:, 0] == pytest.approx(
             ddr + 9.81 * np.sin(r) + 0.8 * dr, rel=1e-9, abs=1e-9 * np.abs(ddr).max()
         )
+
+
+def test_a_plant_in_small_units_can_be_held_elsewhere() -> None:
+    """Whether a zero lies at s = 0 is a question of the plant, not of its units."""
+    model = sample_plant(PAPER_PLANT, 0.01).linear
+    small = model._replace(C=1e-9 * model.C)
+    found = crossing(small, 3.0, 0.01, "observer.search")
+    assert found.gain == pytest.approx(1e9 * crossing(model, 3.0, 0.01, "observer.search").gain)
+    rate = model._replace(C=np.array([[0.0, 1e9]]))  # z is a rate: 0 at rest
+    with pytest.raises(StructureError, match="a zero at s = 0"):
+        crossing(rate, 3.0, 0.01, "observer.search")

@@ -427,3 +427,11 @@ def test_ranges_stand_for_their_middle_until_they_are_estimated() -> None:
     assert belief is not None
     assert belief.drive.right[0] == 3.0
     assert belief.drive.left[0] == 1.5
+
+
+def test_coasts_may_end_at_any_time() -> None:
+    sampled = {"time": "sampled", "step": 0.01}
+    for until in (0.0, 0.5):
+        resolve_scenario(loop(simulation=sampled, compensator=COASTS | {"until": until}))
+    with pytest.raises(InputError, match=r"compensator\.until"):
+        resolve_scenario(loop(simulation=sampled, compensator=COASTS | {"until": -0.1}))

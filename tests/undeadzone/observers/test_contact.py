@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
@@ -444,3 +445,13 @@ def test_exported_C_has_every_bit_and_fits_a_microcontroller(
     options = ["-O0", "-std=c99", "-ffp-contract=off", "-fno-math-errno"]
     selftest = once.program(["selftest", *options, *sources], tmp_path / "fw")
     assert subprocess.run([selftest], capture_output=True).returncode == 0
+
+
+def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:
+    joint = mjcf.Joint("q", "gap 0.1 rad", 0.04, 0.06, 0.01, 0.0, 0.0, contact=(200.0, 0.5))
+    soft = joint._replace(name="r", contact=None)
+    [path] = mjcf.write_gears([joint, soft], tmp_path)
+    found = [one.find("joint") for one in ElementTree.parse(path).findall(".//default[@class]")]
+    ends = [one.get("solreflimit") for one in found if one is not None and one.get("limited")]
+    assert ends[1] is None
+    assert [float(word) for word in str(ends[0]).split()] == pytest.approx([-4e4, -200.0])

@@ -19,15 +19,15 @@ import once
 import undeadzone
 from scenes import scene
 from tools import raw_formulas
-from undeadzone.analysis.certificate.design_file import Design
+from undeadzone.analysis.certificate.design_file import Design, Knowledge
 from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
-from undeadzone.report.animation import TILT, visible_face_share
+from undeadzone.report.animation import TILT, _grid_spacing, visible_face_share
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import draw_ensemble_figures as ensemble_figures
-from undeadzone.report.gain_figures import ELLIPSE, ellipse_border
+from undeadzone.report.gain_figures import ELLIPSE, _shade_strip, ellipse_border
 from undeadzone.report.html import (
     MOST,
     Html,
@@ -506,3 +506,27 @@ def test_every_kind_of_result_names_drawing_functions_that_exist() -> None:
     for module, *names in [*DRAWN.values(), Identified.drawn, IdentifiedOutputs.drawn, contest]:
         found = importlib.import_module(module, "undeadzone.report")
         assert [name for name in names if not callable(getattr(found, name, None))] == []
+
+
+def test_a_grid_has_five_to_a_dozen_lines() -> None:
+    for size in np.geomspace(0.01, 50.0, 60):
+        assert 4.99 <= size / _grid_spacing(float(size)) <= 12.51
+
+
+def test_a_strip_is_as_wide_as_the_deviation_says() -> None:
+    std = {"right": 0.1, "left": 9.0, "width": 9.0, "centre": 9.0}
+    known = Knowledge(
+        right=True, left=False, width=False, centre=False, reasons=[], cures=[], std=std
+    )
+    axes = create_panels([["plane"]], "")[1]["plane"]
+    _shade_strip(axes, known, np.array([1.0, 1.0]), np.zeros(2))
+    assert [line.get_label() for line in axes.lines] == ["95 %: right \u00b1 0.2"]
+
+
+def test_reasons_name_their_output_if_there_are_several(run: Run, two_outputs: Run) -> None:
+    unknown = [one | {"reasons": ["not reached"]} for one in two_outputs.info.identifiable]
+    info = msgspec.structs.replace(two_outputs.info, identifiable=unknown)
+    text = run_page(dataclasses.replace(two_outputs, info=info), {})
+    assert text.count("not reached.") == 2
+    assert all(f"Output {name}: not reached." in text for name in two_outputs.outputs)
+    assert "Output y: " not in run_page(run, {})

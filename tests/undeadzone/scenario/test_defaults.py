@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,7 +20,8 @@ from undeadzone.plants.options import Plant
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.results.feedback import describe_feedback, has_weak_feedback
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.scenario.reader import convert, read_for_logs
+from undeadzone.scenario.reader import convert, read, read_for_logs
+from undeadzone.scenario.schema import Units
 from undeadzone.simulation.feedback import feedback_shares
 from undeadzone.simulation.simulate import simulate
 
@@ -132,3 +135,9 @@ def test_options_keep_what_is_given() -> None:
     assert given.traits.L is not None
     assert np.array_equal(given.traits.L[:, 0], [1.0, 1.5])
     assert Kalman(right=[0.0, 1.0]).disturbance is None
+
+
+def test_states_of_an_arm_are_angles_then_rates() -> None:
+    arm = read(Path(__file__).parents[3] / "examples" / "two_link.toml")
+    arm = msgspec.structs.replace(arm, units=Units())  # the file names its own
+    assert resolve_scenario(arm).scenario.units.state == ["rad", "rad", "rad/s", "rad/s"]

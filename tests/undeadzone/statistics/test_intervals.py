@@ -23,6 +23,7 @@ from undeadzone.statistics.intervals import (
     mean_interval,
     proportion,
     quantile_interval,
+    student_half_width,
 )
 from undeadzone.statistics.sensitivity import (
     estimate_sobol_indices,
@@ -263,3 +264,14 @@ def test_chance_grows_as_runs_get_fewer() -> None:
         > 4 * first_order_by_chance(y)
         > 0
     )
+
+
+def test_the_variance_of_a_deviation_is_that_of_textbooks() -> None:
+    """var(s^2) = mu_4 / n - s^4 (n - 3) / (n (n - 1)), as for any independent sample."""
+    column = np.sort(np.array([0.1, 0.4, 0.5, 0.9, 1.3, 2.6]))
+    n, s = column.size, float(np.std(column, ddof=1))
+    fourth = float(np.mean((column - column.mean()) ** 4))
+    variance = fourth / n - s**4 * (n - 3) / (n * (n - 1))
+    half = student_half_width(n - 1) * np.sqrt(variance) / s**2 / 2
+    found = deviation_interval(column)
+    np.testing.assert_allclose([found.low, found.high], [s * np.exp(-half), s * np.exp(half)])

@@ -183,9 +183,10 @@ class _Search(NamedTuple):
         If the inequality is hardly feasible, the solver's least cost lies below the true one.
 
         Args:
-            best: as of `inside`.
-            solution: which checks.
-            low, high: the share of the best cost that did not do, and that of the solution.
+            best: the solver's optimum, perhaps not provable.
+            solution: that passes the check.
+            low, high: costs over the solver's least cost (>= 1): low failed the check, high is that
+                of the solution. The bisection is geometric, until their ratio is 1 + EXCESSES[0].
         """
         while high > (1 + EXCESSES[0]) * low:
             middle = float(np.sqrt(low * high))

@@ -267,9 +267,16 @@ def build_inequality_form(
 def _entry_slopes(
     P: Floats, N: int, Ts: float | None, entries: tuple[Integers, Integers]
 ) -> Floats:
-    """Return dM/dA_ij (K x N x N) for entries (i, j).
+    """Return the derivatives dM/dA_ij (K x N x N) of the inequality's matrix.
 
-    P A stands at the corner and, sampled, last too.
+    M has PA + A'P in its first n rows. In sampled time sqrt(Ts) PA stands in its last n columns as
+    well: the Schur complement of Ts A'PA.
+
+    Args:
+        P: storage (n x n).
+        N: rows of M.
+        Ts: sample time [s] (None: continuous).
+        entries: rows i and columns j of A (K each).
     """
     n = len(P)
     slopes = np.zeros((entries[0].size, N, N))

@@ -106,7 +106,10 @@ def _next_weights(cuts: _Cuts, best: float) -> Floats | None:
 
 
 def _maximise_least_cut(cuts: _Cuts, level: float, groups: int) -> Floats | None:
-    """Return q >= 0 of mean 1 that maximises the least of (over - level under) @ q, or None."""
+    """Return q >= LEAST of mean 1 that maximises the least of (over - level under) @ q.
+
+    It is None if the solver fails. Its unknowns are q without the last entry, and the least value.
+    """
     rows = cuts.over - level * cuts.under
 
     def blocks(x: Floats) -> list[Floats]:
@@ -114,7 +117,7 @@ def _maximise_least_cut(cuts: _Cuts, level: float, groups: int) -> Floats | None
         q = np.append(x[:-1], groups - x[:-1].sum())
         return [rows @ q - x[-1], q - LEAST]
 
-    # Affine in x, as `minimise` wants it: the last weight follows from the others.
+    # Affine in x, as `minimise_semidefinite` requires: the last weight follows from the others.
     solution = minimise_semidefinite(-np.eye(groups)[-1], blocks)
     if solution is None:
         return None

@@ -128,10 +128,13 @@ def unknown_constants(
 def unknown_inputs(
     disturbance: Disturbance | None, B: Floats, duration: float
 ) -> InputModel | None:
-    """Return the varying part of a disturbance as unknown inputs of its kind, or None.
+    """Return unknown inputs that model the varying part of a disturbance, or None.
+
+    Each input has its tones or a first-order random signal. It also has a slow offset, correlated
+    over `LASTS` runs, unless a constant is modelled elsewhere.
 
     Args:
-        disturbance: any.
+        disturbance: of the scenario (None: there is none).
         B: inputs of the plant (n x m), of one step if sampled.
         duration: of the run [s].
     """
@@ -144,19 +147,19 @@ def unknown_inputs(
         )
     constant = _has_constant(disturbance, m, duration)
     swing = _varying_part(disturbance, constant, duration)
-    colours = []
+    models = []
     for j in np.flatnonzero(swing.any(axis=0)):
         column, rms = B[:, [j]], np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
         if not constant[j]:
-            colours.append(first_order_inputs(column, rms, LASTS * duration))
+            models.append(first_order_inputs(column, rms, LASTS * duration))
         tones = _sine_components(disturbance)
-        for one in tones:
-            amplitude = np.broadcast_to(np.ravel(one.amplitude), m)[[j]]
-            colours.append(tone_inputs(column, amplitude, one.frequency))
+        for tone in tones:
+            amplitude = np.broadcast_to(np.ravel(tone.amplitude), m)[[j]]
+            models.append(tone_inputs(column, amplitude, tone.frequency))
         if not tones:
             memory = correlation_time(swing[:, j], duration / (POINTS - 1))
-            colours.append(first_order_inputs(column, rms, memory))
-    return join_inputs(colours)
+            models.append(first_order_inputs(column, rms, memory))
+    return join_inputs(models)
 
 
 def correlation_time(signal: Floats, step: float) -> float:

@@ -64,7 +64,7 @@ def indistinguishable_widths(
     None means that their widths are nearly the same.
 
     Args:
-        hidden, covariance, i, widths: as of `farthest`.
+        hidden, covariance, i, widths: as of `least_known_change`.
         start: how x(0) follows the change (n x N).
         constants: how constants at the inputs do (m x N).
 

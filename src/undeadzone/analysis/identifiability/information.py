@@ -64,7 +64,7 @@ class ReadingConditions(NamedTuple):
         bias: directions (n x b) of unknown constant inputs (None: there is none).
         colour: a random input with its own states, which come after x and start at its own rms
             (None: there is none).
-        told: prior information on `[x(0); d]` (k x n + 2p, `beforehand`) (None: nothing).
+        told: prior information on `[x(0); d]` (k x n + 2p, `prior_rows`) (None: nothing).
         gaps_known: whether the gaps of a play ahead of the zone are.
         process: covariance (n x n) of white process noise, per second, or per step if the schedule
             is sampled (None: there is none).

@@ -250,8 +250,8 @@ class WidthIdentifiability(NamedTuple):
         reasons: why not, for each 'no', in words.
         std: the deviation that an optimal estimator reaches of each, by name, where noise is taken
             into account.
-        second: another truth with these readings (`second_truth`); None: none far from it, or not
-            looked for.
+        second: another truth with these readings (`indistinguishable_widths`).
+            None: none far from it, or not looked for.
         crossings: of a gap of gears, strikes that show in the readings; None: there are no gears.
     """
 
@@ -330,7 +330,7 @@ def width_identifiability(
         schedule: of the sides.
         bias: directions (n x b) of unknown constant inputs.
         jump: whether the sensor jumps.
-        told: prior information (`beforehand`).
+        told: prior information (`prior_rows`).
     """
     visited = schedule.branch_visits(linear.A.shape[0])
     if jump:

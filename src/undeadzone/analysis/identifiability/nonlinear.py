@@ -289,7 +289,7 @@ def observability_along(
         variance: of the noise of z (p).
         bias: directions (m x b) of unknown constant inputs.
         uncertain: names of unknown parameters.
-        told: prior information on `[x(0); d; beta]` (`beforehand`), perhaps on the first ones
+        told: prior information on `[x(0); d; beta]` (`prior_rows`), perhaps on the first ones
             alone.
     """
     n, p = model.n, model.p

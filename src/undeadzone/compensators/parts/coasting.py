@@ -103,6 +103,9 @@ def apply_coasting(
 ) -> tuple[State | None, Any]:
     """Return (the next state, the input: u, or 0 during a coast).
 
+    A coast begins if all outputs are active and near their peaks, a width is uncertain, and the
+    time `every` has passed since the last one.
+
     Args:
         q: the numbers (None: it never coasts).
         s: the state.

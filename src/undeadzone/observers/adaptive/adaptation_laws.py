@@ -74,7 +74,7 @@ class BranchWidths(NamedTuple):
         adapted: 1 if the width is adapted (p).
         width: d^ (p).
         width0: d^(0) (p).
-        gain: its gain if the law moves it (`Law.gains`).
+        gain: its gain if the law moves it (`AdaptationLaw.gains`).
         gamma: adaptation gain (p).
     """
 

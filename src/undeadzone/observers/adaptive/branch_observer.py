@@ -220,7 +220,18 @@ def correct_jump(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> 
 
 
 def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any) -> Correction:
-    """Return the correction by a dead zone's reading y / m = z - chi_bar d on a branch."""
+    """Return the innovation and the drives of both widths for a dead zone's reading (p each).
+
+    Outside the zone the innovation is y - (z - chi_bar d). In the zone it draws z back to the edge
+    that z passed, and that edge outwards.
+
+    Args:
+        s: state with the widths d_r, d_l.
+        z: estimated output (p).
+        y: reading over the slope m (p).
+        side: of the reading: +1, 0 or -1 (p).
+        over, under: by which z lies beyond the right edge (>= 0) and the left one (<= 0) (p).
+    """
     e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
     adapt_right = ca.logic_or(side > 0, over > 0)
     adapt_left = ca.logic_or(side < 0, under < 0)

@@ -41,7 +41,7 @@ def default_disturbance_rms(model: System, largest: float, correlation: float) -
     """Return the default rms of a coloured input disturbance (m) [u].
 
     At low frequencies it is as strong as a white one that moves z by `SWING` largest widths until
-    its `arrival`.
+    its `arrival_time`.
 
     Args:
         model: the sampled model.
@@ -72,7 +72,7 @@ def scale_prior(prior: Prior, units: Floats) -> Prior:
 def rescale_states(observer: Observer, units: Floats) -> Observer:
     """Return a filter with states in the given units (n), and estimates in the plant's.
 
-    Of a linear plant the units are numbers of its model (`in_units`), so that one graph serves
+    Of a linear plant the units are numbers of its model (`System.params`), so that one graph serves
     plants whose units differ.
     """
     numbered = hasattr(observer.params.model, "units")

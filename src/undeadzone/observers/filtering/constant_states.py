@@ -164,9 +164,16 @@ def backlash_offset(q: Any, i: int, contact: Any, X: Any) -> Any:
 
 
 def add_gap_estimates(q: Any, estimated: Estimate, shown: Gaussian, reading: Reading) -> Estimate:
-    """Return the estimate with the gaps of the backlash ahead of the zone, if present.
+    """Add the gaps of the backlash ahead of the zone, with their deviations, to an estimate.
 
-    Its inverse adds the gap of a reading that moves.
+    Uncertain gaps are clipped to their ranges. z_inverse gains chi_m c, the gap on the side in
+    contact, while the reading is active.
+
+    Args:
+        q: numbers of the filter.
+        estimated: without gaps.
+        shown: belief about `[x; d; extra]`.
+        reading: the last one.
     """
     if q.gaps is None:
         return estimated

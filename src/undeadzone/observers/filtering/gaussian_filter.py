@@ -46,7 +46,7 @@ class Augmentation(NamedTuple):
         parameters: places of the model's parameters that the last unknowns change, and that an
             estimate shows.
         constants: how many of the last unknowns are errors of the model, which never change.
-        zones: how many of the last unknowns are widths of actuators (`further_constants`).
+        zones: how many of the last unknowns are widths of actuators (`add_actuator_states`).
     """
 
     params: Any
@@ -87,14 +87,14 @@ class Params(NamedTuple):
         slope: slope m of the sensor (p).
         drift: variance that the widths gain each step (2p) [z^2].
         mean: mean of `[x; d; extra]` at first.
-        cov: covariance of `[x; d; extra]` at first, its `triangle`.
+        cov: covariance of `[x; d; extra]` at first, its `to_upper_entries`.
         ranges: assumed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].
         lasting: steps for which a linearisation error keeps its sign, and for which a limit is not
             used again.
         doubt: of readings and assumptions, as `Doubt` (None: the filter knows no doubt).
-        ends: of the range of the readings, as `Ends` (None: they have none).
+        ends: of the range of the readings, as `RangeLimits` (None: they have none).
         zones: of the actuators' dead zones, as `Zones` (None: none is estimated).
         rest: steps for which an edge with censored samples is not used again.
         gaps: of a play ahead of the dead zone, as `Gaps` (None: there is none).
@@ -413,7 +413,7 @@ def clip_to_ranges(
         q: the filter's numbers.
         belief: about `[x; d; extra]`.
         doubts: whether the variance gains anything.
-        alone: what variances of states and widths gain at least, as `excess_alone`.
+        alone: what variances of states and widths gain at least, see `width_excess_square`.
     """
     count = q.ranges.shape[0]
     widths = belief.mean[n : n + count]

@@ -98,7 +98,7 @@ class State(NamedTuple):
     """State of the filter from sample to sample.
 
     Attributes:
-        mean, cov: mean and covariance (its `triangle`) before the reading.
+        mean, cov: mean and covariance (its `to_upper_entries`) before the reading.
         last, previous: the last two readings, 0 if one was rejected (p) [y].
         wait: steps to wait until an edge is used again, right edges, then left ones (2p). If the
             readings have a range, then until a limit is used again, upper ones, then lower ones
@@ -151,7 +151,7 @@ def build_branch_filter(
         glitches: probability that a reading is wrong (0: none is).
         traits: of the observer.
         claimed: whether the disturbance is assumed by the user, and not a default.
-        levels: how many rms of the disturbance are weighed (`levelled`).
+        levels: how many rms of the disturbance are weighed (`add_disturbance_levels`).
         recovers: whether its state contains the causes of a lasting misfit, so that the misfit can
             end.
         learns_shape: whether the rounding of the edges is among its unknowns. Else it only widens

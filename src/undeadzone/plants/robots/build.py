@@ -414,10 +414,10 @@ def _planar_gravity(p: Numbers) -> Any:
 def build_elastic_chain() -> Chain:
     """Return motor and link as a chain of two angles `[motor; link]`, both from the x axis.
 
-    The motor's inertia J, a spring of stiffness k, and `one_link`. Parameters: those of the link, J
-    motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link (b2, f2)
-    comes with `arm`. Points and turn are the link's. At `[motor; motor]` they are those of a
-    motor's hand of the same length.
+    The motor's inertia J, a spring of stiffness k, and `build_one_link`. Parameters: those of the
+    link, J motor inertia [kg m^2] and k [N m/rad]. Friction of the motor (b1, f1) and of the link
+    (b2, f2) comes with `arm`. Points and turn are the link's. At
+    `[motor; motor]` they are those of a motor's hand of the same length.
     """
     link = build_one_link()
 

@@ -71,7 +71,8 @@ class JointState(NamedTuple):
     """State of a joint filter between samples.
 
     Attributes:
-        mean, cov: mean and covariance (its `triangle`) of `[x; d_r; d_l]` before the reading.
+        mean, cov: mean and covariance (its `to_upper_entries`) of `[x; d_r; d_l]` before the
+            reading.
         patience: with readings that are refused.
     """
 

@@ -256,7 +256,7 @@ def build_gradient_observer(
         sensor: the dead zone.
         options: the observer's.
         compensator: the functions psi.
-        poles: default speed of A - L C, in mean poles of the plant (`hiding`).
+        poles: default speed of A - L C, in mean poles of the plant (`mean_pole`).
         gain: default gain of the gradient, in fastest poles of the plant.
 
     Raises:

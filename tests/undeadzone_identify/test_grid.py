@@ -1,0 +1,23 @@
+"""Grids of a log's times and of its readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from undeadzone_identify.logs.grid import _resample_log, common_spacing
+from undeadzone_identify.logs.log import log_from_arrays
+
+
+def test_inputs_on_a_new_grid_are_those_from_their_own_time_on() -> None:
+    t = np.arange(0.0, 4.0, 0.1)
+    log = log_from_arrays(u=t.copy(), y=t.copy(), t=t)
+    piece = _resample_log(log, 0.2, [])
+    np.testing.assert_allclose(piece.u[:, 0], piece.t, atol=1e-12)
+    np.testing.assert_allclose(piece.y, piece.t, atol=1e-12)
+
+
+def test_a_divisor_of_moves_far_from_0_is_found() -> None:
+    """The first value is no multiple of the divisor."""
+    assert common_spacing(100.1 + 0.25 * np.array([0, 1, 3, 4, 9, 14])) == pytest.approx(0.25)
+    assert common_spacing(np.sort(np.random.default_rng(3).normal(size=9))) == 0.0
