@@ -84,6 +84,11 @@ def instructions() -> str:
             observer = msgspec.structs.replace(case(name).observer, glitches=0.0)
             plain = msgspec.structs.replace(case(name), observer=observer)
             lines.append(_counted_row(f"{name}, `glitches = 0`", plain, bar))
+        if name.startswith("censored"):
+            exact = {"rounding": 0.0, "slope_std": 0.0, "lag": 0.0}
+            sensor = msgspec.structs.replace(case(name).sensor, **exact)
+            plain = msgspec.structs.replace(case(name), sensor=sensor)
+            lines.append(_counted_row(f"{name}, exact sensor", plain, bar))
     note = "Instructions are not cycles: the emulator knows no wait states."
     return "\n".join([*lines, "", note, ""])
 
