@@ -1,7 +1,7 @@
 """Motors: is a gap named where none is, and found where one is? Beside two fits from outside.
 
 MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_METHODS: which, separated
-by semicolons, MOTORS_RIVALS: 0 leaves the fit that is told MuJoCo's model away, which takes most of
+by semicolons, MOTORS_RIVALS: 0 leaves out the fit with MuJoCo's own model, which takes most of
 the time. With both encoders `identify` asks for no friction, so none counts as right of rigid ones.
 
 `mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is

@@ -56,7 +56,7 @@ AT_SENSOR: dict[str, Shape] = {
 
 
 class Fit(NamedTuple):
-    """What a method makes of a log.
+    """Result of a method on a log.
 
     Attributes:
         word: the name that it gives.

@@ -1,7 +1,7 @@
 """Logs rebuilt after public reports: is the name right, without any option?
 
 REPORTS_FIRST: the first seed (1); REPORTS_SEEDS: of each kind (1); REPORTS_KINDS: kinds, separated
-by semicolons. A name is wrong where it is none of the truth's, surely wrong with odds above 0.9.
+by semicolons. A name is wrong if the truth has another, and surely wrong with odds above 0.9.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ NO_NAME = ("undecided", "unclear", "refused")
 
 
 class Outcome(NamedTuple):
-    """What `identify` says of a report's log.
+    """Answer of `identify` to a report's log.
 
     Attributes:
         verdict: the word; refused: an error.
@@ -46,7 +46,7 @@ class Outcome(NamedTuple):
 
 
 def outcome_of(report: Report, path: Path) -> Outcome:
-    """Return what `identify` says of a report's file, without any option.
+    """Return the answer of `identify` to a report's file, without any option.
 
     Args:
         report: the log with its truth.

@@ -23,7 +23,9 @@ NO_NAME = ("undecided", "unclear", "refused")
 GAPS = ("play", "both", "input_play")
 
 
-def asked(samples: float, size: int, stepped: bool, seed: int) -> tuple[str, float, float, float]:
+def identify_motor(
+    samples: float, size: int, stepped: bool, seed: int
+) -> tuple[str, float, float, float]:
     """Return the word of a motor's log, the odds of a gap, the time constant and CPU seconds."""
     rng, begun = np.random.default_rng(seed), time.process_time()
     u = steps(rng, size) if stepped else sines(rng, size, samples)
@@ -48,7 +50,7 @@ def table() -> str:
     lines, gaps, total = head(*names, "its odds at most", "time constant off", "CPU s"), 0, 0
     for samples, size in itertools.product(CONSTANTS, SIZES):
         seeds = itertools.product((False, True), range(first, first + count))
-        every = [asked(samples, size, stepped, seed) for stepped, seed in seeds]
+        every = [identify_motor(samples, size, stepped, seed) for stepped, seed in seeds]
         words = [one[0] for one in every]
         none = sum(word in ("none", "operating_point") for word in words)
         gap, total = sum(word in GAPS for word in words), total + len(words)

@@ -173,7 +173,7 @@ class Lost(NamedTuple):
     """Widths that a snippet compensates.
 
     Attributes:
-        kind: sensor, actuator, or backlash.
+        kind: sensor, actuator or backlash.
         right, left, width: each as (value, low, high) (of a gap the width counts alone).
         unit: of them.
         source: description of their source.
@@ -326,7 +326,7 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
         share = max(faulty * (verdict in VALVE), *map(float, odds.values()))
         unit = found["units"]["input" if verdict in OF_INPUT or motion else "output"]
         silent = 0.5 * float(found["record"]["quantum"] or 0.0)
-        if kind == "backlash":  # which alone may be known, and alone counts
+        if kind == "backlash":  # whose width alone may be known, and alone counts
             width = _triple(motion["gap"] if motion else found["width"])
             right = left = (0.0, 0.0, 0.0)
         else:

@@ -97,7 +97,7 @@ def run_firmware_chain(
     )
 
 
-def compensated(numbers: dict[str, Any], source: str) -> Lost | None:
+def find_compensation(numbers: dict[str, Any], source: str) -> Lost | None:
     """Return what a few lines compensate; None if no few lines help or nothing is certain.
 
     Args:
@@ -124,7 +124,7 @@ def compensating_lines(numbers: dict[str, Any], source: str) -> dict[str, str]:
     """
     from undeadzone_export.snippet import NAMES, snippet_texts
 
-    lost = compensated(numbers, source)
+    lost = find_compensation(numbers, source)
     return {} if lost is None else snippet_texts(lost, NAMES[lost.kind])
 
 

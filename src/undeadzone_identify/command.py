@@ -172,7 +172,8 @@ def identify(
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
     is_done, more = is_found or is_written, {}
     if chain is not None:
-        reached = _go_on(answer, path if is_written else None, first, chain, options)
+        scenario_file = path if is_written else None
+        reached = _go_on(answer, numbers, scenario_file, first, chain, options)
         written, is_done = written + reached.files, reached.passed
         why, more = why | reached.words, {"chain": reached.numbers} if reached.numbers else {}
         if is_written:
@@ -189,13 +190,18 @@ def identify(
 
 
 def _go_on(
-    answer: Answers, scenario: Path | None, log: Path, folder: Path, options: dict[str, Any]
+    answer: Answers,
+    numbers: dict[str, Any],
+    scenario: Path | None,
+    log: Path,
+    folder: Path,
+    options: dict[str, Any],
 ) -> FirmwareChain:
     """Go on from a scenario to firmware, or from a width that needs no plant to a few lines."""
     from undeadzone_identify.chain import (
         FirmwareChain,
         command_of_log,
-        compensated,
+        find_compensation,
         run_firmware_chain,
         run_snippet_chain,
     )
@@ -205,7 +211,7 @@ def _go_on(
         if scenario is not None:
             own = options["columns"], options["strict"]
             return run_firmware_chain(scenario, log, folder, *own)
-        lost = compensated(answer.numbers(), log.name)
+        lost = find_compensation(numbers, log.name)
         if lost is None or lost.kind != "backlash" or isinstance(answer, IdentifiedOutputs):
             none = "none: there is neither a scenario nor a certain gap to make it of"
             return FirmwareChain({"firmware": none}, {}, [], False)

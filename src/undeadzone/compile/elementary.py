@@ -364,24 +364,8 @@ def hypot(m: Maths, x: Any, y: Any) -> Any:
 # --- As graphs
 
 _OWN: Final = (
-    *(
-        sign,
-        floor,
-        ceil,
-        exp,
-        expm1,
-        log,
-        log1p,
-        erf,
-        erf_by_exp,
-        sin,
-        cos,
-        tan,
-        atan,
-        atan2,
-        asin,
-        acos,
-    ),
+    *(sign, floor, ceil, exp, expm1, log, log1p, erf, erf_by_exp),
+    *(sin, cos, tan, atan, atan2, asin, acos),
     *(sinh, cosh, tanh, asinh, acosh, atanh, hypot),
 )
 FUNCTIONS: Final[dict[str, Callable[..., Any]]] = {

@@ -183,7 +183,7 @@ def _is_at(y: Floats, top: float) -> np.ndarray:
 
 
 def _first_of_runs(at: np.ndarray, ok: np.ndarray) -> Integers:
-    """Return the first index of `RUN` readings at the limit after as many present ones off it."""
+    """Return the starts of runs of `RUN` readings at the limit, after as many that are not."""
     if at.size < 2 * RUN:
         return np.empty(0, int)
     before = _all_in_a_row(ok & ~at)[:-RUN]

@@ -325,7 +325,7 @@ def update_with_gain(
 
     Returns:
         The updated belief, the clipped innovation, its deviation, the probability that the
-        measurement is no outlier, its predicted density, and the gain that was used.
+        measurement is regular, its predicted density, and the gain that was used.
     """
     std = ca.sqrt(S)
     shift = K if moved is None else moved * K

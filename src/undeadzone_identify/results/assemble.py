@@ -65,7 +65,7 @@ from undeadzone_identify.selection.widths import (
 from undeadzone_identify.servo.gap import ServoGap
 
 SURE = 0.999  # level of the ranges that an observer is told
-NAMELESS = ("undecided", "unclear")  # words that name nothing
+WITHHELD = ("undecided", "unclear")  # words that withhold a name
 ODDS_OF = {"operating_point": "none", "unreached": "dead_zone"}  # words with odds of another
 LEAST = 1e-6  # of a width, by which its range is wide at least
 
@@ -368,7 +368,7 @@ def withhold_poor_fit(found: Findings, share: float) -> Findings:
         share: of the held-out data that it explains; of a loop one sample ahead.
     """
     word = found.verdict.word
-    if word in NAMELESS or share >= LEAST_SHARE:
+    if word in WITHHELD or share >= LEAST_SHARE:
         return found
     part = f"{100 * max(share, 0.0):.0f} % of the other readings"
     likeliest = f"{MODELS[ODDS_OF.get(word, word)]} is the likeliest"

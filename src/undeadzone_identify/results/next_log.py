@@ -130,7 +130,7 @@ def best_next_log(answer: Answer) -> NextLog:
         answer: of the identification of one output.
 
     Raises:
-        InputError: there is no interval and are no two classes, or no candidate gains anything.
+        InputError: there are neither an interval nor two classes, or no candidate helps.
     """
     least_known = _least_known_width(answer)
     if least_known is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -168,9 +168,18 @@ def order_to_report(fits: list[OrderFit]) -> OrderFit:
 
 def has_continuous_poles(fit: zone_fit.ZoneFit) -> bool:
     """Return whether a continuous-time plant has these poles: none near 0, none negative."""
-    poles = fit.objective.simulator.plant_poles(fit.theta)
+    return are_continuous(fit.objective.simulator.plant_poles(fit.theta), NEARLY_ZERO)
+
+
+def are_continuous(poles: Any, least: float) -> bool:
+    """Return whether sampled poles are those of a plant in continuous time.
+
+    Args:
+        poles: of the sampled plant (n), complex.
+        least: size of a pole up to which it counts as a delay.
+    """
     real = np.abs(poles.imag) < 1e-9
-    return bool(np.all(np.where(real, poles.real, np.abs(poles)) > NEARLY_ZERO))
+    return bool(np.all(np.where(real, poles.real, np.abs(poles)) > least))
 
 
 def is_fit_at_limit(fit: zone_fit.ZoneFit) -> bool:

@@ -16,8 +16,13 @@ from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.logs.grid import Grid
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import CHANCE, Density, LeastSquares
-from undeadzone_identify.models.plant import PlantSimulator, RecordData, polynomial_roots
+from undeadzone_identify.models.least_squares import (
+    CHANCE,
+    Density,
+    LeastSquares,
+    describe_p_value,
+)
+from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.valve import LoopFits, LoopLog, ValveFit, fit_loop
 from undeadzone_identify.models.zone_fit import fit_linear
 from undeadzone_identify.selection.decision import (
@@ -32,7 +37,12 @@ from undeadzone_identify.selection.decision import (
     detect_feedback,
 )
 from undeadzone_identify.selection.odds import Family, model_probabilities
-from undeadzone_identify.selection.orders import HeldOutScore, is_white, training_samples
+from undeadzone_identify.selection.orders import (
+    HeldOutScore,
+    are_continuous,
+    is_white,
+    training_samples,
+)
 
 LEAST, MOST = 200, 8000  # samples of a record that is asked
 SUSPECTS = ("friction", "play", "jump", "input_zone", "input_play", "zone_and_friction")
@@ -44,7 +54,7 @@ FEW_TURNS = 3  # of the input, below which nothing can be said of its valve
 REGULAR = 1.0  # Thornhill's r, above which an oscillation is regular
 SHAPE, USUAL = 3.0, 0.3  # logarithm of odds by the ellipse's width, and where it tells nothing
 TIGHT = 2.0  # |sensitivity| at the period, above which a loop is tuned too tightly
-REAL, LEAST_POLE = 1e-9, 1e-6  # of an imaginary part, and of a pole, which is 0 below
+LEAST_POLE = 1e-6  # of a sampled plant: a pole below it is 0
 TIGHTENED = {"none": "tight_tuning"}  # the word of a loop that swings by its own tuning
 
 
@@ -323,11 +333,9 @@ def _plant_behind(case: Case, v: Floats, late: int, part: slice) -> ChainFit | N
 
 def _is_continuous(fit: ChainFit | None) -> bool:
     """Return whether a plant in continuous time has the poles: none is 0, or negative and real."""
-    if fit is None:
-        return False
-    poles = polynomial_roots(fit.theta[fit.model.simulator.layout.denominator])
-    real = np.abs(poles.imag) < REAL * np.abs(poles)
-    return not bool(np.any((np.abs(poles) < LEAST_POLE) | (real & (poles.real < 0))))
+    return fit is not None and are_continuous(
+        fit.model.simulator.plant_poles(fit.theta), LEAST_POLE
+    )
 
 
 def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
@@ -349,7 +357,7 @@ def _verdict_of(odds: dict[str, float], valve: ValveFindings) -> Verdict:
         return build_verdict("undecided", f"{seen} where it turns a valve that sticks shows", BUMP)
     if word == "none" and valve.hidden < CHANCE:
         reason = f"{MODELS[word]} is the likeliest, but the position of a valve with play foretells"
-        seen = f"{reason} what it leaves (p = {valve.hidden:.1g})"
+        seen = f"{reason} what it leaves ({describe_p_value(valve.hidden)})"
         return build_verdict("undecided", seen, BUMP)
     return build_verdict(word, f"{MODELS[word]} explains the log best").add_cautions(*cautions)
 

@@ -76,7 +76,7 @@ def same(a: Floats, b: Floats) -> Any:
 
 
 def operations(single: bool, *outputs: ca.SX) -> dict[str, int]:
-    """How many operations of each kind a step of A and B needs."""
+    """Return the operations of each kind in a step of A and B."""
     return count_operations(build_code(stateless([A, B], [*outputs]), single).results)
 
 

@@ -267,7 +267,7 @@ def test_inversion_of_fast_and_large_references() -> None:
 
 
 def test_a_plant_in_small_units_can_be_held_elsewhere() -> None:
-    """Whether a zero lies at s = 0 is a question of the plant, not of its units."""
+    """A zero at s = 0 belongs to the plant. Its units neither make one nor hide one."""
     model = sample_plant(PAPER_PLANT, 0.01).linear
     small = model._replace(C=1e-9 * model.C)
     found = crossing(small, 3.0, 0.01, "observer.search")

@@ -87,7 +87,7 @@ class Params(NamedTuple):
         slope: slope m of the sensor (p).
         drift: variance that the widths gain each step (2p) [z^2].
         mean: mean of `[x; d; extra]` at first.
-        cov: covariance of `[x; d; extra]` at first, its `to_upper_entries`.
+        cov: covariance of `[x; d; extra]` at first, see `to_upper_entries`.
         ranges: assumed ranges of all d_r, then of all d_l (2p x 2) [z].
         rate: from a change of x+ to the disturbance w, held over the step, that makes it (n x n)
             [1/s].

@@ -98,7 +98,7 @@ class State(NamedTuple):
     """State of the filter from sample to sample.
 
     Attributes:
-        mean, cov: mean and covariance (its `to_upper_entries`) before the reading.
+        mean, cov: mean and covariance (see `to_upper_entries`) before the reading.
         last, previous: the last two readings, 0 if one was rejected (p) [y].
         wait: steps to wait until an edge is used again, right edges, then left ones (2p). If the
             readings have a range, then until a limit is used again, upper ones, then lower ones

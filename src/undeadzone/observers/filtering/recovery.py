@@ -47,7 +47,7 @@ def inflate_covariance(
     used: Any,
     trust: Any,
 ) -> tuple[Any, RejectionRate]:
-    """Inflate the covariance (its `to_upper_entries`) if most recent measurements were rejected.
+    """Inflate the covariance (see `to_upper_entries`) if most recent measurements were rejected.
 
     Return the covariance with the new record.
 
@@ -59,7 +59,7 @@ def inflate_covariance(
         model: the model.
         constants: how many of the last unknowns are errors of the model.
         entries: entries of the covariance that are kept.
-        cov: the covariance (its `to_upper_entries`).
+        cov: the covariance (see `to_upper_entries`).
         patience: record of rejected readings.
         used: whether readings were used (p).
         trust: probability that a reading was not wrong (p).
@@ -102,7 +102,7 @@ def reset_if_invalid(q: Params, entries: ca.Sparsity, belief: Gaussian) -> tuple
         belief: about `[x; d; extra]`.
 
     Returns:
-        (mean, covariance (its `to_upper_entries`), 1 if it is the prior).
+        (mean, covariance (see `to_upper_entries`), 1 if it is the prior).
     """
     cov = to_upper_entries(belief.cov, entries)
     every = ca.densify(ca.diag(belief.cov))

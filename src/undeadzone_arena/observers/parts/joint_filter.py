@@ -71,7 +71,7 @@ class JointState(NamedTuple):
     """State of a joint filter between samples.
 
     Attributes:
-        mean, cov: mean and covariance (its `to_upper_entries`) of `[x; d_r; d_l]` before the
+        mean, cov: mean and covariance (see `to_upper_entries`) of `[x; d_r; d_l]` before the
             reading.
         patience: with readings that are refused.
     """
