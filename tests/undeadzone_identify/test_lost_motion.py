@@ -249,3 +249,14 @@ def test_a_profile_is_interpolated_where_it_passes_its_limit(side: int, expected
     gaps = np.array([0.0, 1.0, 2.0, 3.0])
     costs = np.array([4.0, 1.5, 1.0, 3.0])
     assert _crossing(gaps, costs, 2.5, side) == pytest.approx(expected)
+
+
+def test_without_a_gap_a_chain_ends_with_no_and_writes_no_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_table(wrong_ratio(np.random.default_rng(1)), Path("a.csv"))
+    words = ["identify", "a.csv", "--no-figures", "--chain", "fw"]
+    assert group.main(words, standalone_mode=False) == 1
+    assert "none: there is neither a scenario nor a certain gap" in capsys.readouterr().out
+    assert not Path("fw/snippet").exists()
