@@ -286,13 +286,13 @@ def add_valve(case: Case, found: Findings) -> Findings:
     word = next(iter(answer.odds))
     if not is_control_loop(case) and answer.verdict.word != "stiction":
         return found
-    asked = found._replace(models=(answer.family,), odds=answer.odds)
+    asked = found._replace(models=answer.families, odds=answer.odds)
     if word not in (*OWN, *LOOP):
         verdict = asked.classify(case)
         if verdict.word != "unclear":
             return asked._replace(verdict=verdict)
         answer = answer.of_loop_alone(excluded)
-        asked = asked._replace(models=(answer.family,), odds=answer.odds)
+        asked = asked._replace(models=answer.families, odds=answer.odds)
     return asked._replace(verdict=answer.verdict, valve=answer.valve)
 
 
