@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 import undeadzone
-from undeadzone.compile.casadi_reader import read_constants
+from undeadzone.compile.casadi_reader import count_instructions, read_constants
 from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.print_c import c_literal
 from undeadzone.compile.simplify import round_to_type
@@ -43,8 +43,8 @@ from undeadzone_export.targets import Material
 PRECISIONS = ("single", "double")
 FIRMWARE = ("c", "arduino")  # targets whose boards matter
 ELSEWHERE = ("arduino", "st")  # targets whose self-test runs on the target alone
-MANY = 20_000  # operations of code that a compiler takes a minute for
-SHARE = 20.0  # time that an export takes, relative to that of its graphs
+MANY = 20_000  # instructions of which an export takes a minute on a busy machine
+EACH = 1e-3  # of the processor's time that an export takes for each of them [s]
 STEPS = 100_000  # of the comparison of float with double, at least
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -137,13 +137,14 @@ def export(
     if to in targets.VERSIONS:
         require_buildable(prefix, targets.VERSIONS[to])
     problem = resolve_scenario(scenario)
-    began = time.monotonic()
+    began, spent = time.monotonic(), time.process_time()
     step = exported_step.build_step(problem, part, tunable)
+    instructions = 0 if told is None else count_instructions(step.function)
+    if told is not None and instructions > MANY:
+        waiting = (time.monotonic() - began) / (time.process_time() - spent)  # for the processor
+        seconds = EACH * instructions * max(1.0, waiting)
+        told(_slow_export_warning(instructions, seconds, scenario.observer))
     printed = build_code(step, single=precision == "single")
-    operations = sum(printed.operations.values())
-    if told is not None and operations > MANY:
-        seconds = SHARE * (time.monotonic() - began)
-        told(_slow_export_warning(operations, seconds, scenario.observer))
     labels = Labels(prefix, scenario.title, part)
     text = build_source(printed, labels)
     steps = STEPS if printed.single else accuracy.MACHINE_STEPS
@@ -168,16 +169,18 @@ def export(
     return Exported(written, report, printed)
 
 
-def _slow_export_warning(operations: int, seconds: float, observer: Any) -> str:
+def _slow_export_warning(instructions: int, seconds: float, observer: Any) -> str:
     """Return a warning about a long export, with cheaper choices.
 
     Args:
-        operations: number of operations of a step.
+        instructions: number of instructions of a step's graph.
         seconds: that the export will take, estimated [s].
         observer: the options of the observer.
     """
     minutes = count_noun(max(1, round(seconds / 60)), "minute")
-    said = f"{operations:,} operations, which take about {minutes} to write, compile and compare"
+    said = (
+        f"{instructions:,} instructions, which take about {minutes} to write, compile and compare"
+    )
     less = " or ".join(map(leaner_setting, _leaner_choices(observer)))
     return said + f"; {less} takes less" * bool(less)
 

@@ -9,6 +9,7 @@ import json
 import math
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -36,6 +37,7 @@ from undeadzone_arena.contest import leaderboard
 from undeadzone_arena.contest import tune as tuning
 from undeadzone_arena.contest import tuned_file as tuned
 from undeadzone_arena.contest.contest import arena, run_contest
+from undeadzone_arena.contest.effort import effort_text
 from undeadzone_arena.contest.entry import enter_method, read_knob_numbers
 from undeadzone_arena.contest.leaderboard import (
     CAP,
@@ -49,7 +51,7 @@ from undeadzone_arena.contest.methods import (
     methods_for_scenarios,
     middle_knobs,
 )
-from undeadzone_arena.contest.metric import Result, RunMetrics
+from undeadzone_arena.contest.metric import Result, RunMetrics, _has_diverged
 from undeadzone_arena.contest.page import arena_figures, arena_page
 from undeadzone_arena.contest.prior_knowledge import build_setting, scenario_assumptions
 from undeadzone_arena.contest.scenario_sets import Kind, arena_scenarios, scenarios_from_files
@@ -830,3 +832,21 @@ def test_a_method_that_does_not_apply_says_why() -> None:
     assert "not applicable (--json says why): a, b, c, d" in leaderboard_blocks(
         refused, 1, 1, reasons
     )
+
+
+def test_a_run_has_diverged_though_it_began_well() -> None:
+    problem = resolve_scenario(small())
+    still = np.zeros((4, 1))
+    gone = still + np.array([[0.0], [0.0], [1e30], [np.nan]])
+    estimate = SimpleNamespace(x=np.zeros((4, problem.model.n)), z=still, right=still, left=still)
+    fine: Any = SimpleNamespace(z=still, x=estimate.x, u=still, estimate=estimate)
+    assert not _has_diverged(problem, fine)
+    for rows in (gone, gone[[0, 1, 2, 2]], gone[[0, 3, 3, 0]]):
+        far: Any = SimpleNamespace(**vars(fine) | {"z": rows})
+        assert _has_diverged(problem, far)
+
+
+def test_the_effort_names_every_run() -> None:
+    grounds = {"one": small(), "two": small(sensor={"right": 0.5, "left": 0.5})}
+    said = effort_text(["naive", "kalman", "oracle"], grounds, 5, "seed", 1)
+    assert said.startswith("3 methods x 2 scenarios x 5 seeds = 30 runs; ")

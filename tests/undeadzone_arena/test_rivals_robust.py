@@ -46,7 +46,7 @@ from undeadzone_arena.observers.parts.boxes import Bounds, Boxes, cut_box
 from undeadzone_arena.observers.parts.interval_step import coupling_mask
 from undeadzone_arena.observers.parts.modal_form import build_modes, mode_rotation
 from undeadzone_arena.observers.super_twisting import differentiator_gains
-from undeadzone_arena.observers.walcott_zak import SlidingLaw, sliding_term
+from undeadzone_arena.observers.walcott_zak import SlidingLaw, sliding_direction, sliding_term
 
 seeds = st.integers(0, 2**32 - 1)
 POLES = [-20.0, -21.0]
@@ -365,6 +365,18 @@ def test_on_the_sliding_mode_errors_decay(seed: int, n: int, p: int, in_samples:
     hidden = np.linalg.svd(C)[2][p:].T
     poles = np.linalg.eigvals(hidden.T @ (np.eye(n) - G @ C) @ (A - law.L @ C) @ hidden)
     assert (np.abs(poles).max() < 1) if in_samples else (poles.real.max() < 0)
+
+
+@pytest.mark.parametrize("units", [[1.0, 1.0], [1e3, 1e-3], [0.01, 5.0]])
+def test_walcott_zaks_direction_does_not_depend_on_units_of_states(units: list[float]) -> None:
+    A, B, C = PAPER_PLANT.linear
+    L, unit = np.array([[3.0], [2.0]]), np.array(units)
+    known = sliding_direction(PAPER_PLANT, L, None)
+    A, B, C = A * unit / unit[:, None], B / unit[:, None], C * unit
+    scaled = system(Plant(A=A.tolist(), B=B.tolist(), C=C.tolist()))
+    found = sliding_direction(scaled, L / unit[:, None], None)
+    np.testing.assert_allclose(found * unit[:, None], known, rtol=1e-9)
+    np.testing.assert_allclose(C @ found, np.eye(1), rtol=1e-12)
 
 
 def test_walcott_zak_injection_saturates() -> None:

@@ -713,3 +713,13 @@ def test_a_run_that_diverges_early_is_followed_to_there_without_compiling(
     rows = selftest_vectors.record_inputs(problem, step)
     assert 250 < len(rows) < 350
     assert 5e5 < np.abs(rows).max() <= selftest_vectors.DIVERGED
+
+
+def test_a_self_test_has_missing_extreme_small_and_no_readings() -> None:
+    """Of two readings beside an input, up to 5 and 0.5 in size along the run."""
+    rows = np.column_stack([np.linspace(-5, 4, 500), np.linspace(0.5, 0.2, 500), np.ones(500)])
+    chosen = selftest_vectors.choose_samples(rows, 2)
+    assert np.isnan(chosen[:, :2]).any(axis=0).all()
+    assert not np.isnan(chosen[:, 2]).any()
+    for reading in ([15.0, 3.0], [-15.0, -3.0], [0.0, 0.0], [5e-3, 1e-3]):
+        assert (np.abs(chosen[:, :2] - reading) < 1e-12).all(axis=1).any(), reading

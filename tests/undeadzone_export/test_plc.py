@@ -24,7 +24,7 @@ from structured_text import Reader, Refused
 from tools import require
 from undeadzone.compile import elementary, portable_maths
 from undeadzone.compile.graph import Nodes
-from undeadzone.compile.print_c import Expressions, Style, elementary_texts
+from undeadzone.compile.print_c import WIDTH, Expressions, Style, elementary_texts
 from undeadzone.compile.print_st import ST, assign_number
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
@@ -434,6 +434,18 @@ def test_the_folder_has_text_xml_and_a_self_test(tmp_path: Path) -> None:
     again = uz.export(observer("certified"), "st", tmp_path / "again", name="left")
     for first, second in zip(done.files, again.files, strict=True):
         assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_choice_is_one_line_where_that_fits() -> None:
+    lines = made(observer("kalman"), single=True).blocks.splitlines()
+    choices = [line for line in lines if re.fullmatch(r" *IF .* THEN .* ELSE .* END_IF;", line)]
+    assert choices
+    assert max(map(len, choices)) <= WIDTH
+    apart = [k for k, line in enumerate(lines) if line.strip() == "ELSE"]
+    for k in apart:  # of IF, two assignments, ELSE and END_IF, where each takes a line
+        whole = " ".join(line.strip() for line in lines[k - 2 : k + 3])
+        if whole.endswith("END_IF;") and whole.startswith("IF"):
+            assert len(whole) > WIDTH - 4, whole
 
 
 @pytest.mark.parametrize("method", ["certified", "kalman"])

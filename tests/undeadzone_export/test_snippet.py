@@ -232,3 +232,14 @@ def test_nothing_is_written_of_what_is_not_certain(found: dict, says: str, tmp_p
     with pytest.raises(InputError, match=says):
         run_export(path, tmp_path / "few")
     assert not (tmp_path / "few").exists()
+
+
+@pytest.mark.parametrize(("absent", "edge"), [("left", 1.5), ("right", -0.8)])
+def test_a_sensor_with_one_edge_reads_beyond_it_alone(absent: str, edge: float) -> None:
+    lost = Lost("sensor", (1.5, 1.2, 1.9), (0.8, 0.6, 1.1), around(2.3), "V", "m.csv", 0.01, absent)
+    scope: dict = {}
+    exec(snippet_texts(lost, "hear")["snippet.py"], scope)
+    hear, beyond = scope["Hear"](), np.sign(edge)
+    assert hear(0.0) == edge
+    assert hear(-3.0 * beyond) == edge
+    assert hear(2.0 * beyond) == pytest.approx(2.0 * beyond + edge)

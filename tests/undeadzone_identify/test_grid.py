@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from undeadzone_identify.logs.grid import _resample_log, common_spacing
+from undeadzone_identify.logs.grid import _fill_regular, _resample_log, common_spacing
 from undeadzone_identify.logs.log import log_from_arrays
 
 
@@ -21,3 +21,18 @@ def test_a_divisor_of_moves_far_from_0_is_found() -> None:
     """The first value is no multiple of the divisor."""
     assert common_spacing(100.1 + 0.25 * np.array([0, 1, 3, 4, 9, 14])) == pytest.approx(0.25)
     assert common_spacing(np.sort(np.random.default_rng(3).normal(size=9))) == 0.0
+
+
+def test_in_a_gap_the_input_is_the_first_ones_last() -> None:
+    """The second input plays no part in which sample was the last one."""
+    t = np.delete(np.arange(20) * 0.1, [4, 5, 6])
+    u = np.column_stack([t, 10 * t])
+    log = log_from_arrays(u=u, y=t.copy(), t=t)
+    remarks: list[str] = []
+    piece = _fill_regular(log, 0.1, remarks)
+    held = np.arange(20) * 0.1
+    held[4:7] = 0.3
+    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held]), atol=1e-12)
+    assert np.isnan(piece.y[4:7]).all()
+    assert piece.start.tolist() == [0]
+    assert "3 readings missing" in remarks[0]

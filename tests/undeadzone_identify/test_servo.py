@@ -475,3 +475,32 @@ def test_an_offset_widens_the_sides_of_a_play_but_not_its_gap(
     assert found["centre"].half_width == pytest.approx(half)
     if math.isfinite(half):
         assert [found[side].value for side in ("right", "left")] == pytest.approx([0.45, 0.05])
+
+
+def test_the_covariance_of_a_plant_is_that_of_its_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a plant that is linear in them it is M V M'."""
+    structure = ServoStructure(frozenset())
+    places = structure.free_places(False, False)
+    draw = np.random.default_rng(4)
+    M, root = draw.normal(size=(3, len(At))), draw.normal(size=(places.size, places.size))
+    monkeypatch.setattr(selection, "to_sampled_plant", lambda servo, theta, scale: M @ theta)
+    found: Any = SimpleNamespace(
+        servo=SimpleNamespace(structure=structure, theta=draw.normal(size=len(At))),
+        log=SimpleNamespace(ticks=False),
+        covariance=root @ root.T,
+    )
+    covariance = selection._plant_covariance(found, 1.0, 3)
+    np.testing.assert_allclose(
+        covariance, M[:, places] @ found.covariance @ M[:, places].T, rtol=1e-6
+    )
+
+
+def test_absent_parts_do_nothing() -> None:
+    """No friction, no spring, no slow torque, and a pole that is infinitely fast."""
+    theta = ServoStructure(frozenset()).disable_absent_parts(np.ones(len(At)))
+    assert (theta[At.FRICTION], theta[At.LOAD]) == (0.0, 0.0)
+    assert (np.exp(theta[At.SPRING]), np.exp(theta[At.SLOW])) == (0.0, 0.0)
+    assert np.exp(-theta[At.POLE]) == 0.0
+    assert theta[At.GAP] == 1.0

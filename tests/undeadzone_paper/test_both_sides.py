@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from undeadzone_paper import Paper
-from undeadzone_paper.both_sides import compare_sides
+from undeadzone_paper.both_sides import ErrorSignals, _sides_of_positivity, compare_sides
 from undeadzone_paper.equations import EQUATIONS
 
 ROUNDING = 1e-12
@@ -64,3 +67,21 @@ def test_35_and_36_agree_with_one_another_and_with_the_run_nowhere(paper: Paper)
     assert paper.sides[35].printed == pytest.approx(paper.sides[36].printed)
     for number in (31, 32, 33, 35, 36):
         assert paper.sides[number].printed > 100.0
+
+
+def test_the_mended_indicator_is_that_of_the_side_that_was_read() -> None:
+    nothing = np.zeros((3, 0))
+    signals = ErrorSignals(*[nothing] * len(ErrorSignals._fields))
+    read = signals._replace(side=np.array([1.0, 0.0, -1.0]))
+    np.testing.assert_array_equal(read.mended_chi, [[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]])
+
+
+def test_an_error_is_unseen_where_V_is_0_and_only_there() -> None:
+    error = np.array([[0.1, -0.3], [5.0, 0.0], [0.0, 9.0]])
+
+    def run(V: Any) -> Any:
+        return SimpleNamespace(t=np.arange(3.0), V=V, x=error, x_hat=0 * error)
+
+    found = _sides_of_positivity(run(np.array([0.0, 1.0, 2.0])), run(np.ones(3)))
+    assert found[1:] == (0.3, 0.0)
+    assert _sides_of_positivity(run(None), run(None))[1:] == (9.0, 9.0)

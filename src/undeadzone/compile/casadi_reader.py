@@ -98,6 +98,21 @@ def read_constants(function: ca.Function) -> list[float]:
     return list(map(function.instruction_constant, places))
 
 
+def count_instructions(function: ca.Function) -> int:
+    """Return the number of instructions of a function, those of each call among them."""
+    counts: dict[int, int] = {}
+
+    def count(called: ca.Function) -> int:
+        """Return the number of instructions of a function."""
+        key = called.__hash__()
+        if key not in counts:
+            lines = read_program(called).lines
+            counts[key] = sum(count(line.leaf) if line.word == "call" else 1 for line in lines)
+        return counts[key]
+
+    return count(function)
+
+
 def evaluate_program(
     of: Program,
     read: Callable[[str, int], Any],

@@ -26,6 +26,8 @@ def test_a_period_that_samples_never_meet_is_none() -> None:
     assert _count_samples(0.5, 0.1, 30.0) == (5, True)
     assert _count_samples(0.25, 0.1, 30.0) == (5, True)
     assert _count_samples(np.pi / 10, 0.1, 30.0) == (300, False)
+    assert _count_samples(None, 0.1, 0.12) == (1, False)
+    assert _count_samples(None, 0.1, 0.01) == (1, False)
 
 
 def test_a_recorded_side_changes_half_way_between_two_samples() -> None:

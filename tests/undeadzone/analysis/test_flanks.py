@@ -11,7 +11,9 @@ from undeadzone.analysis.identifiability.flanks import (
     Listener,
     flank_visits,
     gap_identifiability,
+    torque_free_position,
 )
+from undeadzone.plants.robots.arm import build_arm
 from undeadzone.plants.robots.build import build_two_link
 from undeadzone.plants.robots.geared import Gears, build_geared_arm
 
@@ -46,3 +48,13 @@ def test_joint_by_joint_most_crossings_have_to_show(
     assert verdict.crossings == shown
     if shown and not known:
         assert "2 of 5 crossings show no strike: its link floats in the gap" in verdict.reasons[0]
+
+
+def test_a_joint_is_free_of_torque_where_its_link_stands_upright_or_hangs() -> None:
+    """The second link, however the first one stands; the nearer of both positions."""
+    arm = build_arm(build_two_link())
+    for first in (-2.0, -0.7, 0.4):
+        for upright in (-0.5, 0.5):
+            wanted = upright * np.pi - first
+            found = torque_free_position(arm, arm.values, np.array([first, wanted + 0.9]), 1)
+            assert found == pytest.approx(wanted, abs=1e-5)

@@ -711,3 +711,21 @@ def test_a_jump_tells_nothing_of_widths_by_its_readings() -> None:
         PAPER_PLANT.linear, visiting([True], [True]).branch_visits(2), jump=False
     )
     assert seen.is_width_known(0, "right")
+
+
+@pytest.mark.parametrize(("quiet", "remedy"), [(0.0, "a shift of the state"), (1.0, "coast:")])
+def test_every_actuator_has_to_fall_silent(quiet: float, remedy: str) -> None:
+    """The first one of two does; the second one, if it does not, is told to coast."""
+    plant = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), np.eye(2), np.array([[1.0, 0.0]]))
+    drive: Any = SimpleNamespace(slope_right=np.ones(2), slope_left=np.ones(2))
+    modes = np.array([[1.0, 1.0], [-1.0, -1.0], [0.0, quiet]])
+    found = sensor_actuator_identifiability(plant, visiting([True], [True]), modes, drive)
+    assert not found.outputs[0].centre
+    assert remedy in found.outputs[0].reasons[0]
+
+
+def test_a_mean_that_is_rounding_is_0() -> None:
+    swing = visiting([True], [True])._replace(
+        low=np.array([-0.5]), mean=np.array([1e-13]), high=np.array([0.5])
+    )
+    assert "about its mean, 0, " in remedy_to_reach_edges(swing, 0).text

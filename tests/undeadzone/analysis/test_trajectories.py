@@ -50,3 +50,13 @@ def test_errors_may_need_many_passes_to_settle() -> None:
     assert fast is not None
     assert fast / brief.total_duration > 1000
     assert fast == pytest.approx(slow, rel=0.5)
+
+
+def test_V_begins_at_1_whatever_the_size_of_the_error() -> None:
+    found = certify(PAPER_PLANT.linear, np.array([[1.0], [1.5]]), np.array([10.0]))
+    assert found.V is not None
+    maps, times = np.array([0.5, 0.6])[:, None, None] * np.eye(4), np.array([0.1, 0.3])
+    for size in (1.0, 3.0):
+        start = size * np.array([1.0, -2.0, 0.5, 0.0])
+        seen = trajectories._trajectory_along_maps("hand", found.V, start, maps, times)
+        np.testing.assert_allclose(seen.V, [1.0, 0.25, 0.09], rtol=1e-12)

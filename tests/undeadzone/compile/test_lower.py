@@ -15,10 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_engines import BINARY, ELEMENTARY, SPECIAL, UNARY
 
+from undeadzone.compile.casadi_reader import count_instructions
 from undeadzone.compile.graph import required_nodes
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.numpy_reference import reference_evaluator
-from undeadzone.compile.print_c import c_literal
+from undeadzone.compile.print_c import WIDTH, c_literal, wrap_statement
 from undeadzone.compile.simplify import round_to_type
 from undeadzone.errors import InputError
 from undeadzone.plants.build import system
@@ -126,6 +127,17 @@ def test_calls_that_the_graph_keeps_are_functions_of_the_same_bits(
     assert text.count("static void o_shared_1(") == 1
     assert text.count("static void o_shared_0") == 2  # one for each of its callers
     assert code.operations["sin"] == 5
+
+
+def test_instructions_of_a_call_count_at_each_call() -> None:
+    x = ca.SX.sym("x")
+    kept = ca.Function("kept", [x], [ca.sin(x) + x], {"never_inline": True})
+    once, twice = (
+        count_instructions(ca.Function("f", [x], [whole])) for whole in (kept(x), kept(kept(x)))
+    )
+    own = count_instructions(kept)
+    assert own == kept.n_instructions() - 1  # the result is no instruction
+    assert twice - once == own + 1  # and the one that takes the result of a call
 
 
 def test_a_call_with_a_number_that_may_be_missing_is_written_out() -> None:
@@ -309,3 +321,13 @@ def test_a_literal_means_its_number(value: float) -> None:
 def test_an_unknown_instruction_is_named() -> None:
     with pytest.raises(InputError, match="OP_ERFINV"):
         build_code(stateless([A], [ca.erfinv(A)]), True)
+
+
+def test_long_statements_are_wrapped_at_the_last_place_that_fits() -> None:
+    """Nothing but blanks is added; a line is as long as it can be."""
+    names = [f"operand_{k}" for k in range(40)]
+    text = "x = " + " + ".join(names[:20]) + f" * call({', '.join(names[20:])});"
+    lines = wrap_statement(text)
+    assert " ".join(line.strip() for line in lines) == text
+    assert max(map(len, lines)) <= WIDTH
+    assert min(map(len, lines[:-1])) > WIDTH - 2 * len(" + operand_10")

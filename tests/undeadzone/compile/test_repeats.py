@@ -74,6 +74,28 @@ def test_copies_that_share_their_end_are_called_before_it() -> None:
     assert evaluate(outlined, parts, numbers) == evaluate([[mixed], [two]], [], numbers)
 
 
+def turned(nodes: Nodes, x: Node, y: Node, seed: int, length: int = 40) -> Node:
+    """A part of the same operations, whose operands stand in an order of its own."""
+    random, value, before = np.random.default_rng(seed), x, y
+    for k in range(length):
+        factor = nodes.intern("sub", before, nodes.intern_constant(float(k)))
+        pair = [value, factor][:: int(random.choice([1, -1]))]
+        before, value = value, nodes.intern(("mul", "add")[k % 2], *pair)
+    return value
+
+
+def test_copies_whose_operands_stand_the_other_way_round_become_one_function() -> None:
+    nodes = Nodes()
+    given = inputs(nodes, 4)
+    results = [[turned(nodes, x, given[3], seed) for seed, x in enumerate(given[:3])]]
+    parts: list[Part] = []
+    outlined = outline_repeats(results, parts)
+    assert len(parts) == 1
+    assert len(required_nodes(outlined[0])) < 20
+    numbers = {"s0": 0.3, "s1": -0.7, "s2": 0.1, "s3": 0.9}
+    assert evaluate(outlined, parts, numbers) == evaluate(results, [], numbers)
+
+
 def test_what_saves_nothing_stays() -> None:
     nodes = Nodes()
     given = inputs(nodes, 3)

@@ -17,7 +17,13 @@ from undeadzone.logs.names import (
     parse_columns,
     split_unit,
 )
-from undeadzone.logs.samples import LogReader, Samples, place_on_steps, samples_of_text
+from undeadzone.logs.samples import (
+    LogReader,
+    Samples,
+    is_regular_time,
+    place_on_steps,
+    samples_of_text,
+)
 from undeadzone.logs.stamps import stamps_of
 from undeadzone.logs.text import Text, dialect_of
 
@@ -364,3 +370,18 @@ def test_damaged_logs_give_an_error_or_samples() -> None:
         except InputError:
             continue
         assert regular.y.shape == (regular.t.size, 1)
+
+
+@pytest.mark.parametrize(
+    ("values", "regular"),
+    [
+        ([0.0, 1.0, 2.0, 3.0], False),
+        ([1.0, 2.0, 3.0], False),
+        ([0.0, 1.0, 2.01, 3.01], True),
+        ([2.0, 3.0, 4.0], True),
+        ([0.0, 0.1, 0.5], False),
+        ([0.0, 0.1], False),
+    ],
+)
+def test_times_are_regular_and_no_count(values: list[float], regular: bool) -> None:
+    assert is_regular_time(np.array(values)) is regular

@@ -39,6 +39,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
 from undeadzone.simulation.simulate import outputs_of, prepare, simulate
 from undeadzone.util.arrays import Floats
+from undeadzone_arena.controllers.robust_adaptive import RobustAdaptive
 from undeadzone_export import exported_step as export_parts
 from undeadzone_export import selftest_vectors
 
@@ -330,6 +331,16 @@ def test_robust_adaptive_control_needs_no_inverse() -> None:
     robust = simulate(loop(observer=observer, controller=law, **changes))
     plain = simulate(loop(observer=observer, **changes))
     assert late(robust, robust.z - robust.r) < 0.2 * late(plain, plain.z - plain.r)
+
+
+def test_robust_adaptive_control_learns_as_fast_in_samples() -> None:
+    """Its surface is a difference per sample, so rates count by the square of the sample time."""
+    law = RobustAdaptive(rate=4.0, layer=0.1, learning=3.0, slope_learning=2.0)
+    smooth = law.build(PAPER_PLANT).params
+    sampled = law.build(sample_plant(PAPER_PLANT, 0.01)).params
+    assert (smooth.slope, smooth.learning) == (2.0, 3.0)
+    assert (sampled.slope, sampled.learning) == pytest.approx((2e-4, 3e-4))
+    assert sampled.layer == pytest.approx(smooth.layer / 0.01)
 
 
 def test_the_adaptive_inverse_learns_the_widths_behind_a_clean_sensor() -> None:

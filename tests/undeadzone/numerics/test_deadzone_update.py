@@ -72,11 +72,12 @@ def test_silence_leaves_a_covariance_that_is_one(seed: int) -> None:
     assert np.linalg.eigvalsh((cov - after) / np.outer(scale, scale)).min() > -1e-9
 
 
-def test_a_narrow_belief_hears_one_edge() -> None:
-    """As the cut at the edge that it contradicts alone."""
-    mean, cov = np.array([1.5, 1.2, 1.2]), np.diag([0.04, 0.01, 0.01])
+@pytest.mark.parametrize(("side", "edge", "waiting"), [(1, RIGHT, (5, 0)), (-1, LEFT, (0, 5))])
+def test_a_narrow_belief_hears_one_edge(side: int, edge: Any, waiting: tuple[int, int]) -> None:
+    """As the cut at the edge that it contradicts alone, from the first reading on."""
+    mean, cov = np.array([1.5 * side, 1.2, 1.2]), np.diag([0.04, 0.01, 0.01])
     heard = one_silence(mean, cov)
-    h = C - RIGHT
+    h = side * C - edge
     std = math.sqrt(h @ cov @ h + 1e-6)
     alpha = (0.004 - h @ mean) / std
     density = math.exp(-(alpha**2) / 2) / math.sqrt(2 * math.pi)
@@ -84,7 +85,7 @@ def test_a_narrow_belief_hears_one_edge() -> None:
     assert heard.mean == pytest.approx(mean - ratio * cov @ h / std)
     lost = ratio * (ratio + alpha) * np.outer(cov @ h, h @ cov) / std**2
     assert heard.cov == pytest.approx(cov - lost)
-    assert (heard.ear.right, heard.ear.left) == (5, 0)
+    assert (heard.ear.right, heard.ear.left) == waiting
 
 
 # --- Beside the graph

@@ -9,11 +9,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from undeadzone.interfaces import Estimate
+from undeadzone.numerics.gaussian import Gaussian
 from undeadzone.observers.filtering.constant_states import (
     add_friction_state,
     information_shares,
     subtract_friction,
 )
+from undeadzone.observers.filtering.gaussian_filter import add_unknown_estimates
 
 
 def test_unknown_friction_is_taken_off_what_drives() -> None:
@@ -45,3 +48,17 @@ def test_friction_of_one_of_two_loads_that_is_not_known_becomes_an_unknown() -> 
     sensor: Any = SimpleNamespace(friction_std=np.array([0.3, 0.0]))
     found: Any = add_friction_state(inner, sensor)
     assert np.diag(found["cov"]) == pytest.approx([0.09, 0.0])
+
+
+def test_a_parameter_is_shown_with_its_deviation() -> None:
+    """The second of two, beside one state, two widths and 7 +- 0.2 of its change."""
+    augmentation = SimpleNamespace(cov=np.zeros((0, 0)), parameters=(1,))
+    setup: Any = SimpleNamespace(
+        model=SimpleNamespace(n=1, p=1), augmentation=augmentation, shape=SimpleNamespace(first=4)
+    )
+    q: Any = SimpleNamespace(model=np.array([5.0, 3.0]))
+    shown = Gaussian(ca.SX([1.0, 0.1, 0.1, 7.0]), ca.SX(np.diag([1.0, 4.0, 9.0, 0.04])))
+    nothing = Estimate(*[np.zeros(0)] * len(Estimate._fields))
+    found = add_unknown_estimates(setup, q, nothing, shown, ca.SX(0.0))
+    assert float(found.theta) == 10.0
+    assert float(found.theta_std) == pytest.approx(0.2)

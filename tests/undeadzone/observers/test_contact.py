@@ -527,3 +527,16 @@ def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:
     ends = [one.get("solreflimit") for one in found if one is not None and one.get("limited")]
     assert ends[1] is None
     assert [float(word) for word in str(ends[0]).split()] == pytest.approx([-4e4, -200.0])
+
+
+def test_claims_become_ranges_and_deviations_of_a_uniform_law() -> None:
+    """Half gaps of 0.01 to 0.05 about a centre of 0.003 +- 0.002: edges within three deviations."""
+    tables = tomllib.loads(SERVO)
+    tables["plant"]["arm"]["gears"]["centre"] = 0.003
+    tables["observer"] |= {"half": [0.01, 0.05], "centre": 0.002}
+    observer = resolve_scenario(convert(tables)).observer
+    wanted = [[0.007, 0.059], [0.001, 0.053]]
+    np.testing.assert_allclose(observer.traits.ranges, wanted, rtol=1e-12)
+    start, layout = observer.params.start[0][0], Layout(1)
+    assert layout.slice_of("payload").stop == layout.entry_count  # so its variance comes last
+    np.testing.assert_allclose([cov[-1] for cov in start.covs], 0.5**2 / 12, rtol=1e-12)

@@ -256,16 +256,17 @@ def test_a_log_that_seldom_fitted_names_what_was_likeliest() -> None:
     assert own.claims == [list(ASSUMPTION_CHECKS)[1]]
 
 
-def of_scores(y: float, last: float, slope: float) -> Any:
+def of_scores(y: float, last: float, slope: float, refused: float = 0.0, **sums: Any) -> Any:
     """Scores of one output after a reading that is not what was foretold."""
     doubt = SimpleNamespace(
         keep=0.5, stays=0.1, noisy=0, push=np.zeros((1, 1)), means=np.zeros(3), reach=100.0, run=9
     )
     q = SimpleNamespace(doubt=doubt, slope=slope)
-    before = start_scores(1)._replace(last=np.array([last]))
+    before = start_scores(1)._replace(last=np.array([last]), **sums)
     zero = ca.SX(1, 1)
     nu = ca.SX(FORETOLD + 1)
-    return update_scores(q, before, nu, nu, zero, zero, Reading(ca.SX(y), ca.SX(1.0)), zero)
+    reading = Reading(ca.SX(y), ca.SX(1.0))
+    return update_scores(q, before, nu, nu, zero, ca.SX(refused), reading, zero)
 
 
 def test_where_readings_stay_is_told_in_units_of_z() -> None:
@@ -284,3 +285,11 @@ def test_scores_of_small_inputs_are_normal_numbers_too() -> None:
     found = score_squares(few)
     assert float(found["slope"]) == pytest.approx(4.0)
     assert float(found["dynamics"]) == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize(("y", "last", "row"), [(8.0, 8.1, 4), (8.0, -8.0, 1), (0.0, 0.1, 1)])
+def test_a_row_of_refused_readings_goes_on_where_they_agree_and_not_through_silence(
+    y: float, last: float, row: int
+) -> None:
+    after = of_scores(y, last, 1.0, refused=1.0, row=np.full(1, 3.0))
+    assert float(after.row) == row

@@ -26,6 +26,7 @@ from undeadzone.plants.options import Plant, SecondOrder, TransferFunction
 from undeadzone.plants.system import (
     System,
     fastest_pole,
+    linearise_plant,
     moving_pole_sizes,
     moving_poles,
     sample_plant,
@@ -384,3 +385,22 @@ def test_a_rate_is_the_users_or_a_multiple_of_the_fastest_pole() -> None:
     assert rate_or_default(plant, "observer.gain", None, 3.0) == pytest.approx(12.0)
     with pytest.raises(InputError, match=r"observer.gain"):
         rate_or_default(plant, "observer.gain", -1.0, 3.0)
+
+
+@pytest.mark.parametrize(("slope", "refused"), [(1e120, True), (1e90, False)])
+def test_a_slope_whose_squares_overflow_is_not_linearised(slope: float, refused: bool) -> None:
+    def build() -> System:
+        return linearise_plant(
+            "plant",
+            np.zeros(0),
+            lambda p, x, u: slope * x + u,
+            lambda p, x: x,
+            np.zeros(1),
+            np.zeros(1),
+        )
+
+    if refused:
+        with pytest.raises(InputError, match="cannot be linearised"):
+            build()
+    else:
+        assert build().linear.A[0, 0] == slope

@@ -8,6 +8,7 @@ import re
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -24,7 +25,13 @@ from undeadzone.ensemble.result import Ensemble
 from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
-from undeadzone.report.animation import TILT, _grid_spacing, visible_face_share
+from undeadzone.report.animation import (
+    SIDEWAYS,
+    TILT,
+    _grid_spacing,
+    _view_turn,
+    visible_face_share,
+)
 from undeadzone.report.ensemble_figures import bin_edges
 from undeadzone.report.ensemble_page import draw_ensemble_figures as ensemble_figures
 from undeadzone.report.gain_figures import ELLIPSE, _shade_strip, ellipse_border
@@ -469,6 +476,23 @@ def test_the_ellipse_holds_the_deviations() -> None:
     x, y = ellipse_border(std)
     reach = [np.abs(x).max(), np.abs(y).max(), np.abs(x + y).max(), np.abs(x - y).max() / 2]
     np.testing.assert_allclose(reach, ELLIPSE * np.array([*std.values()]), rtol=1e-3)
+
+
+def test_an_arm_in_space_is_turned_until_its_path_shows_its_face_and_one_in_a_plane_is_not() -> (
+    None
+):
+    """A circle in the plane y = 0.4, beside a base at 0."""
+    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
+    tip = np.column_stack([0.3 * np.cos(angle), 0.4 + 0 * angle, 0.3 * np.sin(angle)])
+    arm: Any = SimpleNamespace(
+        tip=tip, tip_r=tip, poses=np.zeros((1, 2, 3)), info=SimpleNamespace(step=1.0)
+    )
+    turn = _view_turn(arm)
+    normal = np.array([0.0, 1.0, 0.0])
+    shares = [visible_face_share(normal, side - np.pi / 2) for side in SIDEWAYS]
+    assert visible_face_share(normal, turn) == pytest.approx(max(shares))
+    arm.tip = tip[:, :2]
+    assert _view_turn(arm) == 0.0
 
 
 def test_a_face_turned_to_the_eye_is_seen_whole() -> None:

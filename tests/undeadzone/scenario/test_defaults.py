@@ -56,6 +56,12 @@ def test_default_gains_are_certified_and_strong(Ts: float | None) -> None:
         assert at_rest[0, 0] == pytest.approx(1.0, rel=0.01)
 
 
+@pytest.mark.parametrize(("Ts", "gamma"), [(0.01, 6.0), (0.25, 2.0)])
+def test_widths_adapt_by_at_most_a_half_in_a_sample(Ts: float, gamma: float) -> None:
+    """Three mean poles of 2 1/s are 6 1/s, of which samples of 0.25 s leave 2 1/s."""
+    assert default_adaptation(sample_plant(plant(1.0), Ts)) == pytest.approx(gamma, rel=0.01)
+
+
 def test_kalman_listens_unless_it_is_told_not_to() -> None:
     """With 10 % off in the friction; the claim of no disturbance takes the model on trust."""
     wrong = {"model": {"A": [[0.0, 1.0], [-1.0, -1.8]]}}
