@@ -139,8 +139,7 @@ def export(
     problem = resolve_scenario(scenario)
     began, spent = time.monotonic(), time.process_time()
     step = exported_step.build_step(problem, part, tunable)
-    instructions = 0 if told is None else count_instructions(step.function)
-    if told is not None and instructions > MANY:
+    if told is not None and (instructions := count_instructions(step.function)) > MANY:
         waiting = (time.monotonic() - began) / (time.process_time() - spent)  # for the processor
         seconds = EACH * instructions * max(1.0, waiting)
         told(_slow_export_warning(instructions, seconds, scenario.observer))

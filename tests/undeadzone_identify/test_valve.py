@@ -200,7 +200,7 @@ def test_play_and_stiction_beside_each_other_are_both_named() -> None:
 
 @pytest.mark.parametrize(("gained", "best"), [(1.5, "input_zone"), (0.25, "stiction")])
 def test_a_model_of_fewer_readings_keeps_its_odds_in_a_loop(gained: float, best: str) -> None:
-    """The loop's own model without a fault foretells better by 0.2 a reading: that is no gain."""
+    """The loop's own model without a fault predicts better by 0.2 a reading, which is taken off."""
     rng = np.random.default_rng(5)
 
     def density(word: str, mean: float, size: int) -> Density:

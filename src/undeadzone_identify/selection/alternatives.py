@@ -843,21 +843,23 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
         seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
     if _may_be_neutral(one):
-        line = (
+        reason = (
             f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
+            f" hold one ({said}); record for longer, or with a larger input"
         )
-        reason = f"{line} hold one ({said}); record for longer, or with a larger input"
         return found._replace(verdict=build_verdict("undecided", reason), odds={})
     return found._replace(verdict=verdict._replace(reasons=[said]))
 
 
 def _may_be_neutral(fit: ChainFit) -> bool:
     """Return whether the intervals of the input's element hold numbers that leave u as it is."""
-    model, covariance = fit.model, fit.squares.robust_covariance(fit.theta)
+    model = fit.model
     away = np.abs(model.distance_from_neutral(fit.theta))
-    rows = np.eye(model.free.size)[model.inputs][: away.size]
-    halves = [covariance.half_width(row) for row in rows]
-    return bool(away.size) and bool(np.all(away < halves))
+    if not away.size:
+        return False
+    covariance = fit.squares.robust_covariance(fit.theta)
+    halves = [covariance.half_width(row) for row in np.eye(model.free.size)[model.inputs]]
+    return bool(np.all(away < halves))
 
 
 def may_have_shaped_zone(case: Case, found: Findings) -> bool:

@@ -121,7 +121,8 @@ class LoopAnswer(NamedTuple):
             excluded: words that are out of the question.
         """
         own = {word: one for word, one in self.families[0].items() if word in OWN}
-        return answer_by_odds((own,), self.valve, excluded)
+        odds = _probabilities_of_loop((own,), self.valve.shape, excluded)
+        return answer_by_odds((own,), odds, self.valve)
 
 
 def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
@@ -184,21 +185,20 @@ def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) 
     fits = fit_loop(log)
     families = _comparable_families(fits, log, models, data, part)
     shape = ellipse_width(log)
-    odds = _weigh_by_shape(model_probabilities(families, excluded), shape)
-    return answer_by_odds(families, _measure(case, fits, part, odds, shape), excluded)
+    odds = _probabilities_of_loop(families, shape, excluded)
+    return answer_by_odds(families, odds, _measure(case, fits, part, odds, shape))
 
 
 def answer_by_odds(
-    families: tuple[Family, ...], valve: ValveFindings, excluded: frozenset[str]
+    families: tuple[Family, ...], odds: dict[str, float], valve: ValveFindings
 ) -> LoopAnswer:
     """Return the answer on a loop by the odds of its models.
 
     Args:
         families: the models, those of the same readings together.
+        odds: of these, by word.
         valve: findings on the valve.
-        excluded: words that are out of the question.
     """
-    odds = _weigh_by_shape(model_probabilities(families, excluded), valve.shape)
     if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
         odds = {TIGHTENED.get(word, word): p for word, p in odds.items()}
     return LoopAnswer(_verdict_of(odds, valve), odds, families, valve)
@@ -217,15 +217,17 @@ def ellipse_width(log: LoopLog) -> float:
     return math.sqrt(8 * max(1 - related**2, 0.0)) * float(u.std())
 
 
-def _weigh_by_shape(odds: dict[str, float], shape: float) -> dict[str, float]:
+def _probabilities_of_loop(
+    families: tuple[Family, ...], shape: float, excluded: frozenset[str]
+) -> dict[str, float]:
     """Return odds with the evidence of the ellipse, which predictions one step ahead do not see.
 
     Its weight is that of loops of known cause (`python -m benchmarks valves`).
     """
     evidence = math.exp(SHAPE * (shape - USUAL))
-    weighed = dict(odds)
+    weighed = model_probabilities(families, excluded)
     for word in VALVE:
-        if word in odds:
+        if word in weighed:
             weighed[word] *= evidence
     total = sum(weighed.values())
     return {word: weighed[word] / total for word in sorted(weighed, key=lambda one: -weighed[one])}

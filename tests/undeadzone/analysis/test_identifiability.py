@@ -715,7 +715,7 @@ def test_a_jump_tells_nothing_of_widths_by_its_readings() -> None:
 
 @pytest.mark.parametrize(("quiet", "remedy"), [(0.0, "a shift of the state"), (1.0, "coast:")])
 def test_every_actuator_has_to_fall_silent(quiet: float, remedy: str) -> None:
-    """The first one of two does; the second one, if it does not, is told to coast."""
+    """The first of two does. If the second does not, the advice is to let it coast."""
     plant = Matrices(np.array([[0.0, 1.0], [0.0, -1.0]]), np.eye(2), np.array([[1.0, 0.0]]))
     drive: Any = SimpleNamespace(slope_right=np.ones(2), slope_left=np.ones(2))
     modes = np.array([[1.0, 1.0], [-1.0, -1.0], [0.0, quiet]])

@@ -136,7 +136,7 @@ def test_instructions_of_a_call_count_at_each_call() -> None:
         count_instructions(ca.Function("f", [x], [whole])) for whole in (kept(x), kept(kept(x)))
     )
     own = count_instructions(kept)
-    assert own == kept.n_instructions() - 1  # the result is no instruction
+    assert own == kept.n_instructions() - 1  # that of the output is not counted
     assert twice - once == own + 1  # and the one that takes the result of a call
 
 
