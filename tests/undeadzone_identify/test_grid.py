@@ -23,16 +23,16 @@ def test_a_divisor_of_moves_far_from_0_is_found() -> None:
     assert common_spacing(np.sort(np.random.default_rng(3).normal(size=9))) == 0.0
 
 
-def test_in_a_gap_the_input_is_the_first_ones_last() -> None:
-    """The second input plays no part in which sample was the last one."""
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_in_a_gap_inputs_are_held(inputs: int) -> None:
     t = np.delete(np.arange(20) * 0.1, [4, 5, 6])
-    u = np.column_stack([t, 10 * t])
+    u = np.column_stack([t, 10 * t])[:, :inputs]
     log = log_from_arrays(u=u, y=t.copy(), t=t)
     remarks: list[str] = []
     piece = _fill_regular(log, 0.1, remarks)
     held = np.arange(20) * 0.1
     held[4:7] = 0.3
-    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held]), atol=1e-12)
+    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held])[:, :inputs], atol=1e-12)
     assert np.isnan(piece.y[4:7]).all()
     assert piece.start.tolist() == [0]
     assert "3 readings missing" in remarks[0]
