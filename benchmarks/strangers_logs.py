@@ -384,6 +384,80 @@ def zone_beside(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(0.5 * u + zone(u, 0.6, 0.5))))
 
 
+def heated(rng: np.random.Generator) -> Strange:
+    """A heater: it does nothing below 0."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(np.maximum(u, 0.0))))
+
+
+def on_change(z: Floats) -> Floats:
+    """A recorder that writes a reading only if it is 0.2 off the last one written."""
+    y, at = np.empty(z.size), float(z[0])
+    for k, value in enumerate(z.tolist()):
+        at = value if abs(value - at) > 0.2 else at
+        y[k] = at
+    return y
+
+
+def humming(rng: np.random.Generator) -> Strange:
+    """A linear plant, and hum of a frequency that nobody recorded."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, lags(u) + 0.4 * np.sin(0.31 * np.arange(u.size))))
+
+
+def bilinear(rng: np.random.Generator) -> Strange:
+    """A plant whose gain grows with its output, as a heat exchanger's does."""
+    u, y, z = walk(rng), np.empty(SIZE), 0.0
+    for k in range(SIZE):
+        y[k] = z
+        z += 0.1 * (u[k] * (1 + 0.5 * np.tanh(z)) - z)
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def least_pulse(u: Floats) -> Floats:
+    """A valve by pulses: what is shorter than the least pulse is left out, the rest is whole."""
+    return np.where(np.abs(u) > 0.5, u, 0.0)
+
+
+def freezing(rng: np.random.Generator) -> Strange:
+    """A linear plant whose sensor freezes for 30 samples now and then."""
+    u = walk(rng)
+    y = noisy(rng, lags(u))
+    for begin in rng.choice(u.size - 30, 6, replace=False):
+        y[begin : begin + 30] = y[begin]
+    return Strange(u, y)
+
+
+def swinging(rng: np.random.Generator) -> Strange:
+    """A pendulum under torque: its spring is a sine."""
+    u, y, z, v = walk(rng, hold=20.0), np.empty(SIZE), 0.0, 0.0
+    for k in range(SIZE):
+        y[k] = z
+        v += 0.1 * (1.2 * u[k] - np.sin(z) * 2 - 0.8 * v)
+        z += 0.1 * v
+    return Strange(u, noisy(rng, y / y.std()))
+
+
+def limited_and_sensed(rng: np.random.Generator) -> Strange:
+    """A drive that saturates, and a dead zone of the sensor."""
+    u = walk(rng)
+    return Strange(u, noisy(rng, zone(lags(np.clip(u, -1.2, 1.0)))))
+
+
+def of_changing_delay(rng: np.random.Generator) -> Strange:
+    """A linear plant behind a pipe whose delay sways between 2 and 10 samples."""
+    u = walk(rng)
+    late = np.rint(6 + 4 * np.sin(np.linspace(0, 10 * np.pi, u.size))).astype(int)
+    return Strange(u, noisy(rng, lags(u[np.maximum(np.arange(u.size) - late, 0)], 6.0)))
+
+
+def with_leak(rng: np.random.Generator) -> Strange:
+    """A zone whose sensor's zero creeps with its reading, slowly."""
+    u = walk(rng)
+    y = zone(lags(u))
+    return Strange(u, noisy(rng, y + 0.3 * lags(y, 100.0, 1)), {}, BOTH)
+
+
 ZONE = ("dead_zone", "filtered_zone")
 BOTH = sum(WIDTHS)
 KINDS = {
@@ -421,7 +495,7 @@ KINDS = {
     "zone": Kind(sensed(zone, BOTH), ("dead_zone",)),
     "line": Kind(sensed(lambda z: z), ("none", "operating_point")),
 }
-EARLIER = {  # chosen after the code of the round before was finished
+EARLIER = {  # chosen after the code of the rounds before was finished
     "zone, heavy tails": Kind(tailed, ZONE),
     "two gains of the input": Kind(one_sided, ("input_curve",)),
     "zone that grows": Kind(widening, ZONE),
@@ -440,8 +514,6 @@ EARLIER = {  # chosen after the code of the round before was finished
     "tenths of readings": Kind(sensed(lambda z: np.round(z, 1)), ("none", "operating_point")),
     "two slopes, no zone": Kind(sensed(lambda z: np.where(z > 0, z, 0.6 * z)), ("other",)),
     "limit of one side": Kind(sensed(lambda z: np.minimum(z, 0.8)), ("saturation", "other")),
-}
-LATER = {  # chosen after the code was finished
     "drag by the square": Kind(dragging, ()),
     "gain that sways": Kind(swaying, ("none", "operating_point")),
     "input of uncertain time": Kind(jittery, ("none", "operating_point")),
@@ -452,5 +524,17 @@ LATER = {  # chosen after the code was finished
     "zone beside a line": Kind(zone_beside, ("input_curve",)),
     "rounded input": Kind(curved(lambda u: np.round(u)), ()),
     "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
+}
+LATER = {  # chosen after the code was finished
+    "heater": Kind(heated, ("input_curve",)),
+    "recorder on change": Kind(sensed(on_change), ()),
+    "hum": Kind(humming, ("none", "operating_point")),
+    "gain by the output": Kind(bilinear, ()),
+    "least pulse": Kind(curved(least_pulse), ()),
+    "sensor that freezes": Kind(freezing, ("none", "operating_point")),
+    "pendulum": Kind(swinging, ()),
+    "limit of the input, zone": Kind(limited_and_sensed, ZONE),
+    "delay that sways": Kind(of_changing_delay, ("none", "operating_point")),
+    "zone that creeps": Kind(with_leak, ZONE),
 }
 ALL = KINDS | EARLIER | LATER

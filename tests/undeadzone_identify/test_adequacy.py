@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from benchmarks.names_logs import make
 from benchmarks.strangers_logs import ALL, lags, zone
 from scipy.signal import lfilter
 
@@ -17,6 +18,7 @@ import undeadzone as uz
 from undeadzone.cli import group
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
+from undeadzone_identify.models.chain import INPUTS
 from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
 from undeadzone_identify.selection.alternatives import Findings
 from undeadzone_identify.selection.decision import MODELS, build_verdict
@@ -252,6 +254,43 @@ def test_a_lag_ahead_of_the_zone_withholds_the_name(samples: float) -> None:
 
 
 # --- What a name must explain
+
+
+@pytest.mark.slow
+def test_a_zone_beside_a_line_is_no_zone_of_the_input() -> None:
+    """What passes beside the zone is one column: seven hat functions of the input share it."""
+    answer = of_kind("zone beside a line", 8101)
+    assert answer.verdict == "unclear"
+    assert "the input within its zone" in answer.answer.reasons[0]
+    assert not answer.numbers()["odds"]
+    assert answer.width is None
+
+
+@pytest.mark.slow
+def test_a_curve_whose_interval_holds_a_line_has_no_name() -> None:
+    """A gain that sways lets exp(p u) fit a little better than a line, but p is 0.19 +- 0.23."""
+    answer = of_kind("gain that sways", 8101)
+    assert answer.verdict == "undecided"
+    assert "straight line" in answer.answer.reasons[0]
+    assert not answer.numbers()["odds"]
+
+
+@pytest.mark.slow
+def test_a_larger_model_that_predicts_a_little_worse_is_not_denied() -> None:
+    """Two zones lose to the sensor's alone by 1.3 deviations of held-out errors."""
+    log = make(5201, "sensor and input")
+    answer = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert isinstance(answer, uz.Identified)
+    assert answer.verdict in ("undecided", "two_zones")
+
+
+def test_distance_from_neutral_vanishes_for_what_passes_the_input() -> None:
+    """Each element of the input passes a multiple of u with its neutral numbers."""
+    u = walk(np.random.default_rng(3), 300)
+    for name, element in INPUTS.items():
+        if element.neutral:
+            passed = element.passes(u, np.array(element.neutral))
+            assert np.polyval(np.polyfit(u, passed, 1), u) == pytest.approx(passed, abs=1e-5), name
 
 
 @pytest.mark.parametrize("word", [*MODELS, *ODDS_OF, "unreached"])

@@ -14,7 +14,7 @@ from scipy.signal import freqz, lfilter
 import undeadzone as uz
 from commands import undeadzone
 from undeadzone.nonlinearities.play import levels
-from undeadzone_identify.models.least_squares import CHANCE
+from undeadzone_identify.models.least_squares import CHANCE, Density
 from undeadzone_identify.models.valve import (
     HE,
     KANO,
@@ -26,7 +26,12 @@ from undeadzone_identify.models.valve import (
 )
 from undeadzone_identify.page import build_identified_page
 from undeadzone_identify.selection import valve as selection
-from undeadzone_identify.selection.valve import _verdict_of, ellipse_width
+from undeadzone_identify.selection.odds import model_probabilities
+from undeadzone_identify.selection.valve import (
+    _comparable_families,
+    _verdict_of,
+    ellipse_width,
+)
 
 SIZE = 800
 
@@ -234,3 +239,25 @@ def test_a_valve_is_worth_what_it_foretells_of_held_out_readings(
     assert score.share == pytest.approx(1 - np.sqrt(0.1), abs=0.03)
     assert score.white
     assert without == pytest.approx(5.0 * np.sqrt(10.0), rel=0.05)
+
+
+@pytest.mark.parametrize(("gained", "best"), [(1.5, "input_zone"), (0.25, "stiction")])
+def test_a_model_of_fewer_readings_keeps_its_odds_in_a_loop(gained: float, best: str) -> None:
+    """The loop's own model without a fault foretells better by 0.2 a reading: that is no gain."""
+    rng = np.random.default_rng(5)
+
+    def density(word: str, mean: float, size: int) -> Density:
+        return Density(word, mean + 0.1 * rng.standard_normal(size), 5, 1.0)
+
+    own = {word: density(word, mean, 400) for word, mean in (("none", 0.0), ("stiction", 0.1))}
+    rows = SimpleNamespace(rows=np.arange(400))
+    fits: Any = SimpleNamespace(family=own, regression=rows)
+    log: Any = SimpleNamespace(deviation=1.0)
+    data: Any = SimpleNamespace(ok=np.ones(400, bool))
+    fewer = {
+        word: density(word, mean, 200)
+        for word, mean in (("none", -0.2), ("input_zone", gained - 0.2))
+    }
+    families = _comparable_families(fits, log, (fewer,), data, slice(0, 400))
+    assert next(iter(model_probabilities(families))) == best
+    assert "input_zone" in model_probabilities(families)

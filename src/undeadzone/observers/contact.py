@@ -89,6 +89,8 @@ FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 WIDENED = 1.3  # factor of the variance of a gap that is shown joint by joint, at least
+WINDOW = 0.5  # time over which the motion of a gap's estimate is compared with its variance [s]
+JUMP = 3.0  # deviations, beyond which such a motion is no chance
 CHANCE = 4.0  # mean square of the sums that is taken for chance
 
 
@@ -349,12 +351,29 @@ class State(NamedTuple):
         odds: log of their odds, 0 for the best.
         sums: of the innovations (p each).
         coupling: the largest of each joint to those of other filters so far (N; 0: one filter).
+        jumps: of the half gaps (N; 0: one filter).
     """
 
     modes: tuple[tuple[Modes, ...], ...]
     odds: tuple[Any, ...]
     sums: Sums
     coupling: Any
+    jumps: Jumps
+
+
+class Jumps(NamedTuple):
+    """Motion of the half gaps' estimates beyond chance.
+
+    Attributes:
+        age: samples since the window began (1).
+        value, variance: of the half gaps when it began (N) [rad, rad^2].
+        excess: variance of such motion so far (N) [rad^2].
+    """
+
+    age: Any
+    value: Any
+    variance: Any
+    excess: Any
 
 
 class Setup(NamedTuple):
@@ -417,7 +436,10 @@ def _start_contact_filter(setup: Setup, q: Params) -> State:
     none = np.zeros(setup.model.p)
     odds = tuple(np.zeros(len(begins)) for begins in q.start)
     coupling = np.ones(setup.gears.joint_count if setup.ones else 0)
-    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), coupling)
+    half = Layout(setup.gears.joint_count).slice_of("half") if setup.ones else slice(0)
+    low, high = (np.asarray(limit)[half] for limit in (q.modes.low, q.modes.high))
+    jumps = Jumps(np.zeros(1), (low + high) / 2, (high - low) ** 2 / 12, np.zeros(low.size))
+    return State(q.start, odds, Sums(none, none, np.ones(setup.model.p)), coupling, jumps)
 
 
 def _step_contact_filter(
@@ -445,8 +467,14 @@ def _step_contact_filter(
     )
     ratios = {"gust": ca.mmax(sums.ratio) / CHANCE}
     ratios["range"] = BEYOND * (_count_range_limits(layout, q.modes, whole.whole) > 0)
-    coupling = s.coupling
-    doubt = Doubt(coupling, variance_of_starts(layout, groups, each, odds, whole.whole.mean))
+    coupling, jumps = s.coupling, s.jumps
+    apart = variance_of_starts(layout, groups, each, odds, whole.whole.mean)
+    if setup.ones:
+        half = layout.slice_of("half")
+        gaps = whole.whole.mean[half], ca.diag(whole.whole.cov)[half]
+        jumps = accumulate_jumps(jumps, *gaps, q.modes.Q[half], WINDOW / drives[0].Ts)
+        apart = ca.fmax(apart, gaps[1] + jumps.excess)
+    doubt = Doubt(coupling, apart)
     shown = _to_contact_estimate(setup, q, ones, whole, doubt, reading)._replace(
         **assumption_fields(ratios)
     )
@@ -465,7 +493,7 @@ def _step_contact_filter(
         moved = share_step_graph(partial(predict_modes, drive), calls, LONG)
         pairs = zip(moved, modes, strict=True)
         after.append(tuple(pack_modes(drive, *pair, readings[k]) for pair in pairs))
-    return State(tuple(after), odds, sums, coupling), shown
+    return State(tuple(after), odds, sums, coupling, jumps), shown
 
 
 def _weigh_filters(
@@ -504,11 +532,39 @@ class Doubt(NamedTuple):
 
     Attributes:
         coupling: the largest of each joint to those of other filters so far (N; 0: one filter).
-        variance: of the half gaps if the odds of the starts count for less (N) [rad^2].
+        variance: of the half gaps if the odds of the starts count for less, or beside their jumps
+            (N) [rad^2].
     """
 
     coupling: Any
     variance: Any
+
+
+def accumulate_jumps(before: Jumps, value: Any, variance: Any, walk: Any, window: float) -> Jumps:
+    """Return the motion of half gaps beyond chance after a sample.
+
+    What a right filter learns moves its estimate by just the variance that it loses. If a window
+    moved it by more than 3 such deviations, a strike was misread, before or now, and which of them
+    is not known.
+
+    Args:
+        before: the same before the sample.
+        value: estimate of the half gaps (N) [rad].
+        variance: of its error (N) [rad^2].
+        walk: variance by which a half gap wanders in a sample (N) [rad^2].
+        window: samples of a window.
+    """
+    age = before.age + 1
+    is_over = age >= window
+    lost = ca.fmax(before.variance - variance, 0.0) + walk * age
+    moved = (value - before.value) ** 2
+    is_jump = ca.logic_and(is_over, moved > JUMP**2 * lost)
+    return Jumps(
+        age=ca.if_else(is_over, 0.0, age),
+        value=ca.if_else(is_over, value, before.value),
+        variance=ca.if_else(is_over, variance, before.variance),
+        excess=before.excess + ca.if_else(is_jump, moved - lost, 0.0),
+    )
 
 
 def variance_of_starts(
@@ -551,7 +607,7 @@ def _to_contact_estimate(
 
     Joint by joint, what others do to a link counts as noise, though it repeats from strike to
     strike. So variances of gaps are shown larger by the coupling over EVEN, at least by WIDENED, up
-    to those of their ranges. Starts that found other gaps add theirs.
+    to those of their ranges. Starts that found other gaps add theirs, and so do jumps of a gap.
     """
     layout, mean = Layout(setup.gears.joint_count), told.whole.mean
     N, of = layout.size, layout.slice_of

@@ -48,6 +48,7 @@ class InputElement(NamedTuple):
         low, high: bounds of the numbers.
         scanned: numbers that are tried first, a linear plant behind each.
         words: how it reads with its numbers.
+        neutral: numbers with which it passes a multiple of u; none if no finite ones do.
     """
 
     passes: Callable[[Floats, Floats], Floats]
@@ -55,6 +56,7 @@ class InputElement(NamedTuple):
     high: tuple[float, ...]
     scanned: tuple[tuple[float, ...], ...]
     words: str
+    neutral: tuple[float, ...] = ()
 
 
 def power_of_input(u: Floats, p: Floats) -> Floats:
@@ -95,7 +97,12 @@ def limit_rate(u: Floats, most: float) -> Floats:
 
 INPUTS = {
     "power": InputElement(
-        power_of_input, (0.2,), (4.0,), ((0.5,), (1.5,), (2.0,), (3.0,)), "sign(u) |u|^{0:.2g}"
+        power_of_input,
+        (0.2,),
+        (4.0,),
+        ((0.5,), (1.5,), (2.0,), (3.0,)),
+        "sign(u) |u|^{0:.2g}",
+        (1.0,),
     ),
     "cubic": InputElement(
         cubic_of_input,
@@ -103,15 +110,26 @@ INPUTS = {
         (3.0, 3.0),
         ((0.0, 0.1), (0.0, 0.5), (0.3, 0.1), (-0.3, 0.1)),
         "u {0:+.2g} u^2 {1:+.2g} u^3",
+        (0.0, 0.0),
     ),
     "exponential": InputElement(
-        exponential_of_input, (-3.0,), (3.0,), ((0.4,), (1.0,), (-0.4,), (-1.0,)), "exp({0:.2g} u)"
+        exponential_of_input,
+        (-3.0,),
+        (3.0,),
+        ((0.4,), (1.0,), (-0.4,), (-1.0,)),
+        "exp({0:.2g} u)",
+        (0.0,),
     ),
     "rate": InputElement(
         rate_of_input, (1e-3,), (4.0,), tuple((most,) for most in (0.02, 0.05, 0.12, 0.3)), ""
     ),
     "play": InputElement(
-        play_of_input, (0.0,), (8.0,), tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)), ""
+        play_of_input,
+        (0.0,),
+        (8.0,),
+        tuple((gap,) for gap in (0.1, 0.25, 0.5, 0.9, 1.4, 2)),
+        "",
+        (0.0,),
     ),
 }
 
@@ -275,6 +293,15 @@ class ChainModel:
         own, count = theta[self.inputs], self.inputs.stop - self.inputs.start
         near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
+
+    def distance_from_neutral(self, theta: Floats) -> Floats:
+        """Return how far the numbers of the input's element are from those that leave u as it is.
+
+        Args:
+            theta: its numbers.
+        """
+        neutral = INPUTS[self.element].neutral if self.element is not None else ()
+        return theta[self.inputs][: len(neutral)] - neutral
 
     def lag(self, theta: Floats) -> float:
         """Return by how much the filter behind the zone is late [samples]."""

@@ -47,6 +47,7 @@ DEPENDS = {
     "turns of the output": "the direction in which the output moved last",
     "behind": "the readings a few samples before",
     "ahead": "the input a few samples before",
+    "beside": "the input within its zone",
     "spring": "the size of the output as a force on the plant",
     "rate of the input": "how fast the input changes",
     "rate of the output": "how fast the output changes",
@@ -64,6 +65,9 @@ SEEN = {
     "behind": "the sensor may smooth its readings; record them with its filter off",
     "ahead": "a drive may delay the input ahead of its zone or curve; record what leaves"
     " it as the input, or hold each level of the input until the readings settle",
+    "beside": "a part of the input may reach the plant beside its zone, or the zone may only be a"
+    " flatter piece of a curve; record steps to several levels of the input within and outside it,"
+    " each held until the readings settle, and the curve can be read off",
     "spring": "the plant may bend: a spring that stiffens, or an outlet whose flow is no line;"
     " record with a smaller input",
     "rate of the input": "the drive of the input may be limited in its rate; record with an input"
@@ -195,6 +199,8 @@ def _directions(fit: FittedModel[Model]) -> dict[str, Floats]:
         if float(np.std(passed - u)) > 0:
             behind = [model.pass_input(_lag_by(u, one), theta) - passed for one in AHEAD]
             directions["ahead"] = _through_plant(fit, np.column_stack(behind))
+            if isinstance(model, PlaceModel):  # one column finds what the hats of the input share
+                directions["beside"] = _through_plant(fit, u[:, None])
     force = z / max(float(np.std(z)), 1e-12)
     bent = np.column_stack([force**2, force**3, force * np.abs(force)])
     return directions | {"spring": _through_plant(fit, bent)}

@@ -106,6 +106,7 @@ SMALLER = {  # words of models that a word's model holds
     "input_rate": ("none",),
     "other": ("none",),
 }
+SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
@@ -285,13 +286,13 @@ def add_valve(case: Case, found: Findings) -> Findings:
     word = next(iter(answer.odds))
     if not is_control_loop(case) and answer.verdict.word != "stiction":
         return found
-    asked = found._replace(models=(answer.family,), odds=answer.odds)
+    asked = found._replace(models=answer.families, odds=answer.odds)
     if word not in (*OWN, *LOOP):
         verdict = asked.classify(case)
         if verdict.word != "unclear":
             return asked._replace(verdict=verdict)
         answer = answer.of_loop_alone(excluded)
-        asked = asked._replace(models=(answer.family,), odds=answer.odds)
+        asked = asked._replace(models=answer.families, odds=answer.odds)
     return asked._replace(verdict=answer.verdict, valve=answer.valve)
 
 
@@ -841,7 +842,22 @@ def _in_numbers(case: Case, found: Findings) -> Findings:
     if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
         seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
         return found._replace(verdict=build_verdict("unclear", seen, SEEN["input"]))
+    if _may_be_neutral(one):
+        line = (
+            f"{CANNOT_TELL} {MODELS[word]} from a straight line: the 95 % intervals of its numbers"
+        )
+        reason = f"{line} hold one ({said}); record for longer, or with a larger input"
+        return found._replace(verdict=build_verdict("undecided", reason), odds={})
     return found._replace(verdict=verdict._replace(reasons=[said]))
+
+
+def _may_be_neutral(fit: ChainFit) -> bool:
+    """Return whether the intervals of the input's element hold numbers that leave u as it is."""
+    model, covariance = fit.model, fit.squares.robust_covariance(fit.theta)
+    away = np.abs(model.distance_from_neutral(fit.theta))
+    rows = np.eye(model.free.size)[model.inputs][: away.size]
+    halves = [covariance.half_width(row) for row in rows]
+    return bool(away.size) and bool(np.all(away < halves))
 
 
 def may_have_shaped_zone(case: Case, found: Findings) -> bool:
@@ -893,7 +909,8 @@ def without_needless(case: Case, found: Findings) -> Findings:
         gain = (held_out_residual(smaller, held_out)[0] ** 2 - e**2)[test]
         if gain.sum() > 0:
             continue
-        if gain.sum() ** 2 < float(long_run_covariance(gain[:, None])[0][0, 0]):
+        deviation = float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
+        if gain.sum() > -SURELY * deviation:
             reason = (
                 f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
                 " the other all that had no part in the fit; record for longer"

@@ -18,7 +18,6 @@ from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.least_squares import (
     CHANCE,
-    Density,
     LeastSquares,
     describe_p_value,
 )
@@ -106,13 +105,13 @@ class LoopAnswer(NamedTuple):
     Attributes:
         verdict: by the odds.
         odds: by word, largest first.
-        family: the models, all of the same readings.
+        families: the models of the loop and all of the same readings, then those of others.
         valve: findings on the valve.
     """
 
     verdict: Verdict
     odds: dict[str, float]
-    family: Family
+    families: tuple[Family, ...]
     valve: ValveFindings
 
     def of_loop_alone(self, excluded: frozenset[str]) -> LoopAnswer:
@@ -121,9 +120,8 @@ class LoopAnswer(NamedTuple):
         Args:
             excluded: words that are out of the question.
         """
-        return answer_by_odds(
-            {word: self.family[word] for word in self.family if word in OWN}, self.valve, excluded
-        )
+        own = {word: one for word, one in self.families[0].items() if word in OWN}
+        return answer_by_odds((own,), self.valve, excluded)
 
 
 def may_be_valve(case: Case, odds: dict[str, float]) -> bool:
@@ -184,24 +182,26 @@ def ask_valve(case: Case, models: tuple[Family, ...], excluded: frozenset[str]) 
     reference = None if known is None else known / data.y_scale
     log = LoopLog(data.u[part, 0], data.y[part], data.ok[part], reference)
     fits = fit_loop(log)
-    family = _comparable_family(fits, log, models, data, part)
+    families = _comparable_families(fits, log, models, data, part)
     shape = ellipse_width(log)
-    odds = _weigh_by_shape(model_probabilities([family], excluded), shape)
-    return answer_by_odds(family, _measure(case, fits, part, odds, shape), excluded)
+    odds = _weigh_by_shape(model_probabilities(families, excluded), shape)
+    return answer_by_odds(families, _measure(case, fits, part, odds, shape), excluded)
 
 
-def answer_by_odds(family: Family, valve: ValveFindings, excluded: frozenset[str]) -> LoopAnswer:
+def answer_by_odds(
+    families: tuple[Family, ...], valve: ValveFindings, excluded: frozenset[str]
+) -> LoopAnswer:
     """Return the answer on a loop by the odds of its models.
 
     Args:
-        family: the models, all of the same readings.
+        families: the models, those of the same readings together.
         valve: findings on the valve.
         excluded: words that are out of the question.
     """
-    odds = _weigh_by_shape(model_probabilities([family], excluded), valve.shape)
+    odds = _weigh_by_shape(model_probabilities(families, excluded), valve.shape)
     if "none" in odds and valve.swings and valve.sensitivity > TIGHT:
         odds = {TIGHTENED.get(word, word): p for word, p in odds.items()}
-    return LoopAnswer(_verdict_of(odds, valve), odds, family, valve)
+    return LoopAnswer(_verdict_of(odds, valve), odds, families, valve)
 
 
 def ellipse_width(log: LoopLog) -> float:
@@ -231,10 +231,14 @@ def _weigh_by_shape(odds: dict[str, float], shape: float) -> dict[str, float]:
     return {word: weighed[word] / total for word in sorted(weighed, key=lambda one: -weighed[one])}
 
 
-def _comparable_family(
+def _comparable_families(
     fits: LoopFits, log: LoopLog, models: tuple[Family, ...], data: RecordData, part: slice
-) -> dict[str, Density]:
-    """Return the densities of the same readings: of the loop, and of all that foretell these."""
+) -> tuple[Family, ...]:
+    """Return the densities of the loop with all of the same readings, and those of others.
+
+    A log that is long has models of other readings. No zone explains these no worse than the loop's
+    own, so that nothing is gained by a poorer one.
+    """
     scale = math.log(log.deviation)
     family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
     there = np.flatnonzero(data.ok)
@@ -245,7 +249,15 @@ def _comparable_family(
             rare = RARE * (word not in OWN)
             same = best._replace(value=best.value[rows], numbers=best.numbers + rare)
             family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
-    return family
+    others = list[Family]()
+    for one in models:
+        own, left = one["none"], set(one) - set(family) - set(VALVE)
+        if not left:
+            continue
+        behind = max(float(family["none"].value.mean() - own.value.mean()), 0.0)
+        other = {word: one[word]._replace(numbers=one[word].numbers + RARE) for word in left}
+        others.append({**other, "none": own._replace(value=own.value + behind)})
+    return (family, *others)
 
 
 def _measure(

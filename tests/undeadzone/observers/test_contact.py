@@ -20,7 +20,7 @@ from undeadzone.cli import group
 from undeadzone.interfaces import Reading
 from undeadzone.numerics.first_passage import arrival_shares, chance_beyond, condition_on_edge
 from undeadzone.numerics.gaussian import Gaussian, mix_gaussians, truncate_to_range
-from undeadzone.observers.contact import OPEN, variance_of_starts
+from undeadzone.observers.contact import JUMP, OPEN, Jumps, accumulate_jumps, variance_of_starts
 from undeadzone.observers.contact_filter.drive import (
     PASSED,
     apply_gear_impulses,
@@ -487,6 +487,37 @@ def test_starts_that_found_other_gaps_widen_what_is_shown() -> None:
         found = variance_of_starts(Layout(1), [(0,)], [told], [ca.SX([0.0, log])], shown)
         expected = (1 - share) * 0.001**2 + share * (0.002**2 + 0.01**2)
         assert float(found) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_a_gap_that_jumps_is_less_sure_by_its_jump(share: float) -> None:
+    """A window may move it by 3 deviations of what it learnt and of its walk, not by more."""
+    before, after, walk, window = 4e-6, 1e-6, 1e-8, 5
+    lost = before - after + window * walk
+    gap = 0.01 + share * JUMP * lost**0.5
+    now = Jumps(*map(ca.DM, (0.0, 0.01, before, 0.0)))
+    for k in range(2 * window):
+        assert float(now.excess) == 0 or k >= window
+        now = accumulate_jumps(now, ca.DM(gap), ca.DM(after), walk, window)
+    expected = (share * JUMP) ** 2 * lost - lost if share > 1 else 0.0
+    assert float(now.excess) == pytest.approx(expected)
+    assert float(now.value) == pytest.approx(gap)
+    assert float(now.variance) == after
+    assert float(now.age) == 0
+
+
+def test_a_filter_that_is_right_hardly_jumps() -> None:
+    """Kalman's estimates of a constant from noise: 3 of 1000 windows by chance, not in sum."""
+    rng, jumped = np.random.default_rng(4), 0
+    for truth in rng.normal(0.0, 1.0, 40):
+        value, variance = ca.DM(0.0), ca.DM(1.0)
+        now = Jumps(ca.DM(0.0), value, variance, ca.DM(0.0))
+        for reading in truth + 3 * rng.standard_normal(100):
+            gain = variance / (variance + 9)
+            value, variance = value + gain * (reading - value), variance * (1 - gain)
+            now = accumulate_jumps(now, value, variance, 0.0, 10.0)
+        jumped += float(now.excess) > 0
+    assert jumped <= 4  # 400 windows, 1.1 by chance
 
 
 def test_stiff_ends_are_those_of_the_model(tmp_path: Path) -> None:
