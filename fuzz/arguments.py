@@ -94,8 +94,13 @@ def case(draw: random.Random) -> Case:
         stdin=_log(draw).encode() if name == "watch" else b"",
         made=functools.partial(_made, before),
         apart="forked",
-        judged=functools.partial(_left, before, untrusted),
+        judged=functools.partial(_left, before, untrusted, _is_out_above(words)),
     )
+
+
+def _is_out_above(words: Sequence[str]) -> bool:
+    """Return whether the user's own --out is the folder above the stranger's."""
+    return ("--out", f"{STRANGE}/..") in zip(words, words[1:], strict=False)
 
 
 def _right(parameter: click.Parameter) -> str:
@@ -174,8 +179,16 @@ def _seen(folder: Path) -> dict[str, object]:
     return found
 
 
-def _left(before: dict[str, object], untrusted: bool, folder: Path, end: End) -> str:
-    """What was told or replaced that is elsewhere."""
+def _left(before: dict[str, object], untrusted: bool, above: bool, folder: Path, end: End) -> str:
+    """What was told or replaced that is elsewhere.
+
+    Args:
+        before: kind and content of each file of the user.
+        untrusted: whether the command distrusts the stranger's folder.
+        above: whether the user named the folder above it for results.
+        folder: above it.
+        end: of the command.
+    """
     after = _seen(folder / HOME)
     replaced = [name for name in before if before[name] != after.get(name)]
     if replaced:
@@ -187,4 +200,4 @@ def _left(before: dict[str, object], untrusted: bool, folder: Path, end: End) ->
     if SECRET in end.out + end.err:
         return "it tells what stands in files elsewhere"
     outside = {path.name for path in folder.iterdir()} - {STRANGE, HOME, OUT}
-    return f"written beside --out: {sorted(outside)}" if outside else ""
+    return f"written beside --out: {sorted(outside)}" if outside and not above else ""

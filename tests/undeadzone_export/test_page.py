@@ -13,7 +13,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 import pytest
-from test_engines import PENDULUM
+from test_engines import PENDULUM, TWO_OUTPUTS, small
 
 import undeadzone as uz
 from browser import Browser, browser
@@ -476,3 +476,13 @@ def test_no_table_beside_a_picture_is_cut(page: Browser, tmp_path: Path) -> None
         assert page.value(
             "[...document.querySelectorAll('.wide')].every(t => t.scrollWidth <= t.clientWidth)"
         )
+
+
+@pytest.mark.parametrize(("gamma", "shown"), [([6.0, 6.0], (6.0, "1/s")), ([3.0, 6.0], (1.0, "×"))])
+def test_gains_of_learning_that_differ_have_one_factor(
+    gamma: list[float], shown: tuple[float, str]
+) -> None:
+    two = small("sampled", plant=TWO_OUTPUTS, observer={"method": "certified", "gamma": gamma})
+    sliders = parts(build_live_page(two).text)[1]["sliders"]
+    [slider] = [one for one in sliders if one["key"] == "gamma"]
+    assert (slider["value"], slider["unit"]) == shown

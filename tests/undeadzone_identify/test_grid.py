@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from undeadzone_identify.logs.grid import _fill_regular, _resample_log, common_spacing
+from undeadzone.errors import FileError
+from undeadzone_identify.logs.grid import (
+    _fill_regular,
+    _resample_log,
+    common_spacing,
+    find_sample_time,
+)
 from undeadzone_identify.logs.log import log_from_arrays
 
 
@@ -23,16 +29,29 @@ def test_a_divisor_of_moves_far_from_0_is_found() -> None:
     assert common_spacing(np.sort(np.random.default_rng(3).normal(size=9))) == 0.0
 
 
-def test_in_a_gap_the_input_is_the_first_ones_last() -> None:
-    """The second input plays no part in which sample was the last one."""
+@pytest.mark.parametrize("inputs", [1, 2])
+def test_in_a_gap_inputs_are_held(inputs: int) -> None:
     t = np.delete(np.arange(20) * 0.1, [4, 5, 6])
-    u = np.column_stack([t, 10 * t])
+    u = np.column_stack([t, 10 * t])[:, :inputs]
     log = log_from_arrays(u=u, y=t.copy(), t=t)
     remarks: list[str] = []
     piece = _fill_regular(log, 0.1, remarks)
     held = np.arange(20) * 0.1
     held[4:7] = 0.3
-    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held]), atol=1e-12)
+    np.testing.assert_allclose(piece.u, np.column_stack([held, 10 * held])[:, :inputs], atol=1e-12)
     assert np.isnan(piece.y[4:7]).all()
     assert piece.start.tolist() == [0]
     assert "3 readings missing" in remarks[0]
+
+
+@pytest.mark.parametrize("late", [0.009, 0.015])
+def test_steps_may_differ_by_1_percent(late: float) -> None:
+    """Times of eight digits; one sample comes late by a part of a step."""
+    t = np.arange(200) * np.pi / 100
+    t[100] += late * np.pi / 100
+    log = log_from_arrays(u=t.copy(), y=t.copy(), t=t)
+    if late < 0.01:
+        assert find_sample_time(log) == pytest.approx(np.pi / 100)
+    else:
+        with pytest.raises(FileError, match="2 of 199 steps differ by more than 1 %"):
+            find_sample_time(log)

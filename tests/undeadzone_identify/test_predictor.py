@@ -6,9 +6,19 @@ from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 
-from undeadzone_identify.servo.predictor import contact_share, step_motor
+from undeadzone.compile import lanes
+from undeadzone_identify.servo.predictor import (
+    LATEST,
+    MEAN,
+    NUMBERS,
+    TRIANGLE,
+    contact_share,
+    step_motor,
+    tick_predictor,
+)
 
 
 @pytest.mark.parametrize(
@@ -45,3 +55,27 @@ def test_a_motor_without_friction_is_a_linear_system() -> None:
     ]
     assert [float(one) for one in motion.x] == pytest.approx(expected)
     assert not bool(motion.rests)
+
+
+@pytest.mark.parametrize(("v", "fallen"), [(3.0, 0.04), (8.0, 0.0)])
+def test_a_tick_past_a_peak_was_at_the_peak(v: float, fallen: float) -> None:
+    """A motor brakes by 5 in a sample of 0.1 s: from 3 it turns and falls by 2^2 / (2 * 50)."""
+    braking, step, quantum, boundary = 50.0, 0.1, 1e-3, 0.5
+    numbers = dict.fromkeys(NUMBERS, 0.0) | {
+        **{"a00": 1.0, "a01": step, "a11": 1.0, "bz": -(step**2) / 2, "bv": -step},
+        **{"quantum": quantum, "step": step, "rms": 0.002},
+    }
+    taps, inputs = np.eye(LATEST + 1)[0], np.full(LATEST + 1, braking)
+    params = np.concatenate([[numbers[name] for name in NUMBERS], taps])
+    state = np.zeros(MEAN + len(TRIANGLE) + 1)
+    state[1] = v
+    tick = [1.0, boundary, 0.0, 0.0, 0.0, 1.0]  # side, boundary; no reversal, not the first
+    signals = np.concatenate([inputs, tick])[None]
+    seen, _ = lanes.run_lanes(
+        tick_predictor(), state[None], signals, params, lane_params=params[None]
+    )
+    error, log_s, at, speed = seen[0, 0]
+    assert (at, speed) == pytest.approx((v * step - braking * step**2 / 2, v - braking * step))
+    assert error == pytest.approx(boundary + quantum / 2 - fallen - at)
+    variance = quantum**2 / 12 + 0.002**2 + fallen**2
+    assert np.exp(2 * log_s) == pytest.approx(variance)

@@ -504,3 +504,28 @@ def test_absent_parts_do_nothing() -> None:
     assert (np.exp(theta[At.SPRING]), np.exp(theta[At.SLOW])) == (0.0, 0.0)
     assert np.exp(-theta[At.POLE]) == 0.0
     assert theta[At.GAP] == 1.0
+
+
+@pytest.mark.parametrize(("friction", "word"), [(0.0, "none"), (0.3, "friction")])
+def test_a_servo_without_a_gap_has_friction_or_nothing(
+    monkeypatch: pytest.MonkeyPatch, friction: float, word: str
+) -> None:
+    level = Interval(friction, friction - 0.1, friction + 0.1) if friction else None
+    element: Any = SimpleNamespace(_replace=lambda **changes: changes)
+    for name, value in (
+        ("friction_of", level),
+        ("build_servo_element", element),
+        ("total_delay", 0.25),
+    ):
+        monkeypatch.setattr(selection, name, lambda *given, value=value: value)
+    servo: Any = SimpleNamespace(
+        gap_probability=1e-5,
+        log=SimpleNamespace(ticks=True),
+        gap=SimpleNamespace(high=0.01),
+    )
+    case: Any = SimpleNamespace(options=None)
+    before: Any = SimpleNamespace(models=(), _replace=lambda **changes: changes)
+    found: Any = selection.without_gap(case, servo, before)
+    assert found["odds"] == {word: 1 - 1e-5, "play": 1e-5}
+    assert found["verdict"].word == found["element"]["kind"] == word
+    assert found["friction"] is level

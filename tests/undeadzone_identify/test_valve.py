@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.valve_loops import ACCOUNTS, ValveLoop, make
+from scipy.signal import freqz, lfilter
 
 import undeadzone as uz
 from commands import undeadzone
@@ -24,6 +25,7 @@ from undeadzone_identify.models.valve import (
     valve_positions,
 )
 from undeadzone_identify.page import build_identified_page
+from undeadzone_identify.selection import valve as selection
 from undeadzone_identify.selection.odds import model_probabilities
 from undeadzone_identify.selection.valve import (
     _comparable_families,
@@ -196,6 +198,47 @@ def test_play_and_stiction_beside_each_other_are_both_named() -> None:
     assert _verdict_of({"stiction": 0.6, "none": 0.4}, found).word == "undecided"
     found.held_out.error = 0.3  # more than without a valve
     assert _verdict_of({"stiction": 0.99, "input_play": 0.01}, found).word == "undecided"
+
+
+def test_the_sensitivity_of_a_loop_is_that_of_its_controller_and_plant() -> None:
+    """A PI controller with a filter, behind which the plant is a gain of -0.4."""
+    numerator, filtered, draw = np.array([0.7, -0.5, 0.1]), 0.3, np.random.default_rng(5)
+    e = draw.normal(size=300)
+    u = lfilter(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), e)
+    loop: Any = SimpleNamespace(
+        log=SimpleNamespace(period=20.0, error=e, u=u),
+        regression=SimpleNamespace(response=lambda v, lags, z: -0.4),
+        structure=SimpleNamespace(lags=range(1)),
+    )
+    at = 2 * np.pi / 20.0 * np.linspace(0.85, 1.15, 13)
+    controller = freqz(numerator, np.convolve([1.0, -1.0], [1.0, -filtered]), at)[1]
+    expected = (1 / np.abs(1 + 0.4 * controller)).max()
+    assert LoopFits.sensitivity(loop, np.zeros(300)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_valve_is_worth_what_it_foretells_of_held_out_readings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Readings are 3 times the position and noise of a tenth of their variance."""
+    size, draw = 4000, np.random.default_rng(6)
+    train = np.arange(size) % 4 > 0
+    monkeypatch.setattr(selection, "training_samples", lambda data, held_out: train)
+    position = draw.normal(size=size)
+    y = 3.0 * position + draw.normal(size=size)
+    regression = SimpleNamespace(
+        rows=np.arange(size), past=np.zeros((size, 0)), y=y, lagged=lambda x, lags: x[:, None, :]
+    )
+    fits: Any = SimpleNamespace(
+        regression=regression,
+        structure=SimpleNamespace(lags=range(1)),
+        log=SimpleNamespace(deviation=5.0, u=draw.normal(size=size)),
+    )
+    case: Any = SimpleNamespace(recorded=None, options=SimpleNamespace(held_out=0.25))
+    score, without = selection._score(case, fits, position, slice(None))
+    assert score.error == pytest.approx(5.0, rel=0.05)
+    assert score.share == pytest.approx(1 - np.sqrt(0.1), abs=0.03)
+    assert score.white
+    assert without == pytest.approx(5.0 * np.sqrt(10.0), rel=0.05)
 
 
 @pytest.mark.parametrize(("gained", "best"), [(1.5, "input_zone"), (0.25, "stiction")])

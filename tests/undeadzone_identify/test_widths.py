@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from undeadzone_identify.logs.prepare import jump_edge_below
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.likelihood import Readings
 from undeadzone_identify.results.assemble import Answer, _widen_to_rounding, prior_width_range
+from undeadzone_identify.selection import widths
 from undeadzone_identify.selection.widths import measure_excitation
 
 RIGHT, LEFT = 0.4, 0.9
@@ -106,3 +109,23 @@ def test_a_range_is_wider_than_rounding(value: float) -> None:
     low, high = _widen_to_rounding(value, value)
     assert 0 <= low <= value < high
     assert _widen_to_rounding(0.3, 0.5) == (0.3, 0.5)
+
+
+@pytest.mark.parametrize("value", [1.2, 1.5])
+def test_an_edge_is_widened_by_its_likelihood_about_where_it_is_shown(
+    monkeypatch: pytest.MonkeyPatch, value: float
+) -> None:
+    """Readings of rms 2 and an edge that was fitted at 0.6 of it; one is shown 0.3 off."""
+    monkeypatch.setattr(
+        widths, "profile_likelihood", lambda fit, side, values: -8.0 * (values - 0.6) ** 2
+    )
+    spread = SimpleNamespace(variance_and_degrees=lambda row: (1.0, 1e9), naive=np.eye(1))
+    objective = SimpleNamespace(
+        robust_covariance=lambda theta: spread, width_weights=lambda *pair: np.ones(1)
+    )
+    fit: Any = SimpleNamespace(objective=objective, theta=None, right=0.6, left=9.0)
+    edge = Interval(value, value - 0.4, value + 0.4)
+    found = widths.widen_by_profile(fit, "right", edge, 2.0)
+    half = 2.0 * 1.96 / 4.0  # 16 is the curvature, and its root the reciprocal deviation
+    assert (found.low, found.high) == pytest.approx((value - half, value + half), rel=0.02)
+    assert value - found.low == pytest.approx(found.high - value)

@@ -162,6 +162,8 @@ def test_every_variant_is_run_once(paper: Paper) -> None:
     counted = {(item.plant, item.start) for item in paper.count_variants}
     assert counted == set(itertools.product(READINGS, STARTS))
     assert all(item.total == 48 for item in paper.count_variants)
+    for sign in ("sigma", "pd_sign", "left_sign"):
+        assert {getattr(outcome.variant, sign) for outcome in paper.variants} == {1.0, -1.0}
 
 
 def test_variants_from_rest_with_true_widths_leave_the_zone_only_with_unity_dc_gain(

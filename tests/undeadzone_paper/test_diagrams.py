@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from undeadzone.scenario.reader import read
@@ -14,6 +15,7 @@ from undeadzone_paper.diagrams import (
     OBSERVER,
     OUT,
     PATHS,
+    PLACES,
     PLANT,
     REFERENCE,
     SENSOR,
@@ -64,6 +66,8 @@ def test_a_diagram_shows_its_blocks(number: int, blocks: int) -> None:
     (axes,) = figure.axes
     boxes = [patch for patch in axes.patches if type(patch) is Rectangle]
     assert len(boxes) == blocks
+    middles = [box.get_center() for box in boxes]
+    assert all(any(np.allclose(one, place) for place in PLACES.values()) for one in middles)
     said = {text.get_text() for text in axes.texts}
     assert ("observer\ncertified" in said) == (number == 2)
     assert "u" in said

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import pytest
 
 from commands import undeadzone
 from undeadzone.cli.output import export_command
+from undeadzone.cli.run import _describe_rival
 from undeadzone.controllers import StateFeedback
 from undeadzone.observers.full_state import FullState
 from undeadzone.scenario.reader import read
@@ -73,3 +76,21 @@ def test_nothing_is_proposed_where_nothing_helps() -> None:
     assert plain == "undeadzone export m.toml"
     coarse = msgspec.structs.replace(repaired, simulation=Simulation(step=50.0))
     assert export_command(Path("mine.toml"), coarse) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({}, "plain: rms z - r 0.5 mm"),
+        ({"rms_tip": 0.0123}, "plain: rms z - r 0.5 mm, tip 0.0123 m"),
+        ({"divergence_time": 2.5}, "plain diverges at 2.5 s"),
+    ],
+)
+def test_a_run_under_comparison_tells_its_errors(changes: dict[str, float], words: str) -> None:
+    units = SimpleNamespace(units=SimpleNamespace(output="mm"))
+    rival: Any = SimpleNamespace(
+        name="plain", divergence_time=None, rms_tip=None, rms_tracking=0.5, info=units
+    )
+    vars(rival).update(changes)
+    assert _describe_rival(rival) == {"compared": words}
+    assert _describe_rival(None) == {}

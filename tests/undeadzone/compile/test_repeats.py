@@ -74,25 +74,33 @@ def test_copies_that_share_their_end_are_called_before_it() -> None:
     assert evaluate(outlined, parts, numbers) == evaluate([[mixed], [two]], [], numbers)
 
 
-def turned(nodes: Nodes, x: Node, y: Node, seed: int, length: int = 40) -> Node:
-    """A part of the same operations, whose operands stand in an order of its own."""
-    random, value, before = np.random.default_rng(seed), x, y
+def turned(nodes: Nodes, u: Node, v: Node, seed: int, length: int = 20) -> Node:
+    """A part of the same operations, whose operands stand in an order of its own.
+
+    Two factors are alike but for a number.
+    """
+    random = np.random.default_rng(seed)
+
+    def join(op: str, *pair: Node) -> Node:
+        return nodes.intern(op, *pair[:: int(random.choice([1, -1]))])
+
     for k in range(length):
-        factor = nodes.intern("sub", before, nodes.intern_constant(float(k)))
-        pair = [value, factor][:: int(random.choice([1, -1]))]
-        before, value = value, nodes.intern(("mul", "add")[k % 2], *pair)
-    return value
+        numbers = [nodes.intern_constant(0.01 * (2 * k + j)) for j in range(2)]
+        u, v = join("add", join("mul", u, v), u), join("mul", join("add", u, v), v)
+        u = join("mul", *[nodes.intern("sub", u, number) for number in numbers])
+    return join("add", u, v)
 
 
-def test_copies_whose_operands_stand_the_other_way_round_become_one_function() -> None:
+@pytest.mark.parametrize("seed", [0, 10, 20, 30])
+def test_copies_whose_operands_stand_the_other_way_round_become_one_function(seed: int) -> None:
     nodes = Nodes()
     given = inputs(nodes, 4)
-    results = [[turned(nodes, x, given[3], seed) for seed, x in enumerate(given[:3])]]
+    results = [[turned(nodes, x, given[3], seed + k) for k, x in enumerate(given[:3])]]
     parts: list[Part] = []
     outlined = outline_repeats(results, parts)
     assert len(parts) == 1
-    assert len(required_nodes(outlined[0])) < 20
-    numbers = {"s0": 0.3, "s1": -0.7, "s2": 0.1, "s3": 0.9}
+    assert len(required_nodes(outlined[0])) < len(required_nodes(results[0])) / 8
+    numbers = {"s0": 0.03, "s1": -0.07, "s2": 0.1, "s3": 0.09}
     assert evaluate(outlined, parts, numbers) == evaluate(results, [], numbers)
 
 

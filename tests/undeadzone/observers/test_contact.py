@@ -40,6 +40,7 @@ from undeadzone.observers.contact_filter.modes import (
 from undeadzone.plants.robots.build import build_two_link
 from undeadzone.plants.robots.geared import Gears, build_geared_arm
 from undeadzone.results import mjcf
+from undeadzone.results.run import final_width_rows
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone_export import exporting
@@ -540,3 +541,10 @@ def test_claims_become_ranges_and_deviations_of_a_uniform_law() -> None:
     start, layout = observer.params.start[0][0], Layout(1)
     assert layout.slice_of("payload").stop == layout.entry_count  # so its variance comes last
     np.testing.assert_allclose([cov[-1] for cov in start.covs], 0.5**2 / 12, rtol=1e-12)
+
+
+def test_a_gap_is_shown_with_its_deviation(run: uz.Run) -> None:
+    [[shown, _]] = final_width_rows(run)
+    assert run.width_std is not None
+    assert shown.std == run.width_std[-1, 0] > 0
+    assert shown.value == pytest.approx(float(run.d_hat[-1].sum()))

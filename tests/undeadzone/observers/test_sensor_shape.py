@@ -4,6 +4,8 @@ off.
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,9 +18,11 @@ from scenes import EXACT_SENSOR, PAPER_PLANT
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate
 from undeadzone.nonlinearities.sensor import Sensor, deadzone, resolve
+from undeadzone.observers.filtering.sensor_shape import resolve_shape
 from undeadzone.plants.system import sample_plant
 from undeadzone.util.arrays import Floats
 
+DOCS = Path(__file__).parents[3] / "docs"
 TS, COUNT = 0.02, 600
 PLANT = uz.Plant(A=[[-2.0]], B=[[2.0]], C=[[1.0]])
 WIDTHS = {"right": 1.0, "left": 0.7, "noise": 0.02}
@@ -91,6 +95,18 @@ def test_a_sensor_that_is_told_to_be_exact_changes_nothing(method: str) -> None:
         sample_plant(PAPER_PLANT, TS), resolve(Sensor(**WIDTHS, **EXACT_SENSOR), 1, TS)
     )
     assert observer.params.shape is None
+
+
+def test_edges_are_round_by_default_as_the_page_of_filters_says() -> None:
+    """By 7 % of the smaller middle of the ranges, 1.0 and 0.7."""
+    prior: Any = SimpleNamespace(ranges=np.array([[0.5, 1.5], [0.2, 1.2]]))
+    model = sample_plant(PAPER_PLANT, TS)
+    sensor = resolve(Sensor(**WIDTHS), 1, TS)
+    found = resolve_shape(sensor, prior, model, learns=False, blind=False)
+    assert found.rounding == pytest.approx([0.049])
+    assert "7 % of the smaller middle of the ranges" in (DOCS / "filters.md").read_text()
+    blind = resolve_shape(sensor, prior, model, learns=False, blind=True)
+    assert blind.rounding == [0.0]
 
 
 @pytest.mark.parametrize("method", FILTERS)

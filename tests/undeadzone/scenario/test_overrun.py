@@ -73,6 +73,9 @@ def test_a_reference_with_corners_tells_no_deceleration() -> None:
     checked = uz.check(motor({"load_inertia": 1.0, "load_friction": 0.02}, reference=corners))
     assert checked.overrun == (None,)
     assert "corners" in repr(checked)
+    reference = build_exosystem("reference", motor({}, reference=corners).reference, 1)
+    for step in (0.007, 0.0073, 0.0204):  # corners lie between samples
+        assert np.isnan(decelerations(reference, 8.0, step)).all()
 
 
 @pytest.mark.parametrize("step", [1e-3, 5e-3])

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -45,6 +46,7 @@ from undeadzone.tuning.tune import (
     FORBIDDEN,
     REACH,
     Evaluation,
+    Search,
     _penalise_margin,
     difference_gradient,
     sweep,
@@ -484,3 +486,34 @@ def test_the_example_of_the_help_tunes_a_third_order_plant(certified_gains: str)
         assert parameter.low <= value <= parameter.high
     assert tuned.margin is not None
     assert tuned.margin > 0
+
+
+@pytest.mark.parametrize(
+    ("whole", "statistic", "descends"),
+    [
+        ((False, False), "mean", True),
+        ((True, False), "mean", False),
+        ((True, True), "mean", False),
+        ((False, False), "median", False),
+    ],
+)
+def test_only_what_has_slopes_descends(
+    monkeypatch: pytest.MonkeyPatch, whole: tuple[bool, bool], statistic: Any, descends: bool
+) -> None:
+    """A mean has them, unless one of the numbers is whole."""
+    stages: list[str] = []
+    for name, stage in (
+        ("_evolve_candidates", "global"),
+        ("_descend_slope", "gradient"),
+        ("_search_near_best", "local"),
+    ):
+        monkeypatch.setattr(f"undeadzone.tuning.tune.{name}", lambda *a, s=stage: stages.append(s))
+    search: Any = SimpleNamespace(
+        objective=SimpleNamespace(what=Tune(entries=GAINS, statistic=statistic)),
+        parameters=[SimpleNamespace(whole=one) for one in whole],
+        evaluate_candidates=lambda *a, **more: None,
+        best_shares=np.zeros(2),
+        cheapest_candidate=SimpleNamespace(cost=1.0),
+    )
+    Search.spend_budget(search, np.zeros(2), 0)
+    assert stages == ["global", *["gradient"] * descends, "local"]
