@@ -39,6 +39,17 @@ class Part(NamedTuple):
     results: list[Node]
 
 
+def find_calls(results: Results) -> dict[Node, dict[int, Node]]:
+    """Return the calls that results need: of each, the nodes of its results by their numbers."""
+    taken: dict[Node, dict[int, Node]] = {}
+    for node in required_nodes(itertools.chain(*results)):
+        if node.op == "apply":
+            taken[node] = {}
+        elif node.op == "part":
+            taken[node.args[0]][int(node.text)] = node
+    return taken
+
+
 class _Graph:
     """Instructions that results need, with users and classes.
 
