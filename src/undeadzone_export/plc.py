@@ -125,15 +125,15 @@ def function_unit(name: str, style: Style) -> PlcUnit:
     """Build the unit of an elementary function.
 
     Args:
-        name: one of `bitless.OWN`.
+        name: one of `portable_maths.OWN`.
         style: how numbers and functions are written.
     """
-    shape = elementary.build_formula(name, style.kind, portable_maths.OWN)
-    expressions = Expressions(style, {text: text for text in shape.inputs})
-    found = find_locals([[shape.result]], expressions, {})
+    part = elementary.build_elementary(name, style.kind, portable_maths.OWN)
+    expressions = Expressions(style, {node.text: node.text for node in part.inputs})
+    found = find_locals([part.results], expressions, {})
     called = f"{style.prefix}_{name}"
-    result = wrap_statement(f"{called} := {expressions.write_node(shape.result).text};")
-    given = [PlcVariable(text, style.real_type) for text in shape.inputs]
+    result = wrap_statement(f"{called} := {expressions.write_node(part.results[0]).text};")
+    given = [PlcVariable(node.text, style.real_type) for node in part.inputs]
     variables = {INPUTS: given, LOCALS: list(map(_declare_local, found))}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return PlcUnit(

@@ -12,9 +12,7 @@ from typing import Final, NamedTuple
 
 from undeadzone.compile import elementary
 from undeadzone.compile.graph import (
-    LANES,
     Node,
-    Nodes,
     Results,
     count_uses,
     required_nodes,
@@ -117,13 +115,8 @@ def _elementary_parts(functions: Sequence[Function], parts: Sequence[Part]) -> l
     names = elementary.called_functions([*results, *[part.results for part in parts]])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
-    found = []
-    for name in elementary.required_functions(names):
-        if name not in _BUILT_IN:
-            shape, nodes = elementary.build_formula(name, KIND), Nodes()
-            inputs = [nodes.intern_input(text, LANES, KIND) for text in shape.inputs]
-            found.append(Part(name, inputs, [shape.result]))
-    return found
+    needed = [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
+    return [elementary.build_elementary(name, KIND) for name in needed]
 
 
 def _memory_body(function: Function, callees: dict[str, _Callee]) -> bytes:
