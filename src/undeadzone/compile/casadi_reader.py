@@ -107,7 +107,8 @@ def count_instructions(function: ca.Function) -> int:
         key = called.__hash__()
         if key not in counts:
             lines = read_program(called).lines
-            counts[key] = sum(count(line.leaf) if line.word == "call" else 1 for line in lines)
+            calls = [line.leaf for line in lines if line.word == "call"]
+            counts[key] = len(lines) - len(calls) + sum(map(count, calls))
         return counts[key]
 
     return count(function)
