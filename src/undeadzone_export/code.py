@@ -136,8 +136,7 @@ def split_phases(results: Results, acting: Iterable[str]) -> Phases:
     for entry, node in enumerate(carried):
         copies[node] = nodes.intern_input(f"c{entry}", LANES, node.kind)
     for node in required_nodes(following, carried):
-        args = [copies[arg] for arg in node.args]
-        copies[node] = nodes.intern(node.op, *args, text=node.text, kind=node.kind)
+        copies[node] = nodes.copy_node(node, [copies[arg] for arg in node.args])
     return Phases([out, carried], [[copies[node] for node in following]], len(carried))
 
 

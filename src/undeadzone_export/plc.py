@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from undeadzone.compile import elementary, portable_maths
-from undeadzone.compile.graph import Node, Results, required_nodes
+from undeadzone.compile.graph import Node, Results
 from undeadzone.compile.print_c import (
     INDENT,
     Expressions,
@@ -26,7 +26,7 @@ from undeadzone.compile.print_st import (
     initial_literal,
     statement_operands,
 )
-from undeadzone.compile.repeats import Part, outline_parts, outline_repeats
+from undeadzone.compile.repeats import Part, find_calls, outline_parts, outline_repeats
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import to_one_line
 from undeadzone_export.code import Code
@@ -125,15 +125,15 @@ def function_unit(name: str, style: Style) -> PlcUnit:
     """Build the unit of an elementary function.
 
     Args:
-        name: one of `bitless.OWN`.
+        name: one of `portable_maths.OWN`.
         style: how numbers and functions are written.
     """
-    shape = elementary.build_formula(name, style.kind, portable_maths.OWN)
-    expressions = Expressions(style, {text: text for text in shape.inputs})
-    found = find_locals([[shape.result]], expressions, {})
+    part = elementary.build_elementary(name, style.kind, portable_maths.OWN)
+    expressions = Expressions(style, {node.text: node.text for node in part.inputs})
+    found = find_locals([part.results], expressions, {})
     called = f"{style.prefix}_{name}"
-    result = wrap_statement(f"{called} := {expressions.write_node(shape.result).text};")
-    given = [PlcVariable(text, style.real_type) for text in shape.inputs]
+    result = wrap_statement(f"{called} := {expressions.write_node(part.results[0]).text};")
+    given = [PlcVariable(node.text, style.real_type) for node in part.inputs]
     variables = {INPUTS: given, LOCALS: list(map(_declare_local, found))}
     meaning = str(portable_maths.OWN.functions[name].__doc__).strip()
     return PlcUnit(
@@ -313,12 +313,7 @@ class _Inner:
         self.expressions = Expressions(style, entries)
         self.expressions.calls = self._call_repeat
         self._inputs = {part.name: part.inputs for part in repeats}
-        self._taken: dict[Node, dict[int, Node]] = {}
-        for node in required_nodes(itertools.chain(*results)):
-            if node.op == "apply":
-                self._taken[node] = {}
-            elif node.op == "part":
-                self._taken[node.args[0]][int(node.text)] = node
+        self._taken = find_calls(results)
 
     def _call_repeat(self, name: str, node: Node, expressions: Expressions) -> list[str]:
         """Return the statements that call a repeated part and copy its results, which get names."""

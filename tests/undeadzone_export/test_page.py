@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from test_engines import PENDULUM, TWO_OUTPUTS, small
+from test_lower import A, B, calling_outputs, stateless
 
 import undeadzone as uz
 from browser import Browser, browser
@@ -22,10 +23,14 @@ from tools import require
 from undeadzone.compile import print_wasm
 from undeadzone.compile.lower import build_portable_nodes
 from undeadzone.compile.numpy_reference import elementary_functions
+from undeadzone.compile.repeats import outline_parts, outline_repeats
 from undeadzone.errors import FileError, InputError
 from undeadzone.report import html
+from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.arrays import Floats
+from undeadzone_export import accuracy, exported_step
+from undeadzone_export.code import build_code
 from undeadzone_export.page.build import build_live_page
 
 ROOT = Path(__file__).parents[2]
@@ -101,6 +106,13 @@ CASES: dict[str, dict[str, Any]] = {
         "simulation": SAMPLED,
     },
 }  # fmt: skip
+
+
+BANK: dict[str, Any] = {
+    "simulation": {"time": "sampled", "duration": 0.6, "step": 5e-3},
+    "sensor": {"noise": 0.02},
+    "observer": {"method": "censored", "right": [0.0, 2.0]},
+}
 
 
 @pytest.fixture(scope="module")
@@ -302,9 +314,16 @@ def _applied(name: str, w: ca.SX) -> ca.SX:
     return two[name](w[0], w[1]) if name in two else getattr(ca, name)(w[0])
 
 
-def _computed(page: Browser, code: bytes, points: Floats, count: int) -> Floats:
-    """What a module with a function f makes of points, bit by bit."""
-    text, given = (base64.b64encode(part).decode() for part in (code, points.tobytes()))
+def _computed(
+    page: Browser, code: bytes, points: Floats, count: int, state: Floats | None = None
+) -> Floats:
+    """What a module with a function f makes of points, bit by bit.
+
+    Its memory: an entry of each input, the results, the state.
+    """
+    memory = b"" if state is None else state.tobytes()
+    text, given, start = (base64.b64encode(x).decode() for x in (code, points.tobytes(), memory))
+    width = points.shape[1]
     page.value("document.title")
     result = page.value(
         f"""(async () => {{
@@ -312,15 +331,44 @@ def _computed(page: Browser, code: bytes, points: Floats, count: int) -> Floats:
         const {{ instance }} = await WebAssembly.instantiate(bytes("{text}"));
         const P = new Float64Array(bytes("{given}").buffer);
         const M = new Float64Array(instance.exports.memory.buffer);
-        const O = new Float64Array(P.length / 2 * {count});
-        for (let k = 0; k < P.length / 2; k++) {{
-            M[0] = P[2 * k]; M[1] = P[2 * k + 1]; instance.exports.f();
-            O.set(M.subarray(2, 2 + {count}), k * {count});
+        const O = new Float64Array(P.length / {width} * {count});
+        M.set(new Float64Array(bytes("{start}").buffer), {width + count});
+        for (let k = 0; k < P.length / {width}; k++) {{
+            M.set(P.subarray({width} * k, {width} * (k + 1))); instance.exports.f();
+            O.set(M.subarray({width}, {width + count}), k * {count});
         }}
         let all = ""; for (const b of new Uint8Array(O.buffer)) all += String.fromCharCode(b);
         return btoa(all); }})()"""
     )
     return np.frombuffer(base64.b64decode(result)).reshape(len(points), count)
+
+
+@pytest.mark.parametrize("kind", ["found in the list of nodes", "calls of the trace"])
+def test_repeated_parts_are_functions_with_the_bits_of_exported_c(
+    kind: str, page: Browser, tmp_path: Path
+) -> None:
+    """The results of a step overwrite its state."""
+    if kind == "calls of the trace":
+        step = stateless([A, B], calling_outputs())
+    else:
+        step = exported_step.build_step(resolve_scenario(scene(**BANK)))
+    printed = build_code(step, False)
+    assert bool(printed.parts) == (kind == "calls of the trace")
+    counts = [step.function.size1_in(1), step.function.size1_out(1), step.start.size]
+    w, out, s = np.split(8 * np.arange(sum(counts)), np.cumsum(counts)[:-1])
+    inputs = exported_step.name_entries(w=w.tolist(), s=s.tolist())
+    targets = [s.tolist(), out.tolist()]
+    inlined = build_portable_nodes(step.function, "float64")
+    plain = print_wasm.build_module([print_wasm.Function("f", inlined, inputs, targets)], 4096)
+    repeats = outline_parts(printed.parts)
+    results = outline_repeats(printed.results, repeats)
+    function = print_wasm.Function("f", results, inputs, targets)
+    code = print_wasm.build_module([function], 4096, repeats)
+    assert printed.parts or len(code) < 0.7 * len(plain)
+    rows = np.random.default_rng(2).normal(size=(300, len(w))) * 3
+    rows[::7, 0] = np.nan
+    found = _computed(page, code, rows, len(out), step.start)
+    np.testing.assert_array_equal(found, accuracy.CompiledStep(printed, tmp_path)(rows))
 
 
 def test_a_large_expression_stays_shallow(page: Browser) -> None:
@@ -366,6 +414,14 @@ def numbers_of(value: Any) -> list[float]:
             collected += numbers_of(item)
         return collected
     return [float(value)] if isinstance(value, int | float) else []
+
+
+def test_three_members_of_a_bank_share_their_functions() -> None:
+    sizes = []
+    for levels in (1, 3):
+        scenario = scene(**BANK | {"observer": BANK["observer"] | {"levels": levels}})
+        sizes.append(build_live_page(scenario).report["sizes"]["wasm"])
+    assert sizes[1] < 1.8 * sizes[0]  # 2.7 written out
 
 
 def test_the_same_scenario_gives_the_same_bytes() -> None:

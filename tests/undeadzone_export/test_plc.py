@@ -376,7 +376,7 @@ def test_elementary_functions_have_the_bits_of_the_c(single: bool, tmp_path: Pat
     theirs = "\n".join(elementary_texts(names, set(names), Style(kind, "c")))
     calls = []
     for name in names:
-        second = ", y" if len(elementary.build_formula(name, kind).inputs) == 2 else ""
+        second = ", y" if len(elementary.build_elementary(name, kind).inputs) == 2 else ""
         if name == "erf_by_exp":
             second = ", c_exp(-(x * x))"
         call = f'check("{name}", o_{name}(x{second}), c_{name}(x{second}), x, y);'

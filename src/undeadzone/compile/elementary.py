@@ -16,10 +16,11 @@ import inspect
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from undeadzone.compile.coefficients import DOUBLE, SINGLE, Numbers
 from undeadzone.compile.graph import LANES, Node, Nodes, Results, count_uses
+from undeadzone.compile.repeats import Part
 from undeadzone.compile.trace import Numpy, Value
 
 
@@ -380,20 +381,6 @@ LANES_OWN: Final = ("sin", "cos", "exp", "log", "erf", "tanh")
 """Those that take the C library's place in fused lanes."""
 
 
-class Formula(NamedTuple):
-    """Function as a graph.
-
-    Attributes:
-        inputs: names of its arguments.
-        result: its value.
-        calls: the functions that it calls.
-    """
-
-    inputs: list[str]
-    result: Node
-    calls: set[str]
-
-
 @dataclass(frozen=True, eq=False)
 class FunctionSet:
     """Elementary functions of a target language.
@@ -411,14 +398,15 @@ OF_WORDS: Final = FunctionSet(FUNCTIONS, bitless=False)
 
 
 @functools.cache
-def build_formula(name: str, kind: str, own: FunctionSet = OF_WORDS) -> Formula:
-    """Return the graph of a function in float32 or float64, without fused operations."""
+def build_elementary(name: str, kind: str, own: FunctionSet = OF_WORDS) -> Part:
+    """Return a function in float32 or float64, with one result, without fused operations."""
     function, nodes = own.functions[name], Nodes()
-    inputs = list(inspect.signature(function).parameters)[1:]
-    arguments = [Value(nodes, nodes.intern_input(text, LANES, kind)) for text in inputs]
+    texts = list(inspect.signature(function).parameters)[1:]
+    inputs = [nodes.intern_input(text, LANES, kind) for text in texts]
     numbers = SINGLE if kind == SINGLE.kind else DOUBLE
-    result: Node = function(Maths(nodes, numbers, bitless=own.bitless), *arguments).node
-    return Formula(inputs, result, called_functions([[result]]) & own.functions.keys())
+    arguments = [Value(nodes, node) for node in inputs]
+    value = function(Maths(nodes, numbers, bitless=own.bitless), *arguments)
+    return Part(name, inputs, [value.node])
 
 
 def called_functions(results: Results) -> set[str]:
@@ -446,5 +434,5 @@ def required_functions(
     found = set(names)
     for name in reversed(own.functions):
         if name in found:
-            found |= build_formula(name, kind, own).calls
+            found |= called_functions([build_elementary(name, kind, own).results])
     return [name for name in own.functions if name in found]

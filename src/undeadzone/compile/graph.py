@@ -83,6 +83,16 @@ class Nodes:
             node = self._known[key] = Node(op, args, text, kind, level, len(self._known))
         return node
 
+    def copy_node(self, node: Node, args: Iterable[Node], level: int = CONSTANT) -> Node:
+        """Return the node of the same instruction on other operands.
+
+        Args:
+            node: the instruction.
+            args: its operands.
+            level: the least that it may have.
+        """
+        return self.intern(node.op, *args, text=node.text, kind=node.kind, level=level)
+
     def intern_constant(self, value: float, kind: str = "float64") -> Node:
         """Return the node of a number, a word or a truth (1 or 0)."""
         text = repr(float(value)) if kind.startswith("float") else str(int(value))

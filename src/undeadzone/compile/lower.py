@@ -302,7 +302,7 @@ class _Lowering(NamedTuple):
         if node.text in self.ours:
             return self.ours[node.text](*args)
         level = LANES if node.op == "apply" else CONSTANT
-        return self.nodes.intern(node.op, *args, text=node.text, kind=node.kind, level=level)
+        return self.nodes.copy_node(node, args, level)
 
     def _lower_extreme(self, word: str, a: Node, b: Node) -> Node:
         """Return the minimum or maximum of two numbers, the first of equals, the number if

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, build_formula
+from undeadzone.compile.elementary import FUNCTIONS, build_elementary
 from undeadzone.compile.graph import Results, required_nodes
 from undeadzone.compile.repeats import Part
 
@@ -43,23 +43,15 @@ def _build_part(part: Part, functions: dict[str, Callable[..., Any]]) -> Callabl
 def elementary_functions(kind: str) -> dict[str, Callable[..., Any]]:
     """Return the elementary functions of numbers or arrays in float32 or float64, by name."""
     functions: dict[str, Callable[..., Any]] = dict(_LIBRARY)
+
+    def build_function(name: str) -> Callable[..., Any]:
+        """Return a function. The functions that it calls are built before."""
+        part = _build_part(build_elementary(name, kind), functions)
+        return lambda *arguments: part(*arguments)[0]
+
     for name in FUNCTIONS:
-        functions[name] = _build_function(name, kind, functions)
+        functions[name] = build_function(name)
     return functions
-
-
-def _build_function(
-    name: str, kind: str, functions: dict[str, Callable[..., Any]]
-) -> Callable[..., Any]:
-    """Return an elementary function. The functions that it calls are built before."""
-    shape = build_formula(name, kind)
-    evaluate = _build_evaluator([[shape.result]], functions)
-
-    def function(*arguments: Any) -> Any:
-        """Evaluate the function."""
-        return evaluate(dict(zip(shape.inputs, arguments, strict=True)))[0][0]
-
-    return function
 
 
 def _build_evaluator(results: Results, functions: dict[str, Callable[..., Any]]) -> Evaluate:

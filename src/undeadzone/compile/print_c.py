@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, FunctionSet, build_formula
+from undeadzone.compile.elementary import FUNCTIONS, OF_WORDS, FunctionSet, build_elementary
 from undeadzone.compile.graph import Node, Results, count_uses, required_nodes
 from undeadzone.compile.schedule import order_depth_first
 from undeadzone.compile.simplify import round_to_type
@@ -434,11 +434,11 @@ def elementary_texts(names: Iterable[str], used: set[str], style: Style) -> list
     """
     texts, called = [], set(used)
     for name in names:
-        shape = build_formula(name, style.kind)
-        expressions = Expressions(style, {text: text for text in shape.inputs})
-        lines = local_statements(find_locals([[shape.result]], expressions, {}))
-        lines += wrap_statement(f"return {expressions.write_node(shape.result).text};")
-        arguments = ", ".join(f"{style.real_type} {text}" for text in shape.inputs)
+        part = build_elementary(name, style.kind)
+        expressions = Expressions(style, {node.text: node.text for node in part.inputs})
+        lines = local_statements(find_locals([part.results], expressions, {}))
+        lines += wrap_statement(f"return {expressions.write_node(part.results[0]).text};")
+        arguments = ", ".join(f"{style.real_type} {node.text}" for node in part.inputs)
         head = f"static {style.real_type} {style.prefix}_{name}({arguments})"
         texts.append("\n".join([_function_comment(name), head, "{", *lines, "}"]))
         called |= expressions.functions

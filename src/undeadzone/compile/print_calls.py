@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from itertools import chain
 from typing import Final, NamedTuple
 
-from undeadzone.compile.graph import Node, Results, required_nodes
+from undeadzone.compile.graph import Node, Results
 from undeadzone.compile.print_c import (
     TYPES,
     Body,
@@ -21,7 +20,7 @@ from undeadzone.compile.print_c import (
     build_body,
     wrap_statement,
 )
-from undeadzone.compile.repeats import Part, Row
+from undeadzone.compile.repeats import Part, Row, find_calls
 
 FEW: Final = 2  # numbers below which an array is copied: an address would cost as much
 
@@ -208,12 +207,9 @@ class Calls:
         self, parts: list[Part], results: Results, places: Mapping[Node, Place] | None = None
     ) -> None:
         calls = defaultdict[str, list[Node]](list)
-        taken = defaultdict[Node, dict[int, Node]](dict)
-        for node in required_nodes(list(chain.from_iterable(results))):
-            if node.op == "apply":
-                calls[node.text].append(node)
-            elif node.op == "part":
-                taken[node.args[0]][int(node.text)] = node
+        taken = find_calls(results)
+        for node in taken:
+            calls[node.text].append(node)
         self.parts: dict[str, CalledPart] = {}
         for part in parts:
             if part.name in calls:

@@ -1,7 +1,8 @@
 """Return the module, which exports the functions and the memory as "memory".
 
 Every instruction is the one of IEEE 754 double precision. Elementary functions are those of
-exported C. Binary format: WebAssembly Core Specification 1.0, section 5.
+exported C, and repeated parts are functions, as there. Binary format: WebAssembly Core
+Specification 2.0, section 5, of which it needs functions with several results.
 """
 
 import itertools
@@ -10,7 +11,14 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from undeadzone.compile import elementary
-from undeadzone.compile.graph import Node, Results, count_uses, required_nodes, to_condition
+from undeadzone.compile.graph import (
+    Node,
+    Results,
+    count_uses,
+    required_nodes,
+    to_condition,
+)
+from undeadzone.compile.repeats import Part, find_calls
 from undeadzone.errors import InputError
 
 KIND: Final = "float64"
@@ -52,29 +60,45 @@ class Function(NamedTuple):
     targets: list[list[int]]
 
 
-def build_module(functions: Sequence[Function], size: int) -> bytes:
+class _Callee(NamedTuple):
+    """Function that others call.
+
+    Attributes:
+        number: its index in the module.
+        outputs: how many results it has.
+    """
+
+    number: int
+    outputs: int
+
+
+def build_module(functions: Sequence[Function], size: int, parts: Sequence[Part] = ()) -> bytes:
     """Return the module: it exports the functions, and the memory as "memory".
 
     Args:
         functions: functions that it computes.
         size: bytes of memory that they use.
+        parts: functions of repeated parts, which they call.
 
     Raises:
         InputError: an instruction that WebAssembly has not.
     """
-    own = _own_functions(functions)
-    calls = {name: len(functions) + k for k, name in enumerate(own)}
-    shapes = [elementary.build_formula(name, KIND) for name in own]
-    bodies = [_memory_body(function, calls) for function in functions]
-    bodies += [_elementary_body(shape, calls) for shape in shapes]
-    kinds = [0] * len(functions) + [len(shape.inputs) for shape in shapes]
+    inner = [*_elementary_parts(functions, parts), *parts]
+    callees = {
+        part.name: _Callee(len(functions) + k, len(part.results)) for k, part in enumerate(inner)
+    }
+    bodies = [_memory_body(function, callees) for function in functions]
+    bodies += [_part_body(part, callees) for part in inner]
+    types = [_encode_type([], [])] * len(functions)
+    types += [_encode_type(part.inputs, part.results) for part in inner]
+    known = list(dict.fromkeys(types))
     exports = [
         _encode_name(each.name) + b"\0" + _encode_unsigned(k) for k, each in enumerate(functions)
     ]
     exports.append(_encode_name("memory") + b"\x02\0")
     sections = [
-        _encode_section(1, [_encode_type(0, 0), _encode_type(1, 1), _encode_type(2, 1)]),
-        _encode_section(3, [_encode_unsigned(kind) for kind in kinds]),
+        _encode_section(1, known),
+        _encode_section(3, [_encode_unsigned(known.index(each)) for each in types]),
         _encode_section(5, [b"\0" + _encode_unsigned(-(-size // PAGE))]),
         _encode_section(7, exports),
         _encode_section(10, [_encode_unsigned(len(body)) + body for body in bodies]),
@@ -82,22 +106,22 @@ def build_module(functions: Sequence[Function], size: int) -> bytes:
     return _MAGIC + b"".join(sections)
 
 
-def _own_functions(functions: Sequence[Function]) -> list[str]:
+def _elementary_parts(functions: Sequence[Function], parts: Sequence[Part]) -> list[Part]:
     """Return the elementary functions that are called and not built into WebAssembly.
 
-    Raise InputError.
-
-    Raises InputError.
+    Raise InputError for one that it cannot compute.
     """
-    names = set().union(*[elementary.called_functions(function.results) for function in functions])
+    results = [*itertools.chain(*[each.results for each in functions])]
+    names = elementary.called_functions([*results, *[part.results for part in parts]])
     if names & {"fmod", "remainder"}:
         raise InputError("export: a remainder of a division has no WebAssembly instruction")
-    return [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
+    needed = [name for name in elementary.required_functions(names) if name not in _BUILT_IN]
+    return [elementary.build_elementary(name, KIND) for name in needed]
 
 
-def _memory_body(function: Function, calls: dict[str, int]) -> bytes:
+def _memory_body(function: Function, callees: dict[str, _Callee]) -> bytes:
     """Return the body of a function from and to memory."""
-    writer = _Writer(function.results, function.inputs, {}, calls)
+    writer = _Writer(function.results, function.inputs, {}, callees)
     code = writer.fill_locals()
     for nodes, targets in zip(function.results, function.targets, strict=True):
         for node, target in zip(nodes, targets, strict=True):
@@ -105,11 +129,11 @@ def _memory_body(function: Function, calls: dict[str, int]) -> bytes:
     return writer.local_declaration() + code + b"\x0b"
 
 
-def _elementary_body(shape: elementary.Formula, calls: dict[str, int]) -> bytes:
-    """Return the body of an elementary function."""
-    arguments = {text: k for k, text in enumerate(shape.inputs)}
-    writer = _Writer([[shape.result]], {}, arguments, calls)
-    code = writer.fill_locals() + writer.encode_node(shape.result)
+def _part_body(part: Part, callees: dict[str, _Callee]) -> bytes:
+    """Return the body of a function from its arguments to its results."""
+    arguments = {node.text: k for k, node in enumerate(part.inputs)}
+    writer = _Writer([part.results], {}, arguments, callees)
+    code = writer.fill_locals() + b"".join(map(writer.encode_node, part.results))
     return writer.local_declaration() + code + b"\x0b"
 
 
@@ -121,7 +145,7 @@ class _Writer:
         results: the nodes.
         inputs: where each input stands [bytes], by its name.
         arguments: numbers of the inputs that are arguments.
-        calls: numbers of the functions, by name.
+        callees: the functions that it may call, by name.
     """
 
     def __init__(
@@ -129,10 +153,11 @@ class _Writer:
         results: Results,
         inputs: dict[str, int],
         arguments: dict[str, int],
-        calls: dict[str, int],
+        callees: dict[str, _Callee],
     ) -> None:
-        self._inputs, self._calls, self._first = inputs, calls, len(arguments)
+        self._inputs, self._callees, self._first = inputs, callees, len(arguments)
         self._locals: dict[Node, int] = {}
+        self._taken = find_calls(results)
         for node in required_nodes(itertools.chain(*results)):
             if node.op == "input" and node.text in arguments:
                 self._locals[node] = arguments[node.text]
@@ -147,9 +172,9 @@ class _Writer:
             depth = 1 + max([depths[arg] for arg in node.args], default=0)
             often = counts[node] > (2 if node.op == "const" else 1) and not _is_short(node)
             is_state = node.op == "input" and node.text.startswith("s")  # results overwrite it
-            holds = often or depth > DEEPEST or is_state
+            holds = often or depth > DEEPEST or is_state or node.op in ("part", "apply")
             depths[node] = 0 if holds else depth
-            if holds and node not in self._locals:
+            if holds and node.op != "apply" and node not in self._locals:
                 kept[node.kind].append(node)
         return kept
 
@@ -165,10 +190,24 @@ class _Writer:
         """
         kept = itertools.chain(*self._kept.values())
         numbers = {node: self._first + k for k, node in enumerate(kept)}
+        self._locals |= {node: place for node, place in numbers.items() if node.op == "part"}
         code = b""
-        for node in sorted(numbers, key=lambda node: node.number):
-            code += self.encode_node(node) + b"\x21" + _encode_unsigned(numbers[node])
-            self._locals[node] = numbers[node]
+        for node in sorted([*numbers, *self._taken], key=lambda node: node.number):
+            if node.op == "apply":
+                code += self._encode_call(node)
+            elif node.op != "part":
+                code += self.encode_node(node) + b"\x21" + _encode_unsigned(numbers[node])
+                self._locals[node] = numbers[node]
+        return code
+
+    def _encode_call(self, node: Node) -> bytes:
+        """Return the instructions that call a repeated part and fill the locals of its results."""
+        called, taken = self._callees[node.text], self._taken[node]
+        code = b"".join(map(self.encode_node, node.args)) + b"\x10"
+        code += _encode_unsigned(called.number)
+        for k in reversed(range(called.outputs)):  # the last one is on top
+            held = k in taken
+            code += b"\x21" + _encode_unsigned(self._locals[taken[k]]) if held else b"\x1a"
         return code
 
     def encode_node(self, node: Node) -> bytes:
@@ -190,7 +229,7 @@ class _Writer:
             return values + _CODES[node.args[0].kind][node.op]
         if node.text in _BUILT_IN:
             return values + _BUILT_IN[node.text]
-        return values + b"\x10" + _encode_unsigned(self._calls[node.text])
+        return values + b"\x10" + _encode_unsigned(self._callees[node.text].number)
 
 
 def _is_short(node: Node) -> bool:
@@ -243,16 +282,12 @@ def _encode_name(text: str) -> bytes:
     return _encode_unsigned(len(text)) + text.encode()
 
 
-def _encode_type(arguments: int, results: int) -> bytes:
-    """Return the type of a function of numbers."""
-    reals = bytes([_TYPES[KIND]])
-    return (
-        b"\x60"
-        + _encode_unsigned(arguments)
-        + reals * arguments
-        + _encode_unsigned(results)
-        + reals * results
-    )
+def _encode_type(arguments: list[Node], results: list[Node]) -> bytes:
+    """Return the type of a function."""
+    code = b"\x60"
+    for nodes in (arguments, results):
+        code += _encode_unsigned(len(nodes)) + bytes([_TYPES[node.kind] for node in nodes])
+    return code
 
 
 def _encode_section(number: int, entries: list[bytes]) -> bytes:

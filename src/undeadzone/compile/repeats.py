@@ -39,6 +39,17 @@ class Part(NamedTuple):
     results: list[Node]
 
 
+def find_calls(results: Results) -> dict[Node, dict[int, Node]]:
+    """Return the calls that results need: of each, the nodes of its results by their numbers."""
+    taken: dict[Node, dict[int, Node]] = {}
+    for node in required_nodes(itertools.chain(*results)):
+        if node.op == "apply":
+            taken[node] = {}
+        elif node.op == "part":
+            taken[node.args[0]][int(node.text)] = node
+    return taken
+
+
 class _Graph:
     """Instructions that results need, with users and classes.
 
@@ -266,9 +277,8 @@ class _Region:
         for row in sorted(self.rows, key=lambda row: row[0].number):
             for below in self.rows[row]:
                 if below not in made:  # an equal constant
-                    made[below] = nodes.intern("const", text=below[0].text, kind=below[0].kind)
-            args = [made[below] for below in self.rows[row]]
-            made[row] = nodes.intern(row[0].op, *args, text=row[0].text, kind=row[0].kind)
+                    made[below] = nodes.copy_node(below[0], ())
+            made[row] = nodes.copy_node(row[0], [made[below] for below in self.rows[row]])
         return Part(name, inputs, [made[row] for row in self.results])
 
     def replace(self, results: Results, name: str) -> Results:
@@ -294,7 +304,7 @@ class _Region:
             elif row:
                 new[one] = nodes.intern("part", *args, text=place[row], kind=one.kind)
             else:
-                new[one] = nodes.intern(one.op, *args, text=one.text, kind=one.kind, level=LANES)
+                new[one] = nodes.copy_node(one, args, LANES)
             waiting.pop()
         return [[new[node] for node in each] for each in results]
 

@@ -31,6 +31,7 @@ from undeadzone.scenario.overrun import overrun_along
 from undeadzone.scenario.problem import require_visible, watching
 from undeadzone.util import tree
 from undeadzone.util.arrays import Array, Floats, fill_masked, require_number
+from undeadzone.util.installed import use_one_blas_thread
 
 if TYPE_CHECKING:
     from undeadzone.compile.scalar_step import CompiledStepper
@@ -324,6 +325,7 @@ def _stepper(graph: ObserverGraph, compiled: bool) -> Stepper | CompiledStepper:
     return Stepper(*parts)
 
 
+@use_one_blas_thread()
 def build_observer(
     observer: ObserverOptions,
     plant: Plant,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import os
 import sys
+import threading
 import warnings
 from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +17,8 @@ from undeadzone.errors import DamagedPackage, InputError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+_BLAS = threading.RLock()  # its number of threads is the process's
 
 
 def list_registered_places(group: str) -> dict[str, str]:
@@ -87,3 +92,30 @@ def import_scipy() -> None:
         import_module("scipy.linalg")
     finally:
         space |= {"__all__": public, "__dir__": listed}
+
+
+@contextmanager
+def use_one_blas_thread() -> Iterator[None]:
+    """Let SciPy's OpenBLAS work in one thread: threads take longer than a few states' matrices.
+
+    Another library of linear algebra stays as it is.
+    """
+    library = _load_openblas()
+    if library is None:
+        yield
+        return
+    with _BLAS:
+        before = library.scipy_openblas_get_num_threads()
+        library.scipy_openblas_set_num_threads(1)
+        try:
+            yield
+        finally:
+            library.scipy_openblas_set_num_threads(before)
+
+
+@functools.cache
+def _load_openblas() -> ctypes.CDLL | None:
+    """Return the OpenBLAS that comes with SciPy, or None of a SciPy that uses another library."""
+    import_scipy()
+    library = ctypes.CDLL(import_module("scipy.linalg._flapack").__file__)
+    return library if hasattr(library, "scipy_openblas_set_num_threads") else None

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import itertools
 import json
 import tomllib
 from html import escape
@@ -17,8 +16,9 @@ import numpy as np
 
 import undeadzone
 from undeadzone.compile import print_wasm
-from undeadzone.compile.graph import Results, required_nodes
+from undeadzone.compile.graph import Results
 from undeadzone.compile.lower import build_portable_nodes
+from undeadzone.compile.repeats import Part, outline_parts, outline_repeats
 from undeadzone.errors import InputError
 from undeadzone.feedforward.targets import steady_state
 from undeadzone.scenario.problem import Problem, resolve_scenario
@@ -199,8 +199,10 @@ def build_live_page(scenario: Scenario) -> LivePage:
     problem = resolve_scenario(scenario)
     _require_drawable(problem)
     loop = close_problem(problem)
-    _require_quick_run(problem, len(required_nodes(itertools.chain(*_usual_results(loop)))))
-    code, memory = _wasm_module(loop)
+    steps, parts = _lower_steps(loop)
+    operations = count_operations(steps["step"], parts)
+    _require_quick_run(problem, sum(operations.values()))
+    code, memory = _wasm_module(loop, steps, parts)
     data = _page_data(problem, loop, memory)
     data["wasm"] = base64.b64encode(code).decode()
     text = sign_text(render_page(scenario.title, data | {"remark": REMARK}))
@@ -210,7 +212,7 @@ def build_live_page(scenario: Scenario) -> LivePage:
         "hash": hashlib.sha256(text.encode()).hexdigest()[:16],
         "steps": data["rows"],
         "sizes": {"wasm": len(code), "page": len(text.encode())},
-        "operations": count_operations(_usual_results(loop)),
+        "operations": operations,
         "sliders": [slider["key"] for slider in data["sliders"]],
         "refusals": [],
     }
@@ -255,32 +257,36 @@ def _require_quick_run(problem: Problem, size: int) -> None:
         )
 
 
-def _usual_results(loop: Loop) -> Results:
-    """Return the nodes of a step without its cold path."""
-    return build_portable_nodes(
-        loop.step if loop.parts is None else loop.parts.usual, print_wasm.KIND
-    )
+def _lower_steps(loop: Loop) -> tuple[dict[str, Results], list[Part]]:
+    """Return the nodes of the module's functions by name, and the functions that they call."""
+    functions = {"step": loop.step}
+    if loop.parts is not None:
+        functions = {"step": loop.parts.usual, "rare": loop.parts.rare[-1]}
+    parts = list[Part]()
+    return {
+        name: build_portable_nodes(function, print_wasm.KIND, parts)
+        for name, function in functions.items()
+    }, parts
 
 
-def _wasm_module(loop: Loop) -> tuple[bytes, dict[str, int]]:
+def _wasm_module(
+    loop: Loop, steps: dict[str, Results], parts: list[Part]
+) -> tuple[bytes, dict[str, int]]:
     """Return the WebAssembly module and the start of each part of its memory (in numbers)."""
     step = loop.step
     each = [*map(step.size1_in, range(3)), *map(step.size1_out, range(2))]
     sizes = dict(zip("swpno", each, strict=True)) | {"flag": 1}
     places = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
     inputs = name_entries(**{part: _byte_addresses(places[part], sizes[part]) for part in "swp"})
-    functions: list[tuple[str, Any, tuple[str, ...]]] = [("step", loop.step, ("n", "o"))]
-    if loop.parts is not None:
-        functions = [
-            ("step", loop.parts.usual, ("n", "o", "flag")),
-            ("rare", loop.parts.rare[-1], ("n", "flag")),
-        ]
-    printed = []
-    for name, function, results in functions:
-        nodes = build_portable_nodes(function, print_wasm.KIND)
-        targets = [_byte_addresses(places[part], sizes[part]) for part in results]
+    stored = {"step": "no", "rare": "n"}
+    repeats, printed = outline_parts(parts), []
+    for name, results in steps.items():
+        nodes = outline_repeats(results, repeats)
+        ends = [*stored[name], "flag"][: len(nodes)]
+        targets = [_byte_addresses(places[end], sizes[end]) for end in ends]
         printed.append(print_wasm.Function(name, nodes, inputs, targets))
-    return print_wasm.build_module(printed, print_wasm.REAL * sum(sizes.values())), places
+    size = print_wasm.REAL * sum(sizes.values())
+    return print_wasm.build_module(printed, size, repeats), places
 
 
 def _byte_addresses(start: int, size: int) -> list[int]:
