@@ -92,19 +92,21 @@ def _quadratic_roots(b: float, c: float) -> tuple[float, float]:
 
 
 def _riccati_facts(linear: Matrices) -> list[Fact]:
-    """Compute K of (34) with A - L C at (-4, -10), alpha = 10.
+    """Return facts on K of (34) with A - L C at (-4, -10) and alpha = 10.
 
-    Also compute the alpha from which A - B K is unstable.
+    They are K, the rightmost pole of A - B K, and the alpha from which A - B K is unstable.
 
-    In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
-    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2), f^2 - 2 g = p^2 - 2
-    q + 2 alpha, with s^2 + p s + q the polynomial of A - L C.
+    The expected values come from spectral factorisation, a way that solves no Riccati equation. For
+    A - L C = [[-l1, 1], [-1 - l2, -2]] with polynomial s^2 + p s + q, and Q = I, the closed loop
+    has the polynomial s^2 + f s + g with
+
+        g^2 = q^2 + 2 alpha (1 + l1^2),    f^2 - 2 g = p^2 - 2 q + 2 alpha.
     """
     A, B, C = linear
     drift = A - np.array([L_POLES]).T @ C
     K = paper_riccati(drift, B, ALPHA, np.eye(2)).K
     k1, k2 = _control_gain(ALPHA)
-    # A - B K has s^2 + (2 + k2) s + 1 + k1, with k2 > 0.
+    # A - B K has the polynomial s^2 + (2 + k2) s + 1 + k1 with k2 > 0: unstable if k1 < -1.
     brink = brentq(lambda alpha: 1 + _control_gain(alpha)[0], 1.0, 100.0)
     pole = _quadratic_roots(2 + k2, 1 + k1)[0]
     where = "omega_n = 1, (34) with A - L C, L = (12, 15)"

@@ -304,11 +304,15 @@ class LogReader:
             if value is not None and math.isfinite(value):
                 self._plain_times = True
                 return
-            text = _stamp(cells, layout)
+            text = _join_date_and_time(cells, layout)
             if stamps_of([text]) is None:
                 continue
             others = [] if self._live else [dialect.cells(line) for _, line in numbered[k:]]
-            whole = [_stamp(cells, layout) for cells in others if len(cells) == dialect.width]
+            whole = [
+                _join_date_and_time(cells, layout)
+                for cells in others
+                if len(cells) == dialect.width
+            ]
             self._stamps = stamps_of([text, *whole])
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
@@ -341,7 +345,7 @@ class LogReader:
             return Fault(number, "values", f"expected {dialect.width} values, found {len(cells)}")
         found = [dialect.parse_number(cells[k]) for k in layout.columns]
         if self._stamps is not None:
-            found[0] = self._stamps.seconds(_stamp(cells, layout))
+            found[0] = self._stamps.seconds(_join_date_and_time(cells, layout))
         if None in found:
             text = cells[layout.columns[found.index(None)]]
             why = f"expected a number or nothing, found {text!r:.40}"
@@ -383,8 +387,8 @@ def is_regular_time(values: Floats) -> bool:
     return not counts and float(np.ptp(between)) <= 2 * JITTER * float(np.median(between))
 
 
-def _stamp(cells: list[str], layout: Layout) -> str:
-    """Return the text of a line's time, behind its date where that stands in another column."""
+def _join_date_and_time(cells: list[str], layout: Layout) -> str:
+    """Return the text of a line's time stamp, after the date if another column has it."""
     assert layout.time is not None
     time = cells[layout.time]
     return time if layout.date is None else f"{cells[layout.date]} {time}"

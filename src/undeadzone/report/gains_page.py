@@ -332,28 +332,30 @@ def speed_section(gains: Gains) -> list[html.Html]:
     return parts
 
 
-def knowledge_section(of: Assessment) -> list[html.Html]:
-    """Return which widths an optimal estimator can identify, the accuracy, reasons and
-    remedies.
+def knowledge_section(assessment: Assessment) -> list[html.Html]:
+    """Return the section on the widths that an optimal estimator can identify.
+
+    It contains the accuracy of each width, reasons and remedies.
     """
-    unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
+    scenario = assessment.problem.scenario
+    unit, duration = scenario.units.output, scenario.simulation.duration
     rows = []
-    for i, known in enumerate(of.known):
-        rows.append((i, *(_describe_direction(known, name) for name in DIRECTIONS)))
+    for i, width in enumerate(assessment.known):
+        rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))
     question = (
         "Whether an optimal estimator can know it, and its "
         f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
     parts = [html.build_paragraph(question), html.build_table(head, rows)]
-    for other in in_words_of_truths([known.second for known in of.known]):
+    for widths in in_words_of_truths([width.second for width in assessment.known]):
         parts.append(
-            html.build_paragraph(f"Readings would be the same, but for noise, with {other}.")
+            html.build_paragraph(f"Readings would be the same, but for noise, with {widths}.")
         )
-    for i, known in enumerate(of.known):
-        where = f"Output {i}: " if len(of.known) > 1 else ""
-        parts += [html.build_paragraph(f"{where}{reason}.") for reason in known.reasons]
-        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+    for i, width in enumerate(assessment.known):
+        where = f"Output {i}: " if len(assessment.known) > 1 else ""
+        parts += [html.build_paragraph(f"{where}{reason}.") for reason in width.reasons]
+        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in width.cures]
     return parts
 
 

@@ -48,7 +48,10 @@ class IdentifiedMotion:
 
     @property
     def width(self) -> Interval | None:
-        """Return the same in units of the output; None if nothing is lost."""
+        """Return the lost motion with its 95 % interval, in units of the output [y].
+
+        It is None if the verdict is not play.
+        """
         lost = self.answer.gap.scale_by(abs(self.answer.found.gain))
         return lost if self.verdict == "play" else None
 

@@ -219,8 +219,10 @@ class Unobservable(NamedTuple):
         return self._replace(basis=self.basis @ null_space_basis(self.basis[~part], self.present))
 
     def exclude_known(self, rows: Floats) -> Unobservable:
-        """Return the changes that remain once rows on `[x(0); d]` are known beforehand (k x n +
-        2p).
+        """Return the changes that remain invisible if combinations of `[x(0); d]` are known.
+
+        Args:
+            rows: weights of each known combination (k x n + 2p); a change v remains if rows v = 0.
         """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)

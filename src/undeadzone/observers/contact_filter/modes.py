@@ -378,7 +378,9 @@ def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> tuple[Mo
     """
     modes = drive.layout.contact_combinations
     now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
-    signs = [_leaving_shares(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    signs = [
+        _leaving_probabilities(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)
+    ]
     for joint in range(drive.layout.size):
         now, signs = _leave_flanks(drive, q, joint, now, signs)
     after = _move_modes(drive, q, now, u)
@@ -407,16 +409,26 @@ def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Calla
     return change
 
 
-def _leaving_shares(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
-    """Return the share of a mode that leaves its flank in the sample, by joint (N) [1].
+def _leaving_probabilities(drive: Drive, q: Numbers, contact: Contacts, mode: Mode, u: Any) -> Any:
+    """Return the probability that each link leaves its flank in the sample (N) [1].
 
-    It does if the torque through the gears pulls in the middle of the sample. Then it is free for
-    the whole sample: to wait for its end would make each crossing late.
+    A link leaves if the torque through the gears pulls it off its flank in the middle of the
+    sample. It counts as free for the whole sample: if it were freed at the end, each crossing of
+    the gap would be late.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        contact: contacts of the mode (N).
+        mode: the mode.
+        u: torque of the motors (N) [N m].
     """
-    x = one.belief.mean
+    x = mode.belief.mean
     end = x + _sample_motion(drive, q, contact, u)(x)
-    now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
-    return q.leaving * normal_cdf(-ca.DM(contact) * (now + then) / 2 / q.torque)
+    before, after = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
+    pull = -ca.DM(contact) * (before + after) / 2  # mean torque away from the flank [N m]
+    # P(pull > 0) of a Gaussian torque with standard deviation q.torque.
+    return q.leaving * normal_cdf(pull / q.torque)
 
 
 def _flank_places(layout: Layout, joint: int) -> list[dict[int, int]]:
