@@ -75,7 +75,9 @@ def _pole_facts(name: str, linear: Matrices) -> list[Fact]:
     roots = _quadratic_roots(a1 + l1, a0 + a1 * l1 + l2)
     poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
     placed = observer_gain(linear, POLES, None).ravel()
-    p, q = -sum(POLES), POLES[0] * POLES[1]  # of the wanted polynomial s^2 + p s + q
+    # of the wanted polynomial s^2 + p s + q
+    p = -sum(POLES)
+    q = POLES[0] * POLES[1]
     wanted = (p - a1, q - a0 - a1 * (p - a1))
     return [
         Fact(name, "rightmost pole of A - L C, (40)", float(poles[1]), float(roots[0])),
@@ -122,7 +124,9 @@ def _riccati_facts(linear: Matrices) -> list[Fact]:
 
 def _control_gain(alpha: float) -> tuple[float, float]:
     """Return (k1, k2) of (34) with A - L C at (-4, -10), Q = I, in closed form."""
-    l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
+    l1 = L_POLES[0]
+    p = -sum(POLES)
+    q = POLES[0] * POLES[1]
     g = np.sqrt(q**2 + 2 * alpha * (1 + l1**2))
     f = np.sqrt(p**2 - 2 * q + 2 * alpha + 2 * g)
     k2 = (f - p) / 2
@@ -139,7 +143,8 @@ def _certificate_facts(linear: Matrices) -> list[Fact]:
     w = np.linspace(0.0, 20.0, 20001)  # [rad/s]
     G = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)
     sampled = 1 + G.real.ravel()
-    a, b = 2 * L_POLES[0] + L_POLES[1], L_POLES[0]
+    a = 2 * L_POLES[0] + L_POLES[1]
+    b = L_POLES[0]
     # Re G = (a + (2 b - a) v) / (1 + v)^2; its derivative vanishes at v = (2 b - 3 a) / (2 b - a).
     v = (2 * b - 3 * a) / (2 * b - a)
     least = 1 + (a + (2 * b - a) * v) / (1 + v) ** 2

@@ -85,7 +85,8 @@ def exclusion_assumption(more: Node, less: Node) -> KernelAssumption | None:
     """
     if more.op != "lt" or less.op != "lt" or more.args[1] is not less.args[0]:
         return None
-    high, low = to_breakpoint(more.args[0]), to_breakpoint(less.args[1])
+    high = to_breakpoint(more.args[0])
+    low = to_breakpoint(less.args[1])
     return None if high is None or low is None else KernelAssumption(low, high)
 
 

@@ -34,7 +34,8 @@ class OutlinedStep:
 
     def __init__(self, order: Order, results: list[Node], form: Form, name: str) -> None:
         self._name = name
-        self._orders, self._lanes = list(_cut_order(order, form.piece)), form.lanes
+        self._orders = list(_cut_order(order, form.piece))
+        self._lanes = form.lanes
         self._made: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             self._made.update(dict.fromkeys(_flat_instructions(piece), at))
@@ -177,7 +178,8 @@ def _cut_order(order: Order, piece: int) -> Iterator[Order]:
         length += len(item.nodes) if isinstance(item, Branch) else 1
         if length >= piece:
             yield part
-            part, length = [], 0
+            part = []
+            length = 0
     if part:
         yield part
 

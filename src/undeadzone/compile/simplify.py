@@ -40,9 +40,13 @@ class ExactRules:
         real: str = "float64",
         granted: dict[KernelAssumption, None] | None = None,
     ) -> None:
-        self.nodes, self.real, self.granted = nodes, real, granted
-        self.zero, self.one = nodes.intern_constant(0.0, real), nodes.intern_constant(1.0, real)
-        self.no, self.yes = nodes.intern_constant(0, "bool"), nodes.intern_constant(1, "bool")
+        self.nodes = nodes
+        self.real = real
+        self.granted = granted
+        self.zero = nodes.intern_constant(0.0, real)
+        self.one = nodes.intern_constant(1.0, real)
+        self.no = nodes.intern_constant(0, "bool")
+        self.yes = nodes.intern_constant(1, "bool")
         self._implied: dict[tuple[Node, Node], bool] = {}
 
     def build_instruction(self, word: str, *args: Node) -> Node:
@@ -117,7 +121,8 @@ class ExactRules:
         """Return `implies` by recursion over the parts of conjunctions and disjunctions."""
         if premise is conclusion or conclusion.constant_value == 1.0:
             return True
-        all_or_any, any_or_all = {"and": all, "or": any}, {"and": any, "or": all}
+        all_or_any = {"and": all, "or": any}
+        any_or_all = {"and": any, "or": all}
         if conclusion.op in all_or_any and all_or_any[conclusion.op](
             self.implies(premise, part) for part in conclusion.args
         ):
@@ -132,11 +137,9 @@ class ExactRules:
 
     def compare_numbers(self, word: str, a: Node, b: Node) -> Node:
         """Return the truth of a comparison of numbers."""
-        compare, (x, y), (truth_a, truth_b) = (
-            _COMPARED[word],
-            (a.constant_value, b.constant_value),
-            map(to_condition, (a, b)),
-        )
+        compare = _COMPARED[word]
+        (x, y) = (a.constant_value, b.constant_value)
+        (truth_a, truth_b) = map(to_condition, (a, b))
         if x is not None and y is not None:
             return self.yes if compare(x, y) else self.no
         if truth_a is not None and y is not None:
@@ -222,11 +225,11 @@ class PortableRules:
     """
 
     def __init__(self, nodes: Nodes, real: str) -> None:
-        self.nodes, self.real, self.exact = nodes, real, ExactRules(nodes, real)
-        self.nan, self.largest = (
-            nodes.intern_constant(math.nan, real),
-            round_to_type(math.inf, real),
-        )
+        self.nodes = nodes
+        self.real = real
+        self.exact = ExactRules(nodes, real)
+        self.nan = nodes.intern_constant(math.nan, real)
+        self.largest = round_to_type(math.inf, real)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
         """Return the node of an instruction on numbers. Truths are 1 or 0."""
@@ -345,7 +348,8 @@ class PortableRules:
             if term.op == "neg":
                 return self.nodes.intern("sub", other, term.args[0])
         if a.op == "select" and b.op == "select" and a.args[0] is b.args[0]:
-            (truth, first, second), (_, third, fourth) = a.args, b.args
+            (truth, first, second) = a.args
+            (_, third, fourth) = b.args
             if second is zero and third is zero:
                 return self.exact.select_number(truth, first, fourth)
             if first is zero and fourth is zero:
@@ -377,8 +381,10 @@ def round_to_type(value: float, real: str) -> float:
     """
     if math.isnan(value):
         return value
-    limits, size = np.finfo(real), abs(value)
-    largest, smallest = float(limits.max), float(limits.tiny)
+    limits = np.finfo(real)
+    size = abs(value)
+    largest = float(limits.max)
+    smallest = float(limits.tiny)
     if math.isinf(value):
         return math.copysign(largest, value)
     if size > largest:
@@ -396,8 +402,10 @@ class FusedRules:
     """Rules for fused lanes. Steady values, of constants and params, do not change by the step."""
 
     def __init__(self, nodes: Nodes, granted: dict[KernelAssumption, None]) -> None:
-        self.nodes, self.exact = nodes, ExactRules(nodes, granted=granted)
-        self.real, self.two = self.exact.real, nodes.intern_constant(2.0)
+        self.nodes = nodes
+        self.exact = ExactRules(nodes, granted=granted)
+        self.real = self.exact.real
+        self.two = nodes.intern_constant(2.0)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
         """Return the node of an instruction on numbers. Truths are 1 or 0."""

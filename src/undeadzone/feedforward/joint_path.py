@@ -85,7 +85,8 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     Raises:
         InputError: or a subclass, for points and times that cannot be.
     """
-    key, begin = "reference.swing", path.output_at(np.zeros(1))
+    key = "reference.swing"
+    begin = path.output_at(np.zeros(1))
     joints = begin.shape[1]
     if path.output_at(np.zeros(1), 1).any():
         raise InputError(f"{key}: the path that follows must begin at rest. Set reference.ramp")
@@ -144,7 +145,8 @@ def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Float
         t: the times (N) [s].
         nearby: positions from which Newton's method converges (N x joints) [rad].
     """
-    q, goals = nearby, equations.goals(task.output_at(t))
+    q = nearby
+    goals = equations.goals(task.output_at(t))
     for _ in range(NEWTON):
         values, J = evaluate_at_inputs(equations.constraint, q)
         q = q - solve_jacobians(J, values[:, :, 0] - goals)
@@ -232,7 +234,8 @@ def _blocking_reason(
 
 def _shortfall(equations: Equations, positions: Floats, start: Floats) -> Floats:
     """Return the distance that remains between the tip and each of N positions (N) [m]."""
-    short, angles = np.zeros(len(positions)), start
+    short = np.zeros(len(positions))
+    angles = start
     for i, position in enumerate(positions):
         goal = position / equations.reach
         angles = nearest(equations.tip, goal, angles)
@@ -291,7 +294,8 @@ class Equations(NamedTuple):
 
 def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     """Return the equations of an arm that sets out from `start`. Raises TrackingError."""
-    q, v = ca.SX.sym("q", arm.joint_count), ca.SX.sym("v", arm.joint_count)
+    q = ca.SX.sym("q", arm.joint_count)
+    v = ca.SX.sym("v", arm.joint_count)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
     if arm.joint_count < tip.numel():
@@ -369,7 +373,8 @@ def follow_path(equations: Equations, goals: Floats, start: Floats) -> Floats:
         goals: goals of h (N x joints).
         start: joint positions from which the first goal is searched (joints).
     """
-    q, goal = ca.SX.sym("q", start.size), ca.SX.sym("goal", start.size)
+    q = ca.SX.sym("q", start.size)
+    goal = ca.SX.sym("goal", start.size)
     after = q
     for _ in range(NEWTON):
         value, J = equations.constraint(after)

@@ -56,7 +56,8 @@ class RunningEnds:
     KEPT: Final = ("_upper", "_lower")
 
     def __init__(self) -> None:
-        self._upper, self._lower = _UpperLimit(), _UpperLimit()
+        self._upper = _UpperLimit()
+        self._lower = _UpperLimit()
 
     def add(self, y: Floats, ok: np.ndarray) -> None:
         """Update the detector with the next block of readings.
@@ -77,13 +78,18 @@ class RunningEnds:
         Args:
             quantum: quantum of the readings [y]; 0: none.
         """
-        upper, lower = self._upper, self._lower
+        upper = self._upper
+        lower = self._lower
         least_speed = max(SPEED * (upper.top + lower.top), 3 * quantum)
-        low, high, count = -np.inf, np.inf, 0
+        low = -np.inf
+        high = np.inf
+        count = 0
         if upper.is_limit(least_speed):
-            high, count = upper.top, upper.count
+            high = upper.top
+            count = upper.count
         if lower.is_limit(least_speed):
-            low, count = -lower.top, count + lower.count
+            low = -lower.top
+            count = count + lower.count
         return RangeEnds(low, high, count)
 
 
@@ -137,7 +143,9 @@ class _UpperLimit:
         if top > self.top:
             if self.top < top * (1 - SAME) or top <= 0:
                 self.count = self._visits = 0
-                self._before, self._speed, self._steps = [], [], []
+                self._before = []
+                self._speed = []
+                self._steps = []
             self.top = top
         self.count += int((ok & _is_at(y, self.top)).sum())
         self._count_steps(np.append(self._y[-1:], y), np.append(self._ok[-1:], ok))
@@ -148,7 +156,8 @@ class _UpperLimit:
             self._before += y[first - 1].tolist()
             self._speed += ((y[first - 1] - y[first - RUN]) / (RUN - 1)).tolist()
         last = 2 * RUN - 1  # no stop lies in these alone
-        self._y, self._ok = y[-last:], ok[-last:]
+        self._y = y[-last:]
+        self._ok = ok[-last:]
 
     def _count_steps(self, y: Floats, ok: np.ndarray) -> None:
         """Update the counts of arrivals at the limit, and of repeated readings away from it.

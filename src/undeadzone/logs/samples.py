@@ -111,7 +111,8 @@ class Faults:
         self.counts = np.zeros(len(KINDS), np.int64)
         self.why = ""
         self._line = 0  # of the first one
-        self._source, self._strict = source, strict
+        self._source = source
+        self._strict = strict
 
     def add(self, fault: Fault) -> None:
         """Count a fault. Raises FileError where `strict` is set."""
@@ -119,7 +120,8 @@ class Faults:
             raise FileError(f"{self._source}, line {fault.line}: {fault.why}")
         self.counts[KINDS.index(fault.kind)] += 1
         if not self.why or fault.line < self._line:
-            self._line, self.why = fault.line, f"line {fault.line}: {fault.why}"
+            self._line = fault.line
+            self.why = f"line {fault.line}: {fault.why}"
 
     @property
     def unreadable(self) -> int:
@@ -168,7 +170,9 @@ class LogReader:
         self.latest: list[Fault] = []
         self.ahead = 0
         self._live = live
-        self._source, self._p, self._m = source, p, m
+        self._source = source
+        self._p = p
+        self._m = m
         self._chosen = chosen
         self._text = Text(source)
         self._dialect: Dialect | None = None
@@ -276,9 +280,11 @@ class LogReader:
                 self._learn_stamps(numbered, dialect, layout)
             values = self._one_by_one(numbered, dialect, layout)
         values[np.isinf(values)] = np.nan
-        first, t = 0, np.full(len(values), np.nan)
+        first = 0
+        t = np.full(len(values), np.nan)
         if layout.time is not None:
-            first, t = 1, self._in_seconds(values[:, 0], layout)
+            first = 1
+            t = self._in_seconds(values[:, 0], layout)
         end = first + len(layout.readings)
         lines = np.array([number for number, _ in numbered], np.int64)
         return Samples(t, values[:, first:end], values[:, end:], lines)
@@ -406,7 +412,8 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
     Raises:
         FileError: as `LogReader.feed`, or it cannot be read.
     """
-    blocks, count = [], 0
+    blocks = []
+    count = 0
     for data, last in blocks_of(path, largest):
         blocks.append(reader.feed(data, last))
         count += blocks[-1].t.size

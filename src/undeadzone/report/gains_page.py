@@ -150,7 +150,8 @@ def _answer_table(of: Assessment) -> html.Html:
     """Return gains, their rate, identifiability, and the strength of the feedback."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
-        L, speed = list_numbers(np.ravel(of.gains.L)), of.gains.rates
+        L = list_numbers(np.ravel(of.gains.L))
+        speed = of.gains.rates
         rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
         rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
@@ -167,7 +168,8 @@ def _answer_table(of: Assessment) -> html.Html:
 
 def _problem_section(of: Assessment, design: Design | None) -> html.Html:
     """Return the plant, the sensor, the reference and the aim."""
-    scenario, model = of.problem.scenario, of.problem.model
+    scenario = of.problem.scenario
+    model = of.problem.model
     unit = scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
     sizes = ", ".join(count_noun(number, noun) for number, noun in counts)
@@ -229,7 +231,8 @@ def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     parts = [_gain_table(gains)]
     near = gains.nearest
     if near is not None:
-        margin, rate = near.certificate.margin, near.rates.rate
+        margin = near.certificate.margin
+        rate = near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
         parts.append(html.build_paragraph(words))
         parts.append(_gain_table(near))
@@ -338,7 +341,8 @@ def knowledge_section(assessment: Assessment) -> list[html.Html]:
     It contains the accuracy of each width, reasons and remedies.
     """
     scenario = assessment.problem.scenario
-    unit, duration = scenario.units.output, scenario.simulation.duration
+    unit = scenario.units.output
+    duration = scenario.simulation.duration
     rows = []
     for i, width in enumerate(assessment.known):
         rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))

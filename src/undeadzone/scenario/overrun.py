@@ -61,8 +61,10 @@ def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
 
 def _largest_deceleration(r: Floats, step: float) -> Floats:
     """Return the largest deceleration of each column of samples r (N x p) taken every step [s]."""
-    speed, acceleration = np.diff(r, axis=0) / step, np.diff(r, 2, axis=0) / step**2
-    before, after = np.sign(speed[:-1]), np.sign(speed[1:])
+    speed = np.diff(r, axis=0) / step
+    acceleration = np.diff(r, 2, axis=0) / step**2
+    before = np.sign(speed[:-1])
+    after = np.sign(speed[1:])
     deceleration = np.maximum(-acceleration * before, -acceleration * after)
     return np.asarray(deceleration.max(axis=0, initial=0.0))
 
@@ -78,7 +80,8 @@ def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
     """
     x_rate = x @ flow.A.T + u @ flow.B.T
     # z' = C x' and, with u constant between samples, z'' = C A x'.
-    speed, acceleration = x_rate @ flow.C.T, x_rate @ (flow.C @ flow.A).T
+    speed = x_rate @ flow.C.T
+    acceleration = x_rate @ (flow.C @ flow.A).T
     deceleration = np.maximum(-acceleration * np.sign(speed), 0.0)
     loaded = sensor.inertia > 0
     return np.asarray(

@@ -114,7 +114,8 @@ def tune(
     start = np.array([p.share_of_range(p.start) for p in tuned])
     together = [np.full(start.size, share) for share in PLACES]
     probes = [start, *_move_singly(start, [PLACES] * start.size), *together]
-    points, names = values_at_shares(tuned, np.stack(probes)), [p.name for p in tuned]
+    points = values_at_shares(tuned, np.stack(probes))
+    names = [p.name for p in tuned]
     on = Objective(what, names, scenarios, frames, threads).prepare_runs(points, seed)
     with (
         notebook_progress(progress, "tuning", what.budget, "candidates") as advance,
@@ -243,11 +244,13 @@ class Search(NamedTuple):
         Raises:
             BudgetSpentError: before anything is simulated
         """
-        what, points = self.objective.what, values_at_shares(self.parameters, u)
+        what = self.objective.what
+        points = values_at_shares(self.parameters, u)
         problems = self.objective.candidate_problems(points)
         margin = self.objective.candidate_margins(problems)
         cost = np.full(len(u), np.inf)
-        chosen, possible = [], []
+        chosen = []
+        possible = []
         for k, each in enumerate(problems):
             enough = stage in ("start", "gradient") or margin[k] >= what.margin
             if each is not None and enough:
@@ -258,7 +261,8 @@ class Search(NamedTuple):
         if chosen:
             cost[chosen] = self._compute_costs(points[chosen], possible)
         for k in chosen:
-            point, worth = tuple(points[k].tolist()), (float(cost[k]), float(margin[k]))
+            point = tuple(points[k].tolist())
+            worth = (float(cost[k]), float(margin[k]))
             self.candidates.append(SimulatedCandidate(point, *worth, stage))
         self.progress(len(chosen))
         return Evaluation(cost, margin)
@@ -382,7 +386,9 @@ def _evolve_candidates(
         return _penalise_margin(evaluate(u), what.margin)
 
     size = 4 + int(3 * np.log(start.size))
-    low, high, rounds = np.zeros(start.size), np.ones(start.size), PATIENCE * what.budget // size
+    low = np.zeros(start.size)
+    high = np.ones(start.size)
+    rounds = PATIENCE * what.budget // size
     minimise_by_cmaes(cost, low, high, seed, size, rounds, start, spread)
 
 

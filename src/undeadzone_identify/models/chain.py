@@ -86,7 +86,8 @@ def rate_of_input(u: Floats, p: Floats) -> Floats:
 
 def limit_rate(u: Floats, limit: float) -> Floats:
     """Return a signal (N) after a rate limiter of `limit` per sample (N)."""
-    limited, value = np.empty(u.size), float(u[0])
+    limited = np.empty(u.size)
+    value = float(u[0])
     for k, target in enumerate(u.tolist()):
         value = min(max(target, value - limit), value + limit)
         limited[k] = value
@@ -140,7 +141,10 @@ class ChainModel:
         shaped: whether the left side of the zone has a slope of its own, and the edges are round.
     """
 
-    first, last, gain, has_level = 8, 30, 1e-3, True
+    first = 8
+    last = 30
+    gain = 1e-3
+    has_level = True
 
     def __init__(
         self,
@@ -151,7 +155,10 @@ class ChainModel:
         lags: bool = False,
         shaped: bool = False,
     ) -> None:
-        self.simulator, self.element, self.zone, self.lags = simulator, element, zone, lags
+        self.simulator = simulator
+        self.element = element
+        self.zone = zone
+        self.lags = lags
         self.shaped = shaped
         self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
@@ -162,7 +169,8 @@ class ChainModel:
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
         self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
         self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
-        shape_low, shape_high = (FLATTEST, SHARPEST) * shaped, (1 / FLATTEST, 1.0) * shaped
+        shape_low = (FLATTEST, SHARPEST) * shaped
+        shape_high = (1 / FLATTEST, 1.0) * shaped
         self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * self.taps)])
         self.high = np.array([*high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)])
         self.free: Integers = np.arange(self.filter.stop)
@@ -190,7 +198,8 @@ class ChainModel:
 
     def _simulate(self, theta: Floats) -> Floats:
         """Simulate z for theta (N)."""
-        layout, u = self.simulator.layout, self.simulator.data.u[:, 0]
+        layout = self.simulator.layout
+        u = self.simulator.data.u[:, 0]
         numerator = np.append(0.0, theta[layout.numerators])
         denominator = layout.full_denominator(theta[layout.denominator])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
@@ -215,7 +224,8 @@ class ChainModel:
         """Return the readings of z without noise (N)."""
         y = z
         if self.shaped:
-            (right, left), (slope, rounding) = theta[self.edges], theta[self.shape]
+            (right, left) = theta[self.edges]
+            (slope, rounding) = theta[self.shape]
             # softplus: ln(1 + e^x), a ramp with a round corner.
             right_ramp, left_ramp = np.logaddexp(
                 0.0, [(z - right) / rounding, (-z - left) / rounding]
@@ -225,7 +235,8 @@ class ChainModel:
             y = dead_zone(z, *theta[self.edges])
         if not self.taps:
             return y
-        f, filtered = theta[self.filter], np.empty(y.size)
+        f = theta[self.filter]
+        filtered = np.empty(y.size)
         for part in self.simulator.data.record_slices():
             if self.lags:
                 pole = float(f[0])
@@ -278,7 +289,8 @@ class ChainModel:
 
     def has_curve_at_bound(self, theta: Floats) -> bool:
         """Return whether a parameter of the input's curve is at its bound."""
-        own, count = theta[self.inputs], self.inputs.stop - self.inputs.start
+        own = theta[self.inputs]
+        count = self.inputs.stop - self.inputs.start
         near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
 
@@ -342,7 +354,8 @@ def fit_chains(
             next one are used, with the recorded input also the second next.
     """
     starts = PlaceStarts(fit)
-    layout, data = starts.simulator.layout, starts.simulator.data
+    layout = starts.simulator.layout
+    data = starts.simulator.data
     if layout.m > 1:
         return Chains({})
     kinds = [(data, n) for n in (layout.n, layout.n + 1)]
@@ -362,10 +375,12 @@ def fit_chains(
     taps = [np.array(f) for f in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
     filtered_starts = [_with_taps(row, taps) for row in linear]
     fits.append(_best_order(plants, filtered_starts, lambda plant: ChainModel(plant, taps=TAPS)))
-    zoned, widths = starts.plant, starts.widths
+    zoned = starts.plant
+    widths = starts.widths
     if "dead_zone" in places:
         zone = places["dead_zone"]
-        zoned, widths = zone.theta[: layout.right], zone.model.part_numbers(zone.theta, "sensor")
+        zoned = zone.theta[: layout.right]
+        widths = zone.model.part_numbers(zone.theta, "sensor")
     lag = ChainModel(starts.simulator, zone=True, lags=True)
     points = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
     fits.append(LeastSquares(lag).fit_from_starts(points))
@@ -459,7 +474,9 @@ def scan_input(
         element: element of the input.
         count: number of start points.
     """
-    layout, data, starts = simulator.layout, simulator.data, list[ScannedStart]()
+    layout = simulator.layout
+    data = simulator.data
+    starts = list[ScannedStart]()
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
         scale = float(v.std())

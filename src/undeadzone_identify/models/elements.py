@@ -53,7 +53,11 @@ class PlayModel:
         free: places of the free parameters (F).
     """
 
-    first, last, gain, has_level = 0, 60, 1e-4, False  # a level is in c_r - c_l, d_r - d_l or x0
+    # a level is in c_r - c_l, d_r - d_l or x0
+    first = 0
+    last = 60
+    gain = 1e-4
+    has_level = False
 
     def __init__(self, simulator: PlantSimulator, zone: bool = False) -> None:
         self.name = "play_and_zone" if zone else "play"
@@ -100,7 +104,9 @@ class PlayModel:
     @cache_latest
     def _drag_level(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return `play_level` for c_r, c_l and z stacked in a column."""
-        right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
+        right = numbers[:1]
+        left = numbers[1:2]
+        z = numbers[2:, None]
         parts = zip(self.data.record_slices(), self.start_levels, strict=True)
         level = np.vstack([levels(z[part], right, left, start) for part, start in parts])[:, 0]
         side = contact(level, np.roll(level, 1))
@@ -226,13 +232,15 @@ def identity_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 def dead_zone_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the dead zone of z with widths p_0 right and p_1 left, with derivatives."""
-    above, below = z > p[0], z < -p[1]
+    above = z > p[0]
+    below = z < -p[1]
     return dead_zone(z, *p), 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
 
 
 def saturation_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z limited to -p_1 and p_0, with derivatives."""
-    above, below = z > p[0], z < -p[1]
+    above = z > p[0]
+    below = z < -p[1]
     inside = ~(above | below)
     return np.clip(z, -p[1], p[0]), 1.0 * inside, np.column_stack([1.0 * above, -1.0 * below])
 
@@ -260,7 +268,8 @@ def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, F
     """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
     a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
-    at_a, at_b = np.exp(-0.5 * a**2) / (blur * ROOT), np.exp(-0.5 * b**2) / (blur * ROOT)
+    at_a = np.exp(-0.5 * a**2) / (blur * ROOT)
+    at_b = np.exp(-0.5 * b**2) / (blur * ROOT)
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 
@@ -268,7 +277,8 @@ def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Fl
     """Return the distances of z beyond the right and left edge, in rms of the noise, and the
     probabilities to be beyond them (N each).
     """
-    a, b = (z - p[0]) / blur, (-p[1] - z) / blur
+    a = (z - p[0]) / blur
+    b = (-p[1] - z) / blur
     return a, b, ndtr(a), ndtr(b)
 
 
@@ -281,7 +291,9 @@ class MapModel:
         shape: the map g.
     """
 
-    first, last, gain = 0, 40, 1e-4
+    first = 0
+    last = 40
+    gain = 1e-4
 
     def __init__(self, simulator: PlantSimulator, name: str, shape: Map) -> None:
         self.name = name
@@ -375,7 +387,8 @@ MapStarts = tuple[str, Map, list[tuple[ZoneFit, float, list[float]]]]
 
 def _start_maps(fit: ZoneFit) -> list[MapStarts]:
     """Return the static maps and their start points beside the fit of a dead zone."""
-    simulator, is_behind = fit.objective.simulator, fit.objective.kind == "behind"
+    simulator = fit.objective.simulator
+    is_behind = fit.objective.kind == "behind"
     linear = fit_linear(simulator, fit.objective.readings.ok)
     widths = [max(fit.right, 0.0), max(fit.left, 0.0)]
     mean_width = [max(0.5 * fit.width, 0.05)] * 2

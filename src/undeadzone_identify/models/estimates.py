@@ -129,8 +129,10 @@ def maximise_likelihood(
 
 def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Maximum:
     """Maximise from an admissible theta (P). Arguments of `maximise_likelihood`."""
-    best, model = theta, target.quadratic_model(theta)
-    damping, small_gains = 1e-2, 0
+    best = theta
+    model = target.quadratic_model(theta)
+    damping = 1e-2
+    small_gains = 0
     for _ in range(steps):
         current, score, hessian = model
         step = _damped_newton_step(score, hessian, damping)
@@ -148,7 +150,8 @@ def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Ma
         small_gains = small_gains + 1 if is_small else 0
         if small_gains >= 2:
             return Maximum(trial, reached)
-        best, model = trial, target.quadratic_model(trial)
+        best = trial
+        model = target.quadratic_model(trial)
     return Maximum(best, model[0])
 
 
@@ -231,7 +234,8 @@ def run_lanes_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tu
         Outputs (K x N x outputs) and final states (K x states).
     """
     states, _, numbers = kernel.shape.sizes
-    start, shared = np.zeros(states), np.zeros(numbers)
+    start = np.zeros(states)
+    shared = np.zeros(numbers)
     return lanes.run_lanes(kernel, start, exogenous, shared, lane_params=rows, threads=1)
 
 
@@ -245,7 +249,8 @@ def perturb_each(theta: Floats, free: Integers, steps: Floats) -> Floats:
         free: places of the free parameters (F).
         steps: their steps (F).
     """
-    changes, rows = np.zeros((1 + 2 * free.size, theta.size)), np.arange(1, 1 + free.size)
+    changes = np.zeros((1 + 2 * free.size, theta.size))
+    rows = np.arange(1, 1 + free.size)
     changes[rows, free] = steps
     changes[rows + free.size, free] = -steps
     return theta + changes
@@ -283,7 +288,8 @@ class Interval(NamedTuple):
 
     def stretch_by(self, factor: float) -> Interval:
         """Return the interval with both halves multiplied by a factor."""
-        below, above = self.value - self.low, self.high - self.value
+        below = self.value - self.low
+        above = self.high - self.value
         return Interval(self.value, self.value - factor * below, self.value + factor * above)
 
     def extend_by(self, below: float, above: float) -> Interval:

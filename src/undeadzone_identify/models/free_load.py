@@ -62,7 +62,8 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     Returns:
         The fit; None if the load visited a flank too rarely, or if noise hides the flanks.
     """
-    u, y = data.u - data.u.mean(), data.y - data.y.mean()
+    u = data.u - data.u.mean()
+    y = data.y - data.y.mean()
     gain = float(u @ y / (u @ u))
     spread = float(np.ptp(y - gain * u))
     if spread <= 0:
@@ -77,8 +78,10 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     options = {"maxiter": 1200, "xatol": 1e-5, "fatol": 1e-3}
     minima = [minimize(cost, start, method="Nelder-Mead", options=options) for start in starts]
     at = min(minima, key=lambda minimum: float(minimum.fun)).x
-    width, gain = abs(float(at[0])) * spread, float(at[1]) * gain
-    level, s = float(at[2]) * spread, math.exp(float(at[3])) * spread
+    width = abs(float(at[0])) * spread
+    gain = float(at[1]) * gain
+    level = float(at[2]) * spread
+    s = math.exp(float(at[3])) * spread
     w = y - gain * u - level
     value = _log_density(w, at, spread)
     visits = _visits(w, width)
@@ -89,7 +92,8 @@ def fit_free_load(data: Positions) -> FreeLoad | None:
     compliance = math.sqrt(max(s**2 - noise**2, 0.0))  # flanks yield under load
     rounding = math.hypot(data.quantum, gain * data.input_quantum)
     margin = math.hypot(2 * scatter, rounding)
-    low, high = width - margin - 2 * compliance, width + margin + compliance
+    low = width - margin - 2 * compliance
+    high = width + margin + compliance
     beyond = w - np.clip(w, -width / 2, width / 2)
     size = abs(gain)
     gap = Interval(width / size, max(low, 0.0) / size, high / size)
@@ -109,9 +113,11 @@ def _log_density(w: Floats, at: Floats, scale: float) -> Floats:
         at: c, R and b over their scales, logarithm of the noise, logit of the share of contact.
         scale: unit of c and of the noise [y].
     """
-    half, s = abs(at[0]) * scale / 2, math.exp(at[3]) * scale
+    half = abs(at[0]) * scale / 2
+    s = math.exp(at[3]) * scale
     contact = 1 / (1 + math.exp(-at[4]))
-    right, left = (w - half) / s, (w + half) / s
+    right = (w - half) / s
+    left = (w + half) / s
     flank = (np.exp(-0.5 * right**2) + np.exp(-0.5 * left**2)) / (2 * s * math.sqrt(2 * math.pi))
     between = (ndtr(left) - ndtr(right)) / max(2 * half, 1e-3 * s)
     return np.asarray(np.log(contact * flank + (1 - contact) * between + 1e-300))

@@ -20,7 +20,10 @@ from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gai
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
 
-WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
+# models of the disturbance
+WHITE = 0
+AT_INPUT = 1
+AT_OUTPUT = 2
 NAMES = ("white at the input", "first order at the input", "first order at the output")
 QUIETEST = 1e-3  # least rms of white noise ahead of the zone [rms of y]
 STEP = 1e-4  # relative step of a parameter, for differences
@@ -75,7 +78,8 @@ def measurement_terms(
     """
     outside = side != 0
     v = (y + right * (side > 0) - left * (side < 0) - mean) / s
-    a, b = (y + right - mean) / s, (y - left - mean) / s
+    a = (y + right - mean) / s
+    b = (y - left - mean) / s
     mass = log_interval_mass(a, b)
     at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
     at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
@@ -129,7 +133,8 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
     diverged = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
     s = ca.sqrt(ca.fmax(ca.if_else(diverged, 1.0, S), 1e-12))
     density, g, k = measurement_terms(y, side, ca.if_else(diverged, 0.0, mean), s, right, left)
-    g, k = ok * g, ok * k
+    g = ok * g
+    k = ok * k
     before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
@@ -153,8 +158,12 @@ def observer_form_matrices(n: int, m: int, model: int, numbers: Any) -> tuple[An
     Returns:
         F (size x size), B (size x m), G G' (size x size) for q = 1, H (1 x size).
     """
-    size, zeros = n + (model > 0), type(numbers).zeros
-    F, B, G, H = zeros(size, size), zeros(size, m), zeros(size, size), zeros(1, size)
+    size = n + (model > 0)
+    zeros = type(numbers).zeros
+    F = zeros(size, size)
+    B = zeros(size, m)
+    G = zeros(size, size)
+    H = zeros(1, size)
     F[:n, :n] = ca.DM(np.eye(n, k=1))
     F[:n, 0] = -numbers[:n]
     B[:n, :] = ca.reshape(numbers[n : n + m * n], n, m)
@@ -199,7 +208,8 @@ class KalmanObjective:
         self.model = model
         self.limits = limits
         self.climbs = data.climbs
-        self.log_q, self.lane_q = layout.numerators.stop, layout.n * (1 + layout.m)
+        self.log_q = layout.numerators.stop
+        self.lane_q = layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
@@ -288,7 +298,8 @@ class KalmanObjective:
         disturbance = math.sqrt(share) * fit.disturbance_rms
         white = max(math.sqrt(1 - share) * fit.disturbance_rms, 2 * QUIETEST)
         phi = min(max(fit.rho, 0.5), 0.99)
-        colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
+        colour = phi if self.model == AT_INPUT else 0.0
+        layout = self.layout
         gain = math.sqrt(
             input_noise_gain(p[layout.denominator], p[layout.numerators], layout.n, colour)
         )
@@ -306,7 +317,8 @@ class KalmanObjective:
 
     def width_weights(self, right: float, left: float) -> Floats:
         """Return c (F) with c' theta_free = right d_r + left d_l."""
-        first, tied = self.log_q + 2, self.limits.tied
+        first = self.log_q + 2
+        tied = self.limits.tied
         return estimates.weight_row(self.free, self.size, first, (right, left), tied)
 
     @estimates.cache_latest

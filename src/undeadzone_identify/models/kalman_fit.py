@@ -87,7 +87,8 @@ def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
     Returns:
         A fit per model; empty if no filter could be run.
     """
-    data, layout = fit.objective.data, fit.objective.layout
+    data = fit.objective.data
+    layout = fit.objective.layout
     part = busiest_stretches(data)
     fits = []
     for model in MODELS:

@@ -19,7 +19,9 @@ from undeadzone_identify.models import estimates
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
-ROUNDS, STEPS = 2, 10  # rounds of the search for the best density, and steps of each
+# rounds of the search for the best density, and steps of each
+ROUNDS = 2
+STEPS = 10
 LONGEST_MEMORY = 11  # largest autoregressive order of the residuals, plus 1
 TURNS = 4  # rounds of fitting an autoregression and maximising the likelihood with it
 COSINES = 24
@@ -104,7 +106,9 @@ class LeastSquares(Generic[M]):
         self.model = model
         self.past = np.asarray(past)
         self.data = model.simulator.data
-        self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
+        self.free = model.free
+        self.gain = model.gain
+        self.climbs = self.data.climbs
         self._count = int(self.data.ok.sum())
         self._whole = self._count == self.data.ok.size
 

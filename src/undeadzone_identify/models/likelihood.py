@@ -21,7 +21,9 @@ NARROW = 1e-5  # width of an interval below which its mass is width times densit
 FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
 REACH = 7.0  # standard deviations beyond which a Gaussian is neglected: 2e-11 of its mass
 STEEP = 0.7  # correlation above which the integral over innovations is the smoother one
-ALL, NEAR = 8.0, 3.0  # limits beyond ALL are infinite if the other variable is within NEAR: 7e-14
+# limits beyond ALL are infinite if the other variable is within NEAR: 7e-14
+ALL = 8.0
+NEAR = 3.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -176,7 +178,8 @@ def pair_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTe
     if noise.rho == 0.0 or not readings.before.any():
         return _add_slope_of_rho(readings, z, noise, terms)
     both = np.flatnonzero(readings.ok & readings.before)
-    inside, inside_before = readings.side[both] == 0, readings.side[both - 1] == 0
+    inside = readings.side[both] == 0
+    inside_before = readings.side[both - 1] == 0
     _enter_outside_outside(readings, z, noise, both[~inside & ~inside_before], terms)
     _enter_inside_outside(readings, z, noise, both[inside & ~inside_before], terms)
     _enter_outside_inside(readings, z, noise, both[~inside & inside_before], terms)
@@ -207,7 +210,8 @@ def _enter_outside_outside(
 
     ln N(e_t; rho e_(t-1), s'^2), s'^2 = s^2 (1 - rho^2).
     """
-    rho, innovation_share = noise.rho, 1 - noise.rho**2
+    rho = noise.rho
+    innovation_share = 1 - noise.rho**2
     e = zone_residual(readings, z, noise.right, noise.left)
     v = e[at] - rho * e[at - 1]  # innovation
     variance = noise.s**2 * innovation_share
@@ -295,9 +299,12 @@ def _enter_inside_inside(
     """
     if not at.size:
         return
-    s, rho = noise.s, noise.rho
-    a, b = (noise.right - z[at]) / s, (-noise.left - z[at]) / s
-    a0, b0 = (noise.right - z[at - 1]) / s, (-noise.left - z[at - 1]) / s
+    s = noise.s
+    rho = noise.rho
+    a = (noise.right - z[at]) / s
+    b = (-noise.left - z[at]) / s
+    a0 = (noise.right - z[at - 1]) / s
+    b0 = (-noise.left - z[at - 1]) / s
     log_both = log_rectangle_mass(a0, b0, a, b, rho)
     before = _ZoneMass(z[at - 1], noise)
     by_a, by_b = rectangle_edge_slopes(a, b, a0, b0, rho, log_both)
@@ -329,9 +336,11 @@ def log_cdf_difference(a: Floats, b: Floats) -> Floats:
     lower = np.where(flip, -a, b)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.log(_normal_cdf(upper) - _normal_cdf(lower))
-    far, narrow = upper < FAR, upper - lower < NARROW
+    far = upper < FAR
+    narrow = upper - lower < NARROW
     if far.any():
-        top, bottom = log_ndtr(upper[far]), log_ndtr(lower[far])
+        top = log_ndtr(upper[far])
+        bottom = log_ndtr(lower[far])
         value[far] = top + np.log(-np.expm1(np.minimum(bottom - top, -1e-300)))
     if narrow.any():
         width = np.maximum((upper - lower)[narrow], 1e-300)
@@ -387,7 +396,10 @@ def log_rectangle_mass(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float)
     value[first] = log_cdf_difference(a[first], b[first])
     value[second] = log_cdf_difference(a0[second], b0[second])
     rest = ~(first | second)
-    a0, b0, a, b = a0[rest], b0[rest], a[rest], b[rest]
+    a0 = a0[rest]
+    b0 = b0[rest]
+    a = a[rest]
+    b = b[rest]
     top = np.clip(
         rho * np.clip(0.0, b, a), b0, a0
     )  # near the maximum of the density in the rectangle
@@ -409,7 +421,8 @@ def _integrate_over_first(
     q = sqrt(1 - rho^2). Arguments of `log_rectangle_mass`; top: place of the maximum (N).
     """
     q = math.sqrt(1 - rho**2)
-    low, high = np.maximum(b0, top - REACH), np.minimum(a0, top + REACH)
+    low = np.maximum(b0, top - REACH)
+    high = np.minimum(a0, top + REACH)
     half = 0.5 * (high - low)
     x = 0.5 * (high + low)[:, None] + half[:, None] * NODES
     inside = log_cdf_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
@@ -436,7 +449,8 @@ def _integrate_over_innovation(
     ends = np.stack([low, kinks[0], kinks[1], high], axis=1)
     half = 0.5 * np.diff(ends, axis=1)
     piece = np.argwhere(half > 1e-14)
-    row, column = piece[:, 0], piece[:, 1]
+    row = piece[:, 0]
+    column = piece[:, 1]
     width = half[row, column]
     v = (ends[row, column] + width)[:, None] + width[:, None] * NODES
     x_high = np.minimum(a0[row, None], (a[row, None] - q * v) / rho)

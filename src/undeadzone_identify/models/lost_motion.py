@@ -46,7 +46,9 @@ WHITE = 1.35  # largest ratio of `LostMotion.colour` for white residuals
 GIVEN = 3  # degrees of freedom that the fit takes from the sums over strokes: gap, gain, level
 SURE = 0.9  # level of the chi-squared test for differences between strokes
 ROUNDED = 0.45  # largest rms of residuals that rounding alone explains [quanta]
-SLOWEST, FASTEST = 30.0, 0.5  # limits of a time constant [samples]
+# limits of a time constant [samples]
+SLOWEST = 30.0
+FASTEST = 0.5
 RATES = 7  # time constants of a scan
 
 
@@ -139,7 +141,8 @@ class MotionFit:
     """
 
     def __init__(self, data: Positions, structure: Structure) -> None:
-        self.data, self.structure = data, structure
+        self.data = data
+        self.structure = structure
         self.step = float(np.median(np.diff(data.t)))
         self.range = float(np.ptp(data.u))
         still = float(np.mean(np.diff(data.u) == 0)) > HELD
@@ -147,7 +150,8 @@ class MotionFit:
 
     def delay_and_lag(self, delay: float, lag: float) -> Floats:
         """Return the position ahead of the gap after delay [s] and lags [s] (N) [u]."""
-        data, u = self.data, self.data.u
+        data = self.data
+        u = self.data.u
         if self.structure.lags and lag > 0:
             u = lag_signal(u, data.t, lag, self.structure.lags)
         if delay <= 0:
@@ -230,7 +234,8 @@ class MotionFit:
         free = np.flatnonzero([gap_is_free, self.structure.late, self.structure.lags > 0])
         if not free.size:
             return at
-        cost, damping = self._cost(at), 1e-3
+        cost = self._cost(at)
+        damping = 1e-3
         for _ in range(CLIMBED):
             rows, e = self._slopes(at, free)
             normal = rows.T @ rows
@@ -246,7 +251,8 @@ class MotionFit:
             else:
                 return at
             gain = cost - reached
-            at, cost = trial, reached
+            at = trial
+            cost = reached
             damping = max(damping / 8.0, 1e-9)
             if gain < 1e-7 * cost:
                 break
@@ -279,7 +285,8 @@ class MotionFit:
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
-        delays, lags = [0.0], [0.0]
+        delays = [0.0]
+        lags = [0.0]
         if self.structure.late:
             delays = list(np.linspace(0.0, LATEST, DELAYS) * self.step)
         if self.structure.lags:
@@ -336,7 +343,8 @@ class MotionFit:
             span *= 2.0
         low = high = found.gap
         if inside.size:
-            low, high = _crossing(gaps, costs, limit, -1), _crossing(gaps, costs, limit, 1)
+            low = _crossing(gaps, costs, limit, -1)
+            high = _crossing(gaps, costs, limit, 1)
         data = self.data
         is_coarse = abs(found.gain) * data.input_quantum > COARSER * data.quantum
         if data.is_goal or is_coarse:

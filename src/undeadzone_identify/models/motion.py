@@ -86,11 +86,13 @@ def detect_motion_rule(
     ):
         return MotionRule(0.0, quantum, 1)
     rms = float(np.hypot(white_noise_rms(y, ok, start), quantum / np.sqrt(12)))
-    best, largest = WINDOWS[0], -1
+    best = WINDOWS[0]
+    largest = -1
     for window in WINDOWS:
         count = int(np.count_nonzero(motion_sides(y, ok, start, MotionRule(rms, 0.0, window))))
         if count > largest and (window == WINDOWS[0] or window <= longest):
-            best, largest = window, count
+            best = window
+            largest = count
     return MotionRule(rms, 0.0, best)
 
 
@@ -164,7 +166,8 @@ def _has_chatter(change: Floats) -> bool:
     ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
-    tick, following = change[ticks[:-1]], change[ticks[1:]]
+    tick = change[ticks[:-1]]
+    following = change[ticks[1:]]
     reverses = (tick * following < 0) & (np.diff(ticks) <= 2)
     undone = (reverses & (tick == -following)).mean()
     return bool(undone > CHATTER or reverses.mean() > REVERSED_SHARE)
@@ -284,17 +287,21 @@ def estimate_four_offsets(
     rms = float(np.sqrt(np.mean(y[ok] ** 2)))
     directions = motion_sides(y, ok, start, rule)
     first = set(start.tolist())
-    X, P = np.zeros(n + 4), np.zeros((n + 4, n + 4))
+    X = np.zeros(n + 4)
+    P = np.zeros((n + 4, n + 4))
     P[n:, n:] = (VAGUE * rms) ** 2 * np.eye(4)
     F = np.eye(n + 4)
     F[:n, :n] = plant.F
     drive = u @ plant.B.T
-    side, corrected = np.zeros(y.size, int), y.copy()
+    side = np.zeros(y.size, int)
+    corrected = y.copy()
     classes = offset_classes(y, directions, max(rule.noise, rule.quantum / BEYOND))
     z = 0.0
     for t in range(y.size):
         if t in first:
-            X[:n], P[:n, :], P[:, :n] = 0.0, 0.0, 0.0
+            X[:n] = 0.0
+            P[:n, :] = 0.0
+            P[:, :n] = 0.0
             P[:n, :n] = plant.at_first
             z = 0.0
         move = float(plant.H @ X[:n] - z)  # predicted change of z in the sample
@@ -304,7 +311,8 @@ def estimate_four_offsets(
             k = classes[t]
             if k >= 0:  # Kalman update with y = H x + beta_k + e
                 h = np.zeros(n + 4)
-                h[:n], h[n + k] = plant.H, 1.0
+                h[:n] = plant.H
+                h[n + k] = 1.0
                 Ph = P @ h
                 S = float(h @ Ph) + variance
                 X += Ph * ((corrected[t] - h @ X) / S)

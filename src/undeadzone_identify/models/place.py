@@ -72,11 +72,15 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
     state = ca.SX.sym("s", 2 * n + 1)
     exogenous = ca.SX.sym("w", m * n + n)
     numbers = ca.SX.sym("p", 3 * n + m * n + 5)
-    a, b = numbers[:n], numbers[n : n + m * n]
-    x0, c = numbers[n + m * n : 2 * n + m * n], numbers[2 * n + m * n : 3 * n + m * n]
+    a = numbers[:n]
+    b = numbers[n : n + m * n]
+    x0 = numbers[n + m * n : 2 * n + m * n]
+    c = numbers[2 * n + m * n : 3 * n + m * n]
     right, left, sigma, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
     past = ca.vertsplit(state)
-    z_past, f_past, last_move = past[:n], past[n : 2 * n], past[2 * n]
+    z_past = past[:n]
+    f_past = past[n : 2 * n]
+    last_move = past[2 * n]
     u = _zone_expression(exogenous[: m * n], u_right, u_left)
     w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
     w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
@@ -152,13 +156,17 @@ class PlaceModel:
         shape: parts of the model.
     """
 
-    first, last, gain, has_level = 12, 40, 1e-3, True
+    first = 12
+    last = 40
+    gain = 1e-3
+    has_level = True
 
     def __init__(self, simulator: PlantSimulator, shape: PlaceShape) -> None:
         self.name = shape.name
         self.simulator = simulator
         self.shape = shape
-        self.n, self.m = simulator.layout.n, simulator.layout.m
+        self.n = simulator.layout.n
+        self.m = simulator.layout.m
         self.base = simulator.layout.right
         self.size = self.base + WIDTHS + self.n
         widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.sticks] + [shape.input] * 2
@@ -209,7 +217,8 @@ class PlaceModel:
 
         They are free, or b_2 / b_1, b_3 / b_1, ... for friction at the input, or 0.
         """
-        c, free = np.zeros((*theta.shape[:-1], self.n)), self.shape.free
+        c = np.zeros((*theta.shape[:-1], self.n))
+        free = self.shape.free
         if free and self.shape.inner:
             c[..., :free] = theta[..., self.base + WIDTHS :][..., :free]
         elif self.shape.inner:
@@ -247,8 +256,10 @@ class PlaceModel:
     def _simulate_around(self, theta: Floats) -> Floats:
         """Simulate z for theta and for the perturbed parameters ((1 + 2 free) x N)."""
         points = perturb_each(theta, self.free, self._perturbation_steps(theta))
-        layout, tail = self.simulator.layout, points[:, self.base + 2 : self.base + WIDTHS]
-        plant, starts = points[:, : layout.numerators.stop], points[:, layout.x0]
+        layout = self.simulator.layout
+        tail = points[:, self.base + 2 : self.base + WIDTHS]
+        plant = points[:, : layout.numerators.stop]
+        starts = points[:, layout.x0]
         tail = np.hstack([self.friction_coefficients(points), tail])
         z = []
         for k, part in enumerate(self.simulator.records):
@@ -345,7 +356,8 @@ class PlaceStarts:
         """Return the starts for friction at the input's location: c = b / b_1."""
         starts = []
         for plant, level in self.input_levels():
-            numbers, n = plant.copy(), self.n
+            numbers = plant.copy()
+            n = self.n
             if numbers[n] <= 1e-3:  # b_1, by which c is divided
                 numbers[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
             starts.append(join_place_numbers(numbers, n, inner=level * numbers[n]))
@@ -361,8 +373,10 @@ class PlaceStarts:
         for name in ("friction", "sensor"):
             if name not in fits:
                 continue
-            model, theta = fits[name].model, fits[name].theta
-            a, b = theta[: self.n], theta[self.n : 2 * self.n]
+            model = fits[name].model
+            theta = fits[name].theta
+            a = theta[: self.n]
+            b = theta[self.n : 2 * self.n]
             dc_gain = b.sum() / (1 + a.sum())
             if name == "friction":
                 level = model.part_numbers(theta, "inner") / max(abs(b[0]), 1e-9)
@@ -501,7 +515,8 @@ def _starts_between_zones(
         objective: the likelihood that will be maximised.
         two_zones: earlier fit with both zones, whose widths are scaled.
     """
-    layout, starts = objective.layout, list[Floats]()
+    layout = objective.layout
+    starts = list[Floats]()
     for gain_factor, width_factor in LOUDER:
         theta = np.zeros(layout.parameter_count)
         theta[layout.denominator] = linear.theta[layout.denominator]

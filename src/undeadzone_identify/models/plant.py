@@ -97,7 +97,8 @@ def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
     for record in data.record_slices():
         stretches += _cut_record(record, longest)
     stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
-    busiest, count = stretches[:1], stretches[0].stop - stretches[0].start
+    busiest = stretches[:1]
+    count = stretches[0].stop - stretches[0].start
     for stretch in stretches[1:]:
         count += stretch.stop - stretch.start
         if count > MANY:
@@ -253,7 +254,8 @@ class PlantSimulator:
 
     def pass_inputs(self, theta: Floats) -> Floats:
         """Return the inputs after their dead zone (N x m)."""
-        u, zone = self.data.u, theta[self.layout.input_widths]
+        u = self.data.u
+        zone = theta[self.layout.input_widths]
         return dead_zone(u, *zone) if self.layout.zoned else u
 
     def simulate_z(self, theta: Floats) -> Floats:
@@ -399,7 +401,8 @@ def find_input_disturbance(
     """
     lags = max(2, min(LAGS, residual.size // 10))
     measured = mean_lag_products(residual, ok, lags)[1:]
-    best, error = InputDisturbance(0.0, 0.0, 0.0), math.inf
+    best = InputDisturbance(0.0, 0.0, 0.0)
+    error = math.inf
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
         shape = mean_lag_products(w, np.ones(w.size, bool), lags)
@@ -407,7 +410,8 @@ def find_input_disturbance(
         misfit = float(np.sum((measured - power * shape[1:]) ** 2))
         if misfit < error:
             rms = math.sqrt(power * shape[0])
-            best, error = InputDisturbance(rms, phi, math.sqrt(power)), misfit
+            best = InputDisturbance(rms, phi, math.sqrt(power))
+            error = misfit
     return best
 
 

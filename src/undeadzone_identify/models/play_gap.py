@@ -141,9 +141,12 @@ def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop:
 
     noise: rms of the white noise of the readings, scaled.
     """
-    simulation_fit, fit = fit, fit.prediction_fit if in_loop else fit
-    model, theta = fit.model, fit.theta
-    halves, simulation_halves = _own_half_intervals(fit), _own_half_intervals(simulation_fit)
+    simulation_fit = fit
+    fit = fit.prediction_fit if in_loop else fit
+    model = fit.model
+    theta = fit.theta
+    halves = _own_half_intervals(fit)
+    simulation_halves = _own_half_intervals(simulation_fit)
     corrected, fits, ahead = _match_simulated_fits(fit, noise, quantum)
     scatter = np.cov(fits.T)
     for name, row in ROWS.items():
@@ -163,7 +166,8 @@ def _indirect_inference_gap(fit: PlayFit, noise: float, quantum: float, in_loop:
 
 def play_disturbance(fit: PlayFit) -> InputDisturbance:
     """Return the disturbance of z that explains the least-squares residual."""
-    squares, layout = fit.squares, fit.model.simulator.layout
+    squares = fit.squares
+    layout = fit.model.simulator.layout
     return find_input_disturbance(
         layout, fit.theta, squares.reading_residual(fit.theta), squares.data.ok
     )
@@ -182,12 +186,14 @@ def _match_simulated_fits(
     Returns:
         Corrected parameters (P), the fits of the last round (RUNS x P), and the disturbance.
     """
-    layout, size = fit.model.simulator.layout, fit.squares.data.y.size
+    layout = fit.model.simulator.layout
+    size = fit.squares.data.y.size
     ahead = play_disturbance(fit)
     colour = first_order_noise(RUNS, size, ahead.phi)
     behind = noise * np.random.default_rng(1).standard_normal((RUNS, size))
     target = _excess_power(fit.squares.residual_rms(fit.theta), noise)
-    theta, rms = fit.theta, ahead.rms
+    theta = fit.theta
+    rms = ahead.rms
     for _ in range(ROUNDS):
         w = plant_response(layout, theta, colour)
         w *= rms / max(float(w.std()), 1e-300)
@@ -230,7 +236,8 @@ def _refit_simulated(
     """
     model = fit.model
     z = model.output(theta)
-    fits, residuals = [], []
+    fits = []
+    residuals = []
     for w, e in zip(ahead, behind, strict=True):
         y = _round_to_quantum(model.noise_free_readings(z + w, theta) + e, quantum)
         squares = LeastSquares(model.with_readings(y), fit.squares.past)

@@ -34,11 +34,16 @@ MORE = 2  # lags of the position beyond those of the reading
 LATEST = 30  # largest delay of a plant [samples]
 HARMONICS = (1, 2, 3)  # of an external oscillation
 BREAKS = 2  # parameters that the breakpoints of a valve count for, beside S and J
-FINEST, TRIED = 0.005, 60  # least S [range of u], and the number of S of a grid up to the range
+# least S [range of u], and the number of S of a grid up to the range
+FINEST = 0.005
+TRIED = 60
 RATIOS = (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)  # J / S
 LARGEST = 1.6  # J / S at most
-KANO, HE = "Kano", "He"
-ROUNDS, TOPS = 3, 8  # refinements of a grid, and grid points at which they start
+KANO = "Kano"
+HE = "He"
+# refinements of a grid, and grid points at which they start
+ROUNDS = 3
+TOPS = 8
 PAIRS = 300  # pairs (S, J) about the best one, for the interval
 FAR = 1.6  # largest |ln(S / best S)| of these
 SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
@@ -72,11 +77,14 @@ def _slide_on(u: Floats, stick: Floats, jump: Floats) -> Floats:
         stick: S of each valve (K) [u].
         jump: J of each valve (K) [u].
     """
-    position, stopped_at = np.full(stick.size, u[0]), np.full(stick.size, u[0])
-    direction, rests = np.zeros(stick.size), np.ones(stick.size, bool)
+    position = np.full(stick.size, u[0])
+    stopped_at = np.full(stick.size, u[0])
+    direction = np.zeros(stick.size)
+    rests = np.ones(stick.size, bool)
     positions = np.empty((u.size, stick.size))
     positions[0] = position
-    distance, first_slip = (stick - jump) / 2, (stick + jump) / 2
+    distance = (stick - jump) / 2
+    first_slip = (stick + jump) / 2
     for t in range(1, u.size):
         stops = ~rests & (direction * (u[t] - u[t - 1]) <= 0)
         stopped_at = np.where(stops, u[t - 1], stopped_at)
@@ -105,10 +113,12 @@ def _stick_again(u: Floats, stick: Floats, jump: Floats) -> Floats:
         stick: S of each valve (K) [u].
         jump: J of each valve (K) [u].
     """
-    position, force = np.full(stick.size, u[0]), np.zeros(stick.size)
+    position = np.full(stick.size, u[0])
+    force = np.zeros(stick.size)
     positions = np.empty((u.size, stick.size))
     positions[0] = position
-    static, kinetic = (stick + jump) / 2, (stick - jump) / 2
+    static = (stick + jump) / 2
+    kinetic = (stick - jump) / 2
     for t in range(1, u.size):
         force = force + (u[t] - u[t - 1])
         remaining = np.where(np.abs(force) > static, np.sign(force) * kinetic, force)
@@ -312,7 +322,8 @@ class LoopLog:
     """
 
     def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats | None) -> None:
-        self.range, self.deviation = float(np.ptp(u)), float(y[ok].std())
+        self.range = float(np.ptp(u))
+        self.deviation = float(y[ok].std())
         self.u = (u - u.mean()) / self.range
         self.y = np.where(ok, (y - y[ok].mean()) / self.deviation, 0.0)
         self.ok = ok
@@ -373,7 +384,8 @@ class LoopLog:
             sources.append((self.u, oscillation, 1 + oscillation.shape[1]))
         costs = []
         for order in self.orders:
-            regression, lags = self.regress(order, first), range(lag, lag + order + MORE)
+            regression = self.regress(order, first)
+            lags = range(lag, lag + order + MORE)
             for v, others, numbers in sources:
                 e = regression.errors(v, lags, others)
                 costs.append((float(_bic_of(e, 2 * order + numbers)), order))
@@ -507,7 +519,8 @@ class LoopFits(NamedTuple):
         It is a likelihood ratio test of the play that explains most, with Bonferroni's correction
         for the number of plays.
         """
-        u, lags = self.log.u, self.structure.lags
+        u = self.log.u
+        lags = self.structure.lags
         squares = float(np.sum(self.regression.errors(u, lags) ** 2))
         plays = np.array(BESIDE)
         least_squares = squares
@@ -529,7 +542,8 @@ class LoopFits(NamedTuple):
         Args:
             fit: fit of the valve.
         """
-        u, lags = self.log.u, self.structure.lags
+        u = self.log.u
+        lags = self.structure.lags
         stick, jump = _pairs_around(fit)
         e = [self.regression.errors(fit.position(u), lags)[:, None]]
         for account in (KANO, HE):
@@ -557,7 +571,8 @@ class LoopFits(NamedTuple):
         """
         if not math.isfinite(self.log.period):
             return 0.0
-        e, u = self.log.error, self.log.u
+        e = self.log.error
+        u = self.log.u
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]

@@ -48,7 +48,8 @@ class ZoneObjective:
         use: flags of the samples that count (N); default all readings.
     """
 
-    gain, longest = 1e-4, math.inf
+    gain = 1e-4
+    longest = math.inf
 
     def __init__(
         self,
@@ -188,7 +189,8 @@ class ZoneObjective:
             theta: parameters (P).
             slope: dz/dtheta (N x P).
         """
-        noise, ok = self.zone_noise(theta), self.readings.ok
+        noise = self.zone_noise(theta)
+        ok = self.readings.ok
         side = self.branch_sides(theta)
         outside = ok & (side != 0)
         change = slope.copy()
@@ -209,7 +211,8 @@ class ZoneObjective:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
-        z, noise = self.z_and_terms(theta)[0], self.zone_noise(theta)
+        z = self.z_and_terms(theta)[0]
+        noise = self.zone_noise(theta)
         if not self.limits.zone:
             return np.ones(z.size, int)
         return 1 * (z > noise.right) - 1 * (z < -noise.left)
@@ -256,12 +259,14 @@ class ZoneObjective:
 
     def width_weights(self, right: float, left: float) -> Floats:
         """Return c (F) with c' theta_free = right d_r + left d_l, so (1, 1) for the width."""
-        size, first = self.layout.parameter_count, self.layout.right
+        size = self.layout.parameter_count
+        first = self.layout.right
         return estimates.weight_row(self.free, size, first, (right, left), self.limits.tied)
 
     def unexplained_readings(self, theta: Floats) -> Floats:
         """Return the residual (N): e outside the zone, y - Dz(z) for noise behind."""
-        z, noise = self.simulator.simulate_z(theta), self.zone_noise(theta)
+        z = self.simulator.simulate_z(theta)
+        noise = self.zone_noise(theta)
         if self.kind != "behind":
             return likelihood.zone_residual(self.readings, z, noise.right, noise.left)
         if not self.limits.zone:

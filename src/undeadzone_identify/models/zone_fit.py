@@ -78,7 +78,10 @@ class ZoneFit(NamedTuple):
 
 def mean_reading(fit: ZoneFit) -> Floats:
     """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
-    z, right, left, s = fit.z, fit.right, fit.left, fit.disturbance_rms
+    z = fit.z
+    right = fit.right
+    left = fit.left
+    s = fit.disturbance_rms
     if not fit.objective.limits.zone:
         return z - right
     if fit.objective.kind == "behind":
@@ -162,7 +165,8 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
     """
     layout = simulator.layout
     theta = np.zeros(layout.parameter_count)
-    theta[layout.denominator], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
+    theta[layout.denominator] = a
+    theta[layout.right :] = fit.theta[fit.objective.layout.right :]
     linear = slice(layout.numerators.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
@@ -173,7 +177,9 @@ def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Float
 
 def polish_fit(fit: ZoneFit) -> ZoneFit:
     """Return the fit after up to three Newton steps with the numerical Hessian."""
-    objective, theta, value = fit.objective, fit.theta, fit.value
+    objective = fit.objective
+    theta = fit.theta
+    value = fit.value
     if objective.kind == "behind":
         return fit
     for _ in range(3):
@@ -187,7 +193,8 @@ def polish_fit(fit: ZoneFit) -> ZoneFit:
         if not reached > value:
             break
         gain = reached - value
-        theta, value = trial, reached
+        theta = trial
+        value = reached
         if gain < 1e-6:
             break
     return ZoneFit(objective, theta, value)
@@ -219,7 +226,9 @@ def _start_with_slow_poles(objective: ZoneObjective, start: Floats) -> Floats:
         objective: likelihood of a linear plant.
         start: start from an ARX model of the differences (P).
     """
-    simulator, layout, use = objective.simulator, objective.layout, objective.readings.ok
+    simulator = objective.simulator
+    layout = objective.layout
+    use = objective.readings.ok
     y = simulator.data.y
 
     def residual_variance(theta: Floats) -> float:
@@ -237,7 +246,8 @@ def _start_with_slow_poles(objective: ZoneObjective, start: Floats) -> Floats:
         columns = simulator.z_gradient(theta, simulator.simulate_z(theta))[:, linear]
         theta[linear] = np.linalg.lstsq(columns[use], y[use], rcond=1e-10)[0]
         if simulator.has_settling_poles(theta) and residual_variance(theta) < least:
-            best, least = theta, residual_variance(theta)
+            best = theta
+            least = residual_variance(theta)
     return best
 
 
@@ -259,7 +269,8 @@ def outside_correlation(fit: ZoneFit) -> float:
 
 def zone_starts(objective: ZoneObjective) -> list[Floats]:
     """Return start points (P each): ARX models of both sides, a linear fit with several widths."""
-    simulator, layout = objective.simulator, objective.layout
+    simulator = objective.simulator
+    layout = objective.layout
     use = objective.readings.ok
     linear = fit_linear(simulator, use)
     by_branch = start_by_branch(objective)
@@ -323,8 +334,10 @@ def fit_arx(
         a (n), b (m n), and the constants of right and left (2); None without sides, or if too few
         runs are outside the zone.
     """
-    data, layout = simulator.data, simulator.layout
-    n, free = layout.n, layout.denominator.stop
+    data = simulator.data
+    layout = simulator.layout
+    n = layout.n
+    free = layout.denominator.stop
     valid = data.ok if use is None else data.ok & use
     y = data.y
     for _ in range(layout.integrators):
@@ -338,7 +351,8 @@ def fit_arx(
     usable &= rows_since_start(data.start, y.size) >= n
     columns = [-past, simulator.lagged]
     if side is not None:
-        right, left = usable & (side > 0), usable & (side < 0)
+        right = usable & (side > 0)
+        left = usable & (side < 0)
         usable = right | left
         fewest = FEW * (n + simulator.lagged.shape[1])
         if right.sum() < fewest or left.sum() < fewest:

@@ -71,7 +71,9 @@ class IdentifiedMotion:
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
-        one, found, width = self.answer, self.answer.found, self.width
+        one = self.answer
+        found = self.answer.found
+        width = self.width
         half = HALF_95 * one.gain_error
         parts = one.parts
         return dict(
@@ -124,8 +126,10 @@ class IdentifiedMotion:
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
-        one, found = self.answer, self.answer.found
-        of_input, of_output = unit_suffix(one.log.input_unit), unit_suffix(one.log.output_units[0])
+        one = self.answer
+        found = self.answer.found
+        of_input = unit_suffix(one.log.input_unit)
+        of_output = unit_suffix(one.log.output_units[0])
         names = f"{one.log.inputs[0]}{_bracketed(one.log.input_unit)}, {one.log.outputs[0]}"
         steps = np.diff(one.data.t)
         lines: dict[str, Any] = {

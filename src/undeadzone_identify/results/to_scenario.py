@@ -35,7 +35,9 @@ from undeadzone_identify.servo.gap import ServoGap
 SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
-LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
+# tolerance of an entry
+LEAST = 1e-3
+MOST = 0.5
 
 
 def scenario_text(answers: Sequence[Answer], title: str) -> str:
@@ -56,7 +58,8 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     plants, spreads_A, spreads_B = zip(
         *[_plant_with_spread(answer) for answer in answers], strict=True
     )
-    first, plant = answers[0], _join_plants(plants)
+    first = answers[0]
+    plant = _join_plants(plants)
     step = first.case.grid.step
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
@@ -94,7 +97,8 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     Raises:
         InputError: a width that no scenario has.
     """
-    first, none = answers[0], ("", "")
+    first = answers[0]
+    none = ("", "")
     if first.verdict == "input_play":
         empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
         return empty | {"actuator": _gap_of_actuator(first)}
@@ -172,7 +176,8 @@ def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "
 
 def _gap_fields(answer: Answer) -> dict[str, str]:
     """Return the gap of a play ahead of the dead zone; empty without a play. Raise InputError."""
-    element, gap = answer.element, answer.width
+    element = answer.element
+    gap = answer.width
     if answer.verdict != "both":
         return {"gap": ""}
     if element is None or gap is None:
@@ -235,10 +240,12 @@ def _toml_list(texts: Sequence[str]) -> str:
 
 def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     """Return both widths. Raise InputError if a width is unknown."""
-    right, left = answer.right, answer.left
+    right = answer.right
+    left = answer.left
     if answer.element is not None and answer.element.edges is not None:
         right, left = answer.element.edges
-    absent, far = absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3)
+    absent = absent_edges(answer.case)
+    far = Interval(*[FAR_EDGE * answer.scale] * 3)
     if right is None and "right" in absent:
         right = far
     if left is None and "left" in absent:
@@ -373,7 +380,8 @@ def _element_disturbance_prior(
         return None
     unseen = UNSEEN * element.noise
     if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
-        layout, theta = element.simulator.layout, element.theta
+        layout = element.simulator.layout
+        theta = element.theta
         gain = input_noise_gain(
             theta[layout.denominator], theta[layout.numerators][: layout.n], layout.n, 0.0
         )

@@ -51,7 +51,8 @@ def prior_rows(
         centre_std: those of each (d_r - d_l)/2 (p), infinite if unknown (None: all unknown).
         least: deviation of a d_r - d_l that is known exactly [z].
     """
-    rows, eye = [], np.eye(n + 2 * p)
+    rows = []
+    eye = np.eye(n + 2 * p)
     if start_std is not None:
         known = np.flatnonzero(np.isfinite(start_std) & (start_std > 0))
         rows += [eye[i] / start_std[i] for i in known]
@@ -110,7 +111,10 @@ def width_identifiability_along(
     bias = np.zeros((model.m, 0)) if bias is None else bias
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
     finite = slice(max(1, int(diverged[0])) if diverged.size else None)
-    x, u, z, arrived = x[finite], u[finite], z[finite], arrived[finite]
+    x = x[finite]
+    u = u[finite]
+    z = z[finite]
+    arrived = arrived[finite]
     schedule = schedule_of_record(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return linear.width_identifiability(model.linear, schedule, jump=True)
@@ -131,10 +135,8 @@ def width_identifiability_along(
     constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, most = (
-            known.output_deviations(i),
-            largest_deviations(right, left, float(np.ptp(z[:, i]))),
-        )
+        std = known.output_deviations(i)
+        most = largest_deviations(right, left, float(np.ptp(z[:, i])))
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *_confounding_reasons_along(model, known, visited[i], i, biases, uncertain),
@@ -298,7 +300,8 @@ def observability_along(
         prior: rows (k x q) on the first q of `[x(0); d; beta; theta]` whose squares are the prior
             information, as from `prior_rows` (None: none).
     """
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
     run = linearise_run(model, x, u, step, bias, uncertain)
     R = information_root(run, side, variance, n)
@@ -433,7 +436,8 @@ def _accumulate_backward(own: Floats, transitions: Floats, moving: Integers) -> 
     N = own.shape[2]
     size = np.linalg.norm(own, axis=(0, 1))
     size = np.where(size > 0, np.maximum(size, 1e-9 * size.max()), 1.0)
-    total, T = np.zeros((0, N)), np.eye(N)
+    total = np.zeros((0, N))
+    T = np.eye(N)
     for block in range(len(own))[::-1]:
         T[np.ix_(moving, moving)] = transitions[block]
         later = total @ (T * size[:, None] / size)

@@ -76,7 +76,8 @@ def lead_across_gap(
         )
     linear = model.linear._replace(C=model.linear.C[[tracked[0]]])
     numbers = crossing(linear, w, model.Ts, KEY)
-    zero, kind = np.zeros(1), type(controller.params)
+    zero = np.zeros(1)
+    kind = type(controller.params)
 
     def init(q: Any) -> State:
         """Return the state at t = 0."""
@@ -95,7 +96,8 @@ def step_across_gap(
 
     Here q: the controller's parameters, then the filter's.
     """
-    inner, numbers = tree.drop_last_field(q, type(controller.params)), q.crossing
+    inner = tree.drop_last_field(q, type(controller.params))
+    numbers = q.crossing
     moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
     towards = choose_flank(moves, s.towards)
     wanted = offset(towards, estimate.right[output], estimate.left[output])

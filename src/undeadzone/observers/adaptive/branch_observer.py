@@ -149,7 +149,8 @@ def build_branch_observer(
         adapts=bool(gamma.any()),
         told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
-    step, project = partial(step_branch_observer, setup), partial(project_branch_state, law)
+    step = partial(step_branch_observer, setup)
+    project = partial(project_branch_state, law)
     return add_motion_detection(Observer(params, init, step, project, traits), model, sensor)
 
 
@@ -166,7 +167,8 @@ def step_branch_observer(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the state's derivative, or its next value if sampled, and the estimate."""
-    model, law = setup.model, setup.law
+    model = setup.model
+    law = setup.law
     z = model.output(p.model, s.x)
     y = reading.y / p.slope
     active = reading.side != 0
@@ -235,7 +237,8 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
     e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
     adapt_right = ca.logic_or(side > 0, over > 0)
     adapt_left = ca.logic_or(side < 0, under < 0)
-    right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
+    right = ca.if_else(adapt_right, -e, 0.0)
+    left = ca.if_else(adapt_left, e, 0.0)
     return Correction(e, WidthDrive(right, adapt_right), WidthDrive(left, adapt_left))
 
 

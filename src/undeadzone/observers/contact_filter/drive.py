@@ -57,7 +57,8 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         substeps: integration steps in a sample.
         apart: whether it is an isolated group of joints of a larger arm.
     """
-    N, layout = gears.joint_count, Layout(gears.joint_count)
+    N = gears.joint_count
+    layout = Layout(gears.joint_count)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
@@ -75,14 +76,18 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         gears in contact, as many unknowns as there are contacts.
         """
         column = substitute_estimates(gears, params, x)
-        links, body, J = gears.link_params(column), gears.arm, gears.gear_number(column, "inertia")
+        links = gears.link_params(column)
+        body = gears.arm
+        J = gears.gear_number(column, "inertia")
         K, D = gears.contact_stiffness(column)
-        omega, v = x[layout.slice_of("motor_speed")], x[layout.slice_of("link_speed")]
+        omega = x[layout.slice_of("motor_speed")]
+        v = x[layout.slice_of("link_speed")]
         motor_slope = linearise(lambda speed: gears.motor_friction_torque(column, speed), omega)[1]
         link_slope = linearise(lambda speed: body.friction(links, speed), v)[1]
         M = ca.densify(body.mass(links, x[layout.slice_of("link")]))
         # Implicit friction adds its slope, times g, to the inertia.
-        motors, bodies = J + g * ca.diag(motor_slope), M + g * ca.diag(ca.diag(link_slope))
+        motors = J + g * ca.diag(motor_slope)
+        bodies = M + g * ca.diag(ca.diag(link_slope))
         closed = [joint for joint, side in enumerate(contact) if not ca.SX(side).is_zero()]
         by_torque = solve_mass(bodies, ca.DM.eye(N)[:, closed])
         stiffness = (g * K + D)[closed]  # of a contact over the step, spring and damper
@@ -91,7 +96,8 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         def solve(b: Any) -> Any:
             """Return (I - g A)^-1 b (entries)."""
             theta, q, omega, v, *rest = ca.vertsplit(b, [0, N, 2 * N, 3 * N, 4 * N, b.numel()])
-            omega, v = J * omega / motors, solve_mass(bodies, M @ v)
+            omega = J * omega / motors
+            v = solve_mass(bodies, M @ v)
             if closed:
                 spring = (K * (theta - q))[closed]
                 tau = solve_mass(compliance, spring / stiffness + (omega - v)[closed])
@@ -107,7 +113,8 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         M = ca.densify(gears.arm.mass(gears.link_params(column), x[layout.slice_of("link")]))
         return ca.vertcat(-ca.diag(1 / gears.gear_number(column, "inertia")), ca.inv(M))
 
-    motors, links = tuple(range(N)), tuple(range(N, 2 * N))
+    motors = tuple(range(N))
+    links = tuple(range(N, 2 * N))
     readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
     return Drive(layout, rate, implicit, mobility, readings, Ts, substeps, apart)
 
@@ -120,7 +127,8 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
         params: parameters of the model.
         x: estimate of the filter (entries).
     """
-    N, layout = gears.joint_count, Layout(gears.joint_count)
+    N = gears.joint_count
+    layout = Layout(gears.joint_count)
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
@@ -140,7 +148,8 @@ def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
         gears: the arm.
         group: the joints.
     """
-    size, joints = len(group), list(group)
+    size = len(group)
+    joints = list(group)
 
     def rest_entries(p: Any, name: str, columns: int) -> Any:
         """Return parameters that replace the rest of the arm (size x columns)."""
@@ -210,7 +219,8 @@ def group_numbers(q: Numbers, layout: Layout, group: Sequence[int]) -> Numbers:
     """
     if len(group) == layout.size:
         return q
-    entries, joints = group_entries(layout, group), list(group)
+    entries = group_entries(layout, group)
+    joints = list(group)
     return q._replace(
         Q=q.Q[entries],
         R=q.R[group_readings(group, layout.size, q.R.shape[0])],
@@ -250,19 +260,26 @@ def join_posteriors(
     """
     if len(posteriors) == 1:
         return posteriors[0]
-    mean, cov = ca.SX(layout.entry_count, 1), ca.SX(layout.entry_count, layout.entry_count)
-    news, readings = ca.SX(layout.entry_count, 1), sum(group.e.numel() for group in posteriors)
-    e, std = ca.SX(readings, 1), ca.SX(readings, 1)
+    mean = ca.SX(layout.entry_count, 1)
+    cov = ca.SX(layout.entry_count, layout.entry_count)
+    news = ca.SX(layout.entry_count, 1)
+    readings = sum(group.e.numel() for group in posteriors)
+    e = ca.SX(readings, 1)
+    std = ca.SX(readings, 1)
     for group, posterior in zip(groups, posteriors, strict=True):
-        entries, rows = group_entries(layout, group), group_readings(group, layout.size, readings)
-        mean[entries], cov[entries, entries] = posterior.whole.mean, posterior.whole.cov
+        entries = group_entries(layout, group)
+        rows = group_readings(group, layout.size, readings)
+        mean[entries] = posterior.whole.mean
+        cov[entries, entries] = posterior.whole.cov
         news[entries] = posterior.news
-        e[rows], std[rows] = posterior.e, posterior.std
+        e[rows] = posterior.e
+        std[rows] = posterior.std
     payloads = [posterior.whole.mean[-1] for posterior in posteriors]
     variances = [ca.fmax(posterior.whole.cov[-1, -1], KNOWN) for posterior in posteriors]
     total = sum(1 / variance for variance in variances)
     mean[-1] = sum(p / variance for p, variance in zip(payloads, variances, strict=True)) / total
-    cov[-1, :], cov[:, -1] = 0, 0
+    cov[-1, :] = 0
+    cov[:, -1] = 0
     cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
     return Posterior((), (), Gaussian(mean, cov), news, e, std)
 
@@ -324,12 +341,15 @@ def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
         mean: mean of x (entries).
         u: torque of the motors (N) [N m].
     """
-    layout, body = Layout(gears.joint_count), gears.arm
+    layout = Layout(gears.joint_count)
+    body = gears.arm
     params = substitute_estimates(gears, model, mean)
     links = gears.link_params(params)
-    q, v = mean[layout.slice_of("link")], mean[layout.slice_of("link_speed")]
+    q = mean[layout.slice_of("link")]
+    v = mean[layout.slice_of("link_speed")]
     omega = mean[layout.slice_of("motor_speed")]
-    friction, mass = body.friction(links, v), ca.densify(body.mass(links, q))
+    friction = body.friction(links, v)
+    mass = ca.densify(body.mass(links, q))
     return Posture(
         gears=gears,
         params=params,
@@ -360,12 +380,14 @@ def apply_gear_impulses(
         news: change of the mean of x by the readings (entries).
         arm: posture at the mean.
     """
-    layout, inertia = Layout(arm.gears.joint_count), arm.gears.gear_number(arm.params, "inertia")
+    layout = Layout(arm.gears.joint_count)
+    inertia = arm.gears.gear_number(arm.params, "inertia")
     impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
     speed_changes = (other_groups(groups, layout.size) * arm.inverse) @ impulses
     corrected = []
     for group, posterior in zip(groups, posteriors, strict=True):
-        own, beliefs = Layout(len(group)), list(posterior.beliefs)
+        own = Layout(len(group))
+        beliefs = list(posterior.beliefs)
         for place, contact in enumerate(own.contact_combinations):
             mean = ca.SX(beliefs[place].mean)
             for joint, side in enumerate(contact):
@@ -395,7 +417,8 @@ def group_couplings(groups: Sequence[Sequence[int]], arm: Posture) -> Any:
     """
     ratios = ca.SX(arm.gears.joint_count, 1)
     for group in map(list, groups):
-        locked, free = arm.mass[group, group], arm.inverse[group, group]
+        locked = arm.mass[group, group]
+        free = arm.inverse[group, group]
         # Largest eigenvalue of locked free, by trace and determinant: (2 x 2) at most.
         mean = ca.trace(locked @ free) / len(group)
         square = mean**2 - ca.det(locked) * ca.det(free) if len(group) > 1 else 0.0
@@ -476,8 +499,11 @@ def update_group_numbers(
         posteriors: posterior of each group, after its readings.
         arm: posture at the mean.
     """
-    gears, N, body = arm.gears, arm.gears.joint_count, arm.gears.arm
-    links, names = gears.link_params(arm.params), body.names
+    gears = arm.gears
+    N = arm.gears.joint_count
+    body = arm.gears.arm
+    links = gears.link_params(arm.params)
+    names = body.names
     payload = links[names.index("payload")]
     own_parts = []
     for group, own, part in zip(groups, isolated, parts, strict=True):
@@ -497,7 +523,8 @@ def update_group_numbers(
 
     # Accelerations (N) by angles and payload (N + 1).
     responses = mobility @ linearise(inverse_dynamics, ca.vertcat(arm.q, payload))[1]
-    loads, spans = ca.SX(N, 1), ca.SX(N, 1)
+    loads = ca.SX(N, 1)
+    spans = ca.SX(N, 1)
     for group, part, posterior in zip(groups, parts, posteriors, strict=True):
         joints = list(group)
         loads[joints] = part.Q[Layout(len(group)).slice_of("link_speed")]
@@ -509,7 +536,8 @@ def update_group_numbers(
     )
     after = []
     for group, own, part in zip(groups, isolated, own_parts, strict=True):
-        joints, size = list(group), len(group)
+        joints = list(group)
+        size = len(group)
         mass = solve_mass(mobility[joints, joints], ca.DM.eye(size))
         slope = mass @ responses[joints, :]
         rest = {
@@ -569,7 +597,8 @@ def _link_mobility(arm: Posture, groups: Sequence[Sequence[int]], touching: Any)
         groups: joints of each filter.
         touching: probability that a joint is in contact (N).
     """
-    N, inertia = arm.gears.joint_count, arm.gears.gear_number(arm.params, "inertia")
+    N = arm.gears.joint_count
+    inertia = arm.gears.gear_number(arm.params, "inertia")
     rows = ca.SX(N, N)
     for group in map(list, groups):
         motors = touching * inertia
@@ -589,7 +618,9 @@ def _mean_gear_torques(arm: Posture, start: GearTorques, drive: Drive) -> Any:
         start: torques at the start of the sample.
         drive: functions of a group, for the sample time.
     """
-    gears, N, Ts = arm.gears, arm.gears.joint_count, drive.Ts
+    gears = arm.gears
+    N = arm.gears.joint_count
+    Ts = drive.Ts
     inertia = gears.gear_number(arm.params, "inertia")
     K, damping = gears.contact_stiffness(arm.params)
     own = ca.diag(arm.inverse)
@@ -598,20 +629,24 @@ def _mean_gear_torques(arm: Posture, start: GearTorques, drive: Drive) -> Any:
 
     def rate(x: Any) -> Any:
         """Return the rate of gear twist, change of relative speed, and impulse (3N)."""
-        twist, speed = x[:N], x[N : 2 * N]
+        twist = x[:N]
+        speed = x[N : 2 * N]
         tau = first + K * twist + damping * speed
         link = own * tau + others @ (start.chance * tau) - arm.inverse @ arm.needed
         return ca.vertcat(arm.closing + speed, (arm.push - tau) / inertia - link, tau)
 
     h = Ts / drive.substeps
-    g, touching = GAMMA * h, ca.fmax(start.chance, LEAST)
+    g = GAMMA * h
+    touching = ca.fmax(start.chance, LEAST)
     stiffness = g * K + damping  # of a contact over the step, spring and damper
     compliance = ca.diag(touching * (1 / stiffness + g / inertia + g * own))
     compliance += g * (touching @ touching.T) * others
 
     def solve(b: Any) -> Any:
         """Return (I - g A)^-1 b (3N), with A the Jacobian of the rate."""
-        twist, speed, impulse = b[:N], b[N : 2 * N], b[2 * N :]
+        twist = b[:N]
+        speed = b[N : 2 * N]
+        impulse = b[2 * N :]
         tau = solve_mass(compliance, touching * (speed + K * twist / stiffness))
         speed = (tau - K * twist) / stiffness
         return ca.vertcat(twist + g * speed, speed, impulse + g * tau)
@@ -670,7 +705,8 @@ def _link_variances(belief: Gaussian, size: int) -> Any:
         belief: Gaussian of x of the group.
         size: number of joints of the group.
     """
-    layout, variances = Layout(size), ca.diag(belief.cov)
+    layout = Layout(size)
+    variances = ca.diag(belief.cov)
     motor, link, half = (layout.slice_of(name) for name in ("motor", "link", "half"))
     bound = belief.mean[half] ** 2 + variances[half] + variances[motor]
     return ca.fmin(variances[link], bound)

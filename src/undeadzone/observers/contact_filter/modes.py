@@ -206,7 +206,8 @@ def start_modes(layout: Layout, mean: Floats, std: Floats, slack: float) -> Mode
         slack: variance of the position of a flank [rad^2].
     """
     entries = ca.Sparsity.upper(layout.entry_count)
-    means, covs = [], []
+    means = []
+    covs = []
     for mode in layout.contact_combinations:
         belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
         for joint, side in enumerate(mode):
@@ -228,7 +229,9 @@ def _mode_gaussians(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
         s: state of the filter.
         y: readings (p), NaN if missing.
     """
-    layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
+    layout = drive.layout
+    N = drive.layout.size
+    whole = ca.mmin(present(y))
     entries = ca.Sparsity.upper(layout.entry_count)
     angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
     shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entry_count - 2 * N))
@@ -250,7 +253,8 @@ def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
         s: state of the filter.
         y: readings (p), NaN if missing.
     """
-    beliefs, modes = _mode_gaussians(drive, s, y), []
+    beliefs = _mode_gaussians(drive, s, y)
+    modes = []
     for contact, belief in zip(drive.layout.contact_combinations, beliefs, strict=True):
         modes.append(_correct_mode(drive, q, contact, belief, y))
     prior = ca.vertsplit(s.chances)
@@ -258,7 +262,8 @@ def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
     best = ca.mmax(ca.vertcat(*possible))
     logs = [ca.fmax(mode.log - best, -MOST) for mode in modes]
     joint = [w * ca.exp(log) for w, log in zip(prior, logs, strict=True)]
-    weights, log = normalise_weights(joint), best + ca.log(ca.fmax(sum(joint), 1e-300))
+    weights = normalise_weights(joint)
+    log = best + ca.log(ca.fmax(sum(joint), 1e-300))
     log = ca.if_else(log > LOST, log, LOST)  # this comparison replaces NaN, too
     shares = normalise_weights([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
     whole = mix_gaussians(shares, [mode.belief for mode in modes])
@@ -314,7 +319,9 @@ def _correct_mode(
         predicted: Gaussian of x before the readings.
         y: readings (p), NaN if missing.
     """
-    belief, log, updates = predicted, ca.SX(0.0), []
+    belief = predicted
+    log = ca.SX(0.0)
+    updates = []
     for row, entry in enumerate(drive.readings):
         is_present = present(y[row])
         h = ca.DM(1, drive.layout.entry_count)
@@ -496,9 +503,12 @@ def _leave_flanks(
         modes: modes before (K).
         leaving: probability that each joint leaves its flank, by mode (K of (N)).
     """
-    after, probabilities = list(modes), list(leaving)
+    after = list(modes)
+    probabilities = list(leaving)
     for places in _flank_places(drive.layout, joint):
-        gap, arriving, arriving_leave = places[0], [], []
+        gap = places[0]
+        arriving = []
+        arriving_leave = []
         for side in (1, -1):
             flank = modes[places[side]]
             share = leaving[places[side]][joint]
@@ -571,7 +581,9 @@ def _move_mode(drive: Drive, q: Numbers, contact: Contacts, mode: Mode, u: Any) 
         mode: the mode.
         u: torque of the motors (N) [N m].
     """
-    layout, (mean, cov), Q = drive.layout, mode.belief, ca.SX(q.Q)
+    layout = drive.layout
+    (mean, cov) = mode.belief
+    Q = ca.SX(q.Q)
     motors = layout.slice_of("motor_speed")
     friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
     Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])
@@ -617,9 +629,11 @@ def _reach_flanks(
         modes: modes before (K).
         arrivals: probabilities to reach the right and left flank, by mode (K of (N x 2)).
     """
-    after, shares = list(modes), list(arrivals)
+    after = list(modes)
+    shares = list(arrivals)
     for places in _flank_places(drive.layout, joint):
-        gap, share = modes[places[0]], arrivals[places[0]][joint, :]
+        gap = modes[places[0]]
+        share = arrivals[places[0]][joint, :]
         after[places[0]] = gap._replace(chance=gap.chance * (1 - ca.sum2(share)))
         for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
             place = places[side]
@@ -659,13 +673,13 @@ def condition_on_impact(
         side: the flank, +1 right or -1 left.
         belief: Gaussian of x before.
     """
-    layout, x = drive.layout, belief.mean
-    motor, link = (
-        layout.slice_of("motor_speed").start + joint,
-        layout.slice_of("link_speed").start + joint,
-    )
+    layout = drive.layout
+    x = belief.mean
+    motor = layout.slice_of("motor_speed").start + joint
+    link = layout.slice_of("link_speed").start + joint
     late = ca.DM(1, layout.entry_count)
-    late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
+    late[0, motor] = -side * drive.Ts / 2
+    late[0, link] = side * drive.Ts / 2
     # The flank was reached at [flank row + late] x = 0: now less half a sample of relative motion.
     row = layout.flank_row(joint, side) + late
     excess = row @ x
@@ -703,10 +717,8 @@ def pack_modes(drive: Drive, moved: Sequence[Mode], s: Modes, y: Any) -> Modes:
         s: state before.
         y: readings (p), NaN if missing.
     """
-    entries, begun = (
-        ca.Sparsity.upper(drive.layout.entry_count),
-        ca.fmax(s.begun, ca.mmin(present(y))),
-    )
+    entries = ca.Sparsity.upper(drive.layout.entry_count)
+    begun = ca.fmax(s.begun, ca.mmin(present(y)))
 
     def select(new: Any, old: Any) -> Any:
         """Return the new value once the filter has begun, else the old value."""
