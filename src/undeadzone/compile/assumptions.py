@@ -60,7 +60,7 @@ class KernelAssumption(NamedTuple):
 
 
 def read_assumptions(numbers: list[list[tuple[int | None, float]]]) -> tuple[KernelAssumption, ...]:
-    """Return the assumptions that were stored as lists."""
+    """Return assumptions from pairs of breakpoints, each [place of a param or None, offset]."""
     return tuple(
         KernelAssumption(ParamBreakpoint(*low), ParamBreakpoint(*high)) for low, high in numbers
     )

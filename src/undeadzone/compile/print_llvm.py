@@ -332,7 +332,7 @@ def print_lanes(
     """
     have: list[dict[Node, str]] = [{} for _ in sources]
 
-    def name(node: Node, group: int) -> str:
+    def operand(node: Node, group: int) -> str:
         """Return the operand of a node's value in a group.
 
         A value below level `STILL` is common to all groups: it is loaded once, and all share its
@@ -352,7 +352,7 @@ def print_lanes(
 
     def namer(group: int) -> Names:
         """Return the source of names for a group."""
-        return lambda node: name(node, group)
+        return lambda node: operand(node, group)
 
     namers = [namer(group) for group in range(len(sources))]
     for node in order:

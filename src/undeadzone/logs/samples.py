@@ -203,7 +203,7 @@ class LogReader:
                 return self._none()
             self.ahead = ahead or 0
             numbered = numbered[self.ahead :]
-            lines = self._telling([line for _, line in numbered[:FIRST]])
+            lines = self._select_dialect_lines([line for _, line in numbered[:FIRST]])
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow
@@ -221,25 +221,26 @@ class LogReader:
         return self._samples(numbered, self._dialect, self.layout)
 
     def _lines_ahead(self, lines: Sequence[str]) -> int | None:
-        """Return how many lines stand ahead of the header; None while a live log may show it.
+        """Return the number of lines ahead of the header; None if a live log has not shown it yet.
 
-        When live the first lines that tell it do so, in whatever pieces they come.
+        A live log arrives in pieces of any size. The answer is that of the shortest beginning that
+        determines it, so that it does not depend on the pieces.
         """
         if not self._live:
             return lines_ahead(lines) or 0
         by_number = self._chosen and all(name.isdigit() for name in self._chosen.values())
         if by_number and dialect_of(lines[:1]).heads == 0:
-            return 0  # times may be stamps
-        found = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
-        return next((ahead for ahead in found if ahead is not None), None)
+            return 0  # columns chosen by number need no header; times may be stamps
+        answers = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
+        return next((ahead for ahead in answers if ahead is not None), None)
 
     def _with_mark(self, dialect: Dialect, lines: Sequence[str]) -> Dialect:
-        """Return the dialect with the decimal mark that lines tell. Raises FileError."""
+        """Return the dialect with the decimal mark of these lines. Raises FileError."""
         mark, grouped = decimal_mark(lines, dialect.separator, self._live, self._source)
         return dialect._replace(mark=mark, grouped=grouped)
 
-    def _telling(self, lines: list[str]) -> list[str]:
-        """Those of the first lines that tell the dialect: when live, as few as will do."""
+    def _select_dialect_lines(self, lines: list[str]) -> list[str]:
+        """Return the first lines that determine the dialect; of a live log as few as possible."""
         if not self._live:
             return lines
         return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
@@ -266,12 +267,12 @@ class LogReader:
                 raise FileError(f"{self._source}, line {number}: {found.why}")
 
     def _none(self) -> Samples:
-        """No samples yet."""
+        """Return samples of length 0."""
         shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
         return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Samples:
-        """Return the samples in these lines."""
+        """Return the samples of numbered lines."""
         values = _at_once([line for _, line in numbered], dialect, layout)
         if values is not None:
             self._plain_times = self._plain_times or bool(np.isfinite(values[:, 0]).any())
@@ -290,7 +291,7 @@ class LogReader:
         return Samples(t, values[:, first:end], values[:, end:], lines)
 
     def _in_seconds(self, t: Floats, layout: Layout) -> Floats:
-        """Times as the log has them, in seconds; sample numbers stay as they are."""
+        """Return the times of a log (N) in seconds; sample numbers stay as they are."""
         if layout.seconds is None:
             return t
         if self._stamps is None:
@@ -301,7 +302,7 @@ class LogReader:
         return t
 
     def _learn_stamps(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> None:
-        """Learn from the first time that can be read how times are written. Raises FileError."""
+        """Find the format of the times from the first one that can be read. Raises FileError."""
         for k, (number, line) in enumerate(numbered):
             cells = dialect.cells(line)
             if len(cells) != dialect.width or layout.time is None:

@@ -363,10 +363,10 @@ def knowledge_section(assessment: Assessment) -> list[html.Html]:
     return parts
 
 
-def _describe_direction(known: Knowledge, name: str) -> html.Html:
-    """Return whether a direction is identifiable, with half of its interval if so."""
-    yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
-    return html.build_tag("span", *html.choose_verdict(getattr(known, name), yes))
+def _describe_direction(width: Knowledge, name: str) -> html.Html:
+    """Return the half 95 % interval of a direction (right, width, ...), or that it is unknown."""
+    interval = f"± {HALF_95 * width.std[name]:.2g}" if name in width.std else "yes"
+    return html.build_tag("span", *html.choose_verdict(getattr(width, name), interval))
 
 
 def trade_section(design: Design) -> list[html.Html]:

@@ -457,8 +457,8 @@ def raise_eigenvalues(hessian: Floats) -> Floats:
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
 
-def raise_to_outer_products(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
-    """Return a Hessian raised to at least a share of the scores' outer products.
+def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
+    """Return a Hessian raised to at least half of the scores' outer products.
 
     Both are equal in expectation if the model is right. So the result differs only in directions
     in which the Hessian by differences is wrong, as along the logarithm of a variance near 0.
@@ -466,7 +466,6 @@ def raise_to_outer_products(hessian: Floats, outer: Floats, least: float = 0.5) 
     Args:
         hessian: minus the second derivative, by differences (P x P).
         outer: sum of the outer products of the scores (P x P).
-        least: the share.
 
     Returns:
         A positive Hessian (P x P).
@@ -477,7 +476,7 @@ def raise_to_outer_products(hessian: Floats, outer: Floats, least: float = 0.5) 
     whiten = np.linalg.pinv(root)
     symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
     ratios, axes = np.linalg.eigh(require_finite_matrix(whiten @ symmetric @ whiten.T))
-    raised = (axes * np.maximum(ratios, least)) @ axes.T
+    raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
     return root @ raised @ root.T / np.outer(scale, scale)
 
 

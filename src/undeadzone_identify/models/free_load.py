@@ -19,7 +19,7 @@ from scipy.special import ndtr
 
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.estimates import Interval
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, build_gaussian_density
 from undeadzone_identify.models.lost_motion import LostMotion, Positions, Structure
 
 LAGS = 12  # lags and leads of u in the regression of a linear plant [samples]
@@ -151,8 +151,7 @@ def _linear_density(u: Floats, y: Floats, least: float) -> Density:
     columns = np.column_stack([columns, np.ones(y.size)])
     e = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0]
     variance = float(np.mean(e**2)) + least**2
-    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-    return Density("none", value, columns.shape[1] + 1, math.sqrt(variance))
+    return build_gaussian_density("none", e, columns.shape[1] + 1, variance)
 
 
 def _white_rms(w: Floats) -> float:

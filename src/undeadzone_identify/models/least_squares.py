@@ -92,6 +92,19 @@ class Density(NamedTuple):
         return -2 * float(self.value.sum()) + self.numbers * math.log(self.value.size)
 
 
+def build_gaussian_density(name: str, e: Floats, numbers: int, variance: float) -> Density:
+    """Build the density of readings with white Gaussian residuals.
+
+    Args:
+        name: name of the model.
+        e: residuals (N).
+        numbers: number of fitted parameters.
+        variance: variance of the residuals.
+    """
+    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
+    return Density(name, value, numbers, math.sqrt(variance))
+
+
 class LeastSquares(Generic[M]):
     """Least squares of the readings on a model.
 
@@ -242,9 +255,9 @@ class LeastSquares(Generic[M]):
         coloured = self.fit_coloured(theta)
         innovation = coloured.whiten(e)
         variance = float(np.mean(innovation**2)) + 1e-12
-        value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
-        return Density(self.model.name, value, numbers, float(np.sqrt(np.mean(e**2))))
+        density = build_gaussian_density(self.model.name, innovation, numbers, variance)
+        return density._replace(rms=float(np.sqrt(np.mean(e**2))))
 
 
 class FittedModel(NamedTuple, Generic[M]):

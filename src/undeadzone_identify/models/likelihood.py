@@ -79,9 +79,9 @@ def zone_offset(side: Integers, right: float, left: float) -> Floats:
     return np.asarray(right * (side > 0) - left * (side < 0))
 
 
-def zone_residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
+def zone_residual(readings: Readings, z: Floats, noise: ZoneNoise) -> Floats:
     """Return e outside the zone, y + d_r - z or y - d_l - z (N); y - z inside."""
-    return readings.y + zone_offset(readings.side, right, left) - z
+    return readings.y + zone_offset(readings.side, noise.right, noise.left) - z
 
 
 def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTerms:
@@ -127,7 +127,7 @@ def _enter_outside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
 ) -> None:
     """Write ln N(e; 0, s^2) and its derivatives for samples outside the zone (at), in place."""
-    e = zone_residual(readings, z, noise.right, noise.left)[at]
+    e = zone_residual(readings, z, noise)[at]
     side = readings.side[at]
     value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
     by_e = -e / noise.s**2  # e = y + offset - z
@@ -212,7 +212,7 @@ def _enter_outside_outside(
     """
     rho = noise.rho
     innovation_share = 1 - noise.rho**2
-    e = zone_residual(readings, z, noise.right, noise.left)
+    e = zone_residual(readings, z, noise)
     v = e[at] - rho * e[at - 1]  # innovation
     variance = noise.s**2 * innovation_share
     by_v = -v / variance
@@ -236,7 +236,7 @@ def _enter_inside_outside(
 
     ln{Phi((a_t - rho e)/s') - Phi((b_t - rho e)/s')}, with e that of the outside sample.
     """
-    e = zone_residual(readings, z, noise.right, noise.left)[at - 1]
+    e = zone_residual(readings, z, noise)[at - 1]
     right, left = _branch_indicators(readings, at - 1)
     mass = _ConditionalMass(noise.right - z[at], -noise.left - z[at], e, noise)
     slopes = terms.slopes
@@ -276,7 +276,7 @@ def _enter_outside_inside(
 
     ln N(e; 0, s^2) + ln P(inside before | e) - ln P(inside before).
     """
-    e = zone_residual(readings, z, noise.right, noise.left)[at]
+    e = zone_residual(readings, z, noise)[at]
     right, left = _branch_indicators(readings, at)
     given_e = _ConditionalMass(noise.right - z[at - 1], -noise.left - z[at - 1], e, noise)
     before = _ZoneMass(z[at - 1], noise)

@@ -25,7 +25,12 @@ from scipy.stats import chi2
 from undeadzone.nonlinearities.play import levels
 from undeadzone.util.arrays import Floats, Integers
 from undeadzone_identify.models.estimates import Interval, student_quantile
-from undeadzone_identify.models.least_squares import Density, hat_functions, regression_residual
+from undeadzone_identify.models.least_squares import (
+    Density,
+    build_gaussian_density,
+    hat_functions,
+    regression_residual,
+)
 
 SCANNED = 48  # gaps of a scan
 WIDEST = 0.9  # largest gap [range of u]
@@ -483,8 +488,8 @@ def motion_density(name: str, found: LostMotion, scale: float) -> Density:
         scale: rms of the rounding error, the least rms of the residuals [y].
     """
     variance = found.rms**2 + scale**2
-    value = -0.5 * found.residual**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-    return Density(name, np.asarray(value), found.numbers, found.rms)
+    density = build_gaussian_density(name, found.residual, found.numbers, variance)
+    return density._replace(rms=found.rms)
 
 
 def best_structure(

@@ -28,6 +28,7 @@ SLOWER = 1.2  # factor of these limits above which a pole certainly settles
 FAR = 1e100  # largest coefficient of which roots are computed
 CREDIBLE = 1.02  # an order is credible if its error is below so many times the least error
 COLOURS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # correlations over one sample
+RADIUS = 0.98  # largest absolute value of a pole at a start
 LAGS = 60  # lags of an autocovariance
 LENGTH = 16_000  # samples of a simulated disturbance
 SETTLED = 500  # samples after which the transient of the plant has decayed
@@ -358,13 +359,13 @@ def polynomial_roots(a: Floats) -> Any:
     return np.full(a.size, np.inf) if failed else roots
 
 
-def stabilise_poles(a: Floats, radius: float = 0.98) -> Floats:
-    """Return denominator coefficients (n) of which the poles beyond `radius` are moved to it."""
+def stabilise_poles(a: Floats) -> Floats:
+    """Return denominator coefficients (n) with poles beyond RADIUS moved to it."""
     poles = polynomial_roots(a)
     if not np.isfinite(poles).all():
         return np.zeros(a.size)
     size = np.abs(poles)
-    stable = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
+    stable = np.where(size > RADIUS, poles / np.maximum(size, 1e-12) * RADIUS, poles)
     return np.atleast_1d(np.real(np.poly(stable)))[1:]
 
 

@@ -26,7 +26,7 @@ from scipy.special import softmax
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, build_gaussian_density
 
 ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
 MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
@@ -180,7 +180,7 @@ class Regression:
         late = [v[self.rows - k][:, :, None] for k in lags]
         return np.concatenate([*late, _averages(v)[self.rows - lags[0]]], axis=2)
 
-    def errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
+    def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
         """Return the one-step prediction errors of the readings for a position (n).
 
         Args:
@@ -196,7 +196,7 @@ class Regression:
             self._target - columns @ np.linalg.lstsq(columns, self._target, rcond=1e-9)[0]
         )
 
-    def errors_of_each(self, v: Floats, lags: range) -> Floats:
+    def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
         """Return the one-step prediction errors for each of several positions (n x K).
 
         Args:
@@ -295,9 +295,7 @@ class ValveFit(NamedTuple):
 
 def _density(name: str, e: Floats, numbers: int) -> Density:
     """Return the Gaussian log densities of prediction errors (n), with their parameter count."""
-    variance = max(float(np.mean(e**2)), 1e-20)
-    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-    return Density(name, value, numbers, math.sqrt(variance))
+    return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
 
 
 def _bic_of(e: Floats, numbers: Floats | Integers | int) -> Floats:
@@ -373,7 +371,7 @@ class LoopLog:
         valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
         candidates = []
         for delay in range(1, latest):
-            errors = low_order.errors_of_each(positions, range(delay, delay + 3))
+            errors = low_order.prediction_errors_of_each(positions, range(delay, delay + 3))
             cost = _bic_of(errors, valve_numbers)
             candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
         _, delay, best = min(candidates)
@@ -387,7 +385,7 @@ class LoopLog:
             regression = self.regress(order, first)
             lags = range(lag, lag + order + MORE)
             for v, others, numbers in sources:
-                e = regression.errors(v, lags, others)
+                e = regression.prediction_errors(v, lags, others)
                 costs.append((float(_bic_of(e, 2 * order + numbers)), order))
         order = min(costs)[1]
         return Structure(order, range(lag, lag + order + MORE), first, oscillation)
@@ -412,7 +410,7 @@ class LoopLog:
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
             for count in (2 * k for k in HARMONICS):
                 oscillation = np.column_stack(waves[:count])
-                cost = _bic_of(regression.errors(self.u, lags, oscillation), count)
+                cost = _bic_of(regression.prediction_errors(self.u, lags, oscillation), count)
                 best = min(best, (float(cost), oscillation), key=itemgetter(0))
         return best[1]
 
@@ -427,9 +425,9 @@ class LoopLog:
         regression = self.regress(structure.order, structure.first)
         lags = structure.lags
         numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
-        densities = {"none": _density("none", regression.errors(self.u, lags), numbers)}
+        densities = {"none": _density("none", regression.prediction_errors(self.u, lags), numbers)}
         if structure.oscillation is not None:
-            e = regression.errors(self.u, lags, structure.oscillation)
+            e = regression.prediction_errors(self.u, lags, structure.oscillation)
             count = numbers + structure.oscillation.shape[1] + 1
             densities["external"] = _density("external", e, count)
         widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
@@ -445,7 +443,7 @@ class LoopLog:
             pair = self._refine_grid(regression, lags, account, pairs, rounds)
             fit = ValveFit(word, account, *pair, densities["none"])
             valve_numbers = BREAKS + 1 + (word == "stiction")
-            e = regression.errors(fit.position(self.u), lags)
+            e = regression.prediction_errors(fit.position(self.u), lags)
             fits.append(fit._replace(density=_density(word, e, numbers + valve_numbers)))
         return LoopFits(self, structure, regression, densities, tuple(fits))
 
@@ -465,7 +463,7 @@ class LoopLog:
         best: list[tuple[float, float, float]] = []
         for k in range(rounds + 1):
             v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
-            cost = np.sum(regression.errors_of_each(v, lags) ** 2, axis=0)
+            cost = np.sum(regression.prediction_errors_of_each(v, lags) ** 2, axis=0)
             best += [(float(c), float(s), float(j)) for c, (s, j) in zip(cost, pairs, strict=True)]
             best = sorted(best)[: TOPS if k == 0 else 3]
             width = 0.09 / 2.5**k
@@ -521,12 +519,12 @@ class LoopFits(NamedTuple):
         """
         u = self.log.u
         lags = self.structure.lags
-        squares = float(np.sum(self.regression.errors(u, lags) ** 2))
+        squares = float(np.sum(self.regression.prediction_errors(u, lags) ** 2))
         plays = np.array(BESIDE)
         least_squares = squares
         for v in valve_positions(u, plays, 0 * plays, KANO).T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            with_play = float(np.sum(self.regression.errors(u, lags, late) ** 2))
+            with_play = float(np.sum(self.regression.prediction_errors(u, lags, late) ** 2))
             least_squares = min(least_squares, with_play)
         # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
         # the likelihood ratio itself.
@@ -545,10 +543,10 @@ class LoopFits(NamedTuple):
         u = self.log.u
         lags = self.structure.lags
         stick, jump = _pairs_around(fit)
-        e = [self.regression.errors(fit.position(u), lags)[:, None]]
+        e = [self.regression.prediction_errors(fit.position(u), lags)[:, None]]
         for account in (KANO, HE):
             positions = valve_positions(u, stick, jump, account)
-            e.append(self.regression.errors_of_each(positions, lags))
+            e.append(self.regression.prediction_errors_of_each(positions, lags))
         errors = np.hstack(e)
         variance = np.mean(errors**2, axis=0)
         values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)

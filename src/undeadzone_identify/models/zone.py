@@ -268,7 +268,7 @@ class ZoneObjective:
         z = self.simulator.simulate_z(theta)
         noise = self.zone_noise(theta)
         if self.kind != "behind":
-            return likelihood.zone_residual(self.readings, z, noise.right, noise.left)
+            return likelihood.zone_residual(self.readings, z, noise)
         if not self.limits.zone:
             return self.readings.y - z + noise.right
         return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)

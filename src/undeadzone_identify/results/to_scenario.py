@@ -277,28 +277,37 @@ def _require_nonnegative(
 
 
 def _noise_fields(answers: Sequence[Answer]) -> dict[str, str]:
-    """Return sensor noise beside rounding, threshold, quantum; empty without noise."""
-    cases = [one.case for one in answers]
+    """Return the texts of sensor noise ahead of and behind the zone, quantum and threshold.
+
+    A text is empty if all its numbers are 0. A quantum counts only if it is large enough beside the
+    noise that readings repeat. Its variance, q^2 / 12, is then subtracted from that of the noise.
+
+    Args:
+        answers: the answer of each output (p).
+    """
+    cases = [answer.case for answer in answers]
     rms = np.array([_noise_rms_pair(answer) for answer in answers]).T
-    quanta = np.array([rounding_step(one.grid.y[one.grid.ok]) for one in cases])
+    quanta = np.array([rounding_step(case.grid.y[case.grid.ok]) for case in cases])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
-    silent = [max(0.5 * one.grid.quantum, one.options.threshold or 0.0) for one in cases]
-    rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none
+    thresholds = [max(0.5 * case.grid.quantum, case.options.threshold or 0.0) for case in cases]
+    # The noise of a play was estimated without the rounding already.
+    rounding = quanta * [answer.verdict not in MEMORY for answer in answers]
     ahead, behind = np.sqrt(np.maximum(rms**2 - rounding**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
-    shown = {name: bool(values.any()) * _toml_numbers(values) for name, values in noise.items()}
-    return shown | {"threshold": bool(rms[0].any()) * _toml_numbers(silent)}
+    texts = {name: bool(values.any()) * _toml_numbers(values) for name, values in noise.items()}
+    return texts | {"threshold": bool(rms[0].any()) * _toml_numbers(thresholds)}
 
 
 def _range_field(answers: Sequence[Answer]) -> str:
-    """Return the range ends of all outputs' readings; empty if no reading sticks."""
+    """Return the text of the measuring ranges of all outputs; empty if no reading saturates."""
     ends = [one.case.fitted.prepared.ends for one in answers]
     return any(ends) * _toml_list([one or "[-inf, inf]" for one in ends])
 
 
 def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
-    """Return the rms of white noise ahead of the sensor's zone and behind; other elements:
-    behind.
+    """Return the rms of white noise ahead of the sensor's zone, and behind it.
+
+    One of them is 0. The noise of other elements is behind.
     """
     disturbance = answer.disturbance
     white = disturbance.rms if disturbance.white is None else disturbance.white
@@ -309,8 +318,9 @@ def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
 
 
 def _reference_frequency(answer: Answer, A: Floats) -> float:
-    """Return a frequency that plant and samples follow [Hz]; integrators alone: that of the
-    log.
+    """Return a frequency of a reference that plant and sample time can follow [Hz].
+
+    It is half of the slowest pole's. For integrators alone it is that of the output in the log.
     """
     rates = np.abs(np.linalg.eigvals(A))
     moving = rates[rates > 1e-6 * rates.max()]

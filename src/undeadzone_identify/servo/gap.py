@@ -74,23 +74,24 @@ def _simulation_kernel() -> lanes.Kernel:
     return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 
 
-def simulate_servo_logs(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
-    """Simulate logs of a servo with the log's input.
+def simulate_servo_logs(log: Observations, servo: Servo) -> list[Observations]:
+    """Simulate RUNS logs of a servo with the input of a log.
+
+    The torque of the motor has a white disturbance, and one of first order.
 
     Args:
-        log: as the predictor hears it.
-        one: the servo.
-        runs: how many.
+        log: observations of the predictor.
+        servo: fit of the servo.
     """
-    theta = one.theta
+    theta = servo.theta
     size = log.u.size
     draw = np.random.default_rng(5)
-    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, runs))
-    keep = math.exp(-log.step / SLOW_TIME)
-    white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
-    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
+    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, RUNS))
+    decay = math.exp(-log.step / SLOW_TIME)
+    white = math.sqrt(1 - decay * decay) * draw.standard_normal((size, RUNS))
+    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -decay], white, axis=0)
     rows = build_lane_numbers(
-        theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag
+        theta[None], log.step, log.quantum, log.ticks, False, servo.structure.lag
     )
     signals = np.column_stack([log.kernel_inputs(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]

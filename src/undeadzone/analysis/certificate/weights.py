@@ -158,7 +158,7 @@ def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | 
     none = np.zeros((errors.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
-        """Return the output weights of q (p)."""
+        """Return the output weights (p) for the free weights of groups q[:-1], whose mean is 1."""
         return groups @ np.append(q[:-1], groups.shape[1] - q[:-1].sum())
 
     def family(q: Floats) -> Inequality:

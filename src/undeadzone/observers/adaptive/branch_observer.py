@@ -197,19 +197,19 @@ def step_branch_observer(
 
 
 def zone_violation(setup: Setup, p: Params, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-    """Return the excess of z^ over the right and left breakpoint if silent (p each) [z].
+    """Return the excess of z^ over both breakpoints at a sample inside the zone (p each) [z].
 
-    The first is >= 0, the second <= 0.
+    The first is >= 0 (right), the second <= 0 (left). Both are 0 outside the zone.
 
-    A censored sample implies -d_l <= z <= d_r (wider by the threshold), a play that holds implies
-    it for z - y / m. If z^ is beyond an edge, that edge or z^ is wrong.
+    A sample inside the zone implies -d_l <= z <= d_r, wider by the threshold. For a play without
+    contact z - y / m takes the place of z. If z^ is beyond a breakpoint, it or the width is wrong.
     """
     z = z - reading.level / p.slope
-    slack = p.threshold / p.slope
-    is_silent = ca.logic_and(reading.side == 0, present(reading.y))
-    silent = ca.if_else(is_silent, float(setup.silence), 0.0)
-    over = silent * ca.fmax(z - s.right - slack, 0.0)
-    under = silent * ca.fmin(z + s.left + slack, 0.0)
+    margin = p.threshold / p.slope
+    is_inside = ca.logic_and(reading.side == 0, present(reading.y))
+    use = ca.if_else(is_inside, float(setup.silence), 0.0)
+    over = use * ca.fmax(z - s.right - margin, 0.0)
+    under = use * ca.fmin(z + s.left + margin, 0.0)
     return over, under
 
 
