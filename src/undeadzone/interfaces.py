@@ -242,19 +242,19 @@ class AssumptionCheck(NamedTuple):
     keys: tuple[str, ...] = ()
 
     def cure(self, options: Collection[str] = ()) -> str:
-        """Return the remedy: the keys to give to a method, or to check.
+        """Return the remedy as a phrase, such as `raise observer.noise or sensor.noise`.
 
         Args:
-            options: names of the keys that the method takes (empty: all of them).
+            options: names of the keys that the method has (empty: all of them).
         """
-        taken = []
+        keys = []
         for key in self.keys:
             table, name = key.split(".")
             if table != "observer" or not options or name in options:
-                taken.append(key)
-        first = ", ".join(taken[:-1])
-        told = f"{self.change} {first}{' or ' * bool(first)}{taken[-1]}" if taken else ""
-        return ", or ".join(part for part in (self.look, told) if part)
+                keys.append(key)
+        first = ", ".join(keys[:-1])
+        change = f"{self.change} {first}{' or ' * bool(first)}{keys[-1]}" if keys else ""
+        return ", or ".join(phrase for phrase in (self.look, change) if phrase)
 
 
 ASSUMPTION_CHECKS: Final = {

@@ -22,7 +22,9 @@ from undeadzone_export.template import call_words, fill_template
 
 CHUNK = 500  # steps between two looks at the memory
 MACHINE_STEPS = 2000  # of the comparison with CasADi's virtual machine
-EXACT, CLOSE = 1e-13, 1e-9  # bars of that: without elementary functions, and with
+# bars of that: without elementary functions, and with
+EXACT = 1e-13
+CLOSE = 1e-9
 SHARE_OF_STD = 0.1  # largest error of a width, relative to its standard deviation
 SHARE_OF_WIDTH = 1e-3  # the same relative to the width, if no deviation is estimated
 SMALLEST = 1e-6  # eigenvalue of a correlation matrix below which float is not enough
@@ -71,7 +73,9 @@ class CompiledStep:
         self, code: Code, folder: Path, options: Options = ("-O1",), text: Source | None = None
     ) -> None:
         text = text or build_source(code, Labels(f"run_{code.dtype_name}", "accuracy", "replica"))
-        prefix, files, given = text.prefix, text.texts_by_name(), bool(code.step.params)
+        prefix = text.prefix
+        files = text.texts_by_name()
+        given = bool(code.step.params)
         files[f"{prefix}_run.c"] = fill_template("templates/runner.c", call_words(prefix, given))
         library = compile_library(write_sources(files, folder), folder / f"{prefix}.so", options)
         self._functions = ctypes.CDLL(str(library))
@@ -139,22 +143,23 @@ def _machine_error(code: Code, replica: CompiledStep, rows: Floats) -> float:
 
 def _compare_precisions(single: CompiledStep, code: Code, rows: Floats) -> Accuracy:
     """Compare float with the graph in double on inputs that float represents exactly."""
-    step, rows = code.step, rows.astype(np.float32).astype(float)
+    step = code.step
+    rows = rows.astype(np.float32).astype(float)
     double = CompiledStepper(step.function, step.start, step.defaults, brief=True)
-    runs, pairs = [], []
+    runs = []
+    pairs = []
     for start in range(0, len(rows), CHUNK):
         piece = rows[start : start + CHUNK]
         runs.append([double.run(piece), single(piece)])
         pairs.append([smallest_eigenvalue(step.state, one.state) for one in (double, single)])
     exact, rounded = np.concatenate(runs, axis=1)
-    places, gap, size = (
-        field_slices(code.step.outputs),
-        _precision_gap(exact, rounded),
-        _signal_size(exact),
-    )
+    places = field_slices(code.step.outputs)
+    gap = _precision_gap(exact, rounded)
+    size = _signal_size(exact)
     table = {}
     for field, place in places.items():
-        error, most = float(gap[:, place].max()), float(size[:, place].max())
+        error = float(gap[:, place].max())
+        most = float(size[:, place].max())
         table[field] = {"error": error, "size": most}
     least = np.min(np.array(pairs, float), axis=0)  # NaN without a covariance
     refusals = _width_refusals(places, gap, size)
@@ -195,11 +200,14 @@ def _width_refusals(places: dict[str, slice], gap: Floats, size: Floats) -> list
     widest = max([float(size[:, places[name]].max()) for name in widths], default=0.0)
     texts = []
     for name in widths:
-        error, std = gap[:, places[name]], places.get(f"{name}_std")
-        bar, of = SHARE_OF_WIDTH * max(widest, 1e-30), ""
+        error = gap[:, places[name]]
+        std = places.get(f"{name}_std")
+        bar = SHARE_OF_WIDTH * max(widest, 1e-30)
+        of = ""
         if std is not None:
             error = error / np.maximum(size[:, std], 1e-30)
-            bar, of = SHARE_OF_STD, " of its standard deviation"
+            bar = SHARE_OF_STD
+            of = " of its standard deviation"
         worst = float(error.max())
         if not worst <= bar:
             texts.append(
@@ -216,7 +224,8 @@ def smallest_eigenvalue(fields: list[Field], state: Any) -> float | None:
         fields: the fields of the memory.
         state: its numbers.
     """
-    places, values = field_slices(fields), []
+    places = field_slices(fields)
+    values = []
     for name, place in places.items():
         if name.endswith("cov"):
             mean = places[name.removesuffix("cov") + "mean"]

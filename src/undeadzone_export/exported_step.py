@@ -83,7 +83,8 @@ def state_fields(state: Any, units: Units, drop: str = "") -> list[Field]:
     """
     sizes = {name: int(np.size(leaf)) for name, leaf in tree.iterate_leaves(state) if np.size(leaf)}
     shorts = [name.removeprefix(drop).strip(".") for name in sizes]
-    known, unknown = state_meanings(units), "memory of the method"
+    known = state_meanings(units)
+    unknown = "memory of the method"
     meanings = [known.get(short.rsplit(".", 1)[-1], unknown) for short in shorts]
     names = make_distinct([_to_member_name(short or "memory") for short in shorts])
     return list(map(Field, names, sizes.values(), meanings))
@@ -172,9 +173,11 @@ def make_distinct(wanted: list[str], told_by: Callable[[str], str] = str) -> lis
     taken: set[str] = set()
     names = []
     for base in wanted:
-        name, count = base, 2
+        name = base
+        count = 2
         while told_by(name) in taken:
-            name, count = f"{base}_{count}", count + 1
+            name = f"{base}_{count}"
+            count = count + 1
         taken.add(told_by(name))
         names.append(name)
     return names
@@ -265,12 +268,14 @@ def build_step(
     column, params, defaults = fold_numbers(numbers, tunable)
     traced = _trace_loop if closed else _trace_observer
     step = traced(problem, observer, tree.unpack_column(numbers, column))
-    following, out = tree.stack_leaves(step.following), tree.stack_leaves(step.out)
+    following = tree.stack_leaves(step.following)
+    out = tree.stack_leaves(step.out)
     columns = [step.state, ca.vertcat(*step.inputs), params.symbols]
     names = ["s", "w", "p"], ["next", "out"]
     function = ca.Function("step", columns, [following, out], *names, {"cse": True})
     require_effect(ca.vertcat(following, out), params, tunable)
-    p, m = problem.model.p, problem.model.m
+    p = problem.model.p
+    m = problem.model.m
     return ExportedStep(
         function=function,
         start=tree.pack_tree(step.memory),
@@ -314,11 +319,13 @@ def _trace_observer(problem: Problem, observer: Observer, params: _StepNumbers) 
     model = problem.model
     memory = _ObserverMemory(observer.init(observer.params), np.zeros(model.m))
     column, s = tree.create_symbols(memory, "s")
-    y, u = ca.SX.sym("y", model.p), ca.SX.sym("u", model.m)
+    y = ca.SX.sym("y", model.p)
+    u = ca.SX.sym("u", model.m)
     used = ca.if_else(present(u), u, s.held)
     reading = to_reading(y, *params.sensor)
     after, estimate = observer.step(params.observer, s.observer, used, reading)
-    following, out = _ObserverMemory(after, used), (estimate, sample_branch(reading, estimate))
+    following = _ObserverMemory(after, used)
+    out = (estimate, sample_branch(reading, estimate))
     shown = _estimate_fields(problem, estimate)
     return _TracedStep(memory, column, [y, u], following, out, [_u_field(problem)], shown)
 
@@ -328,7 +335,9 @@ def _trace_loop(problem: Problem, observer: Observer, params: Any) -> _TracedSte
 
     The input u is limited as the plant's drives are.
     """
-    model, controller, compensator = problem.model, problem.controller, problem.compensator
+    model = problem.model
+    controller = problem.controller
+    compensator = problem.compensator
     memory = Driven(
         observer.init(observer.params),
         controller.init(controller.params),

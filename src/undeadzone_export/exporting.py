@@ -289,7 +289,8 @@ def _struct_bytes(printed: Code) -> dict[str, int]:
 
 def constants_beyond_float(printed: Code) -> list[str]:
     """Return the numbers in double of a step that float cannot represent, with substitutes."""
-    limits, texts = np.finfo(np.float32), set()
+    limits = np.finfo(np.float32)
+    texts = set()
     bodies = [part.results for part in printed.parts]
     order = required_nodes(itertools.chain(*printed.results, *bodies))
     kept = {node.constant_value for node in order if node.is_real}

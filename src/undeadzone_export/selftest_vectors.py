@@ -24,7 +24,9 @@ DIVERGED = 1e6  # size of a signal beyond which a run is not used
 PIECE = 512  # samples of a run between two looks for its divergence
 SAMPLES = 96  # of a run, in the self-test
 NAN = {"float32": 0x7FC00000, "float64": 0x7FF8000000000000}  # the bits of every NaN
-OFFSET, PRIME = 2166136261, 16777619  # of the checksum by Fowler, Noll and Vo, 32 bits
+# of the checksum by Fowler, Noll and Vo, 32 bits
+OFFSET = 2166136261
+PRIME = 16777619
 
 
 class Vectors(NamedTuple):
@@ -114,11 +116,13 @@ def reference_vectors(code: Code, rows: Floats) -> Vectors:
         code: the printed nodes.
         rows: inputs, a row for each sample.
     """
-    kind, evaluate = code.dtype_name, reference_evaluator(code.results, code.parts)
+    kind = code.dtype_name
+    evaluate = reference_evaluator(code.results, code.parts)
     rows = rows.astype(kind)
     state = code.step.start.astype(kind)
     params = code.step.defaults.astype(kind)
-    outputs, states = [], []
+    outputs = []
+    states = []
     with np.errstate(all="ignore"):
         for row in rows:
             following, out = evaluate(name_entries(s=state, w=row, p=params))

@@ -242,10 +242,12 @@ def snippet_texts(lost: Lost, name: str) -> dict[str, str]:
     """
     if not (name.isascii() and name.isidentifier() and name.islower()):
         raise InputError(f"--name: expected small letters, digits and _, found {name!r}")
-    kind, sign = lost.kind, ""
+    kind = lost.kind
+    sign = ""
     bounded = [lost.width] if kind == "backlash" else [lost.right, lost.left]
     if lost.absent:
-        kind, sign = "one_edge", "-" if lost.absent == "right" else ""
+        kind = "one_edge"
+        sign = "-" if lost.absent == "right" else ""
         bounded = [lost.left if sign else lost.right]
     words = {
         "sign": sign,
@@ -319,7 +321,8 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             "longer, or with larger and slower reversals, and identify again (--next proposes an "
             "input)"
         )
-    motion, kind = found.get("lost_motion"), KINDS[verdict]
+    motion = found.get("lost_motion")
+    kind = KINDS[verdict]
     try:
         odds = found.get("odds") or {verdict: 1.0}
         faulty = sum(float(odds.get(word, 0.0)) for word in VALVE)
@@ -347,7 +350,8 @@ def lost_of_answer(found: dict[str, Any], path: str, name: str) -> Lost:
             f"{path}: the {absent[0]} edge of the actuator's dead zone is not known, and half a "
             "compensation pulls to one side. Record an input that passes both edges"
         )
-    gone, is_ahead = absent[0] if absent else "", verdict == "input_play"
+    gone = absent[0] if absent else ""
+    is_ahead = verdict == "input_play"
     return Lost(kind, right, left, width, unit, name, silent, gone, is_ahead)
 
 
@@ -376,20 +380,25 @@ def _triple(values: Any) -> Triple:
 
 def _of_scenario(scenario: Scenario, path: Path) -> Lost:
     """Return the zone or gap of a scenario: the sensor's, else the actuator's."""
-    units, sensor, actuator = scenario.units, scenario.sensor, scenario.actuator
+    units = scenario.units
+    sensor = scenario.sensor
+    actuator = scenario.actuator
     observer = scenario.observer
-    at_sensor, is_ahead = [_numbers(sensor.right), _numbers(sensor.left)], False
+    at_sensor = [_numbers(sensor.right), _numbers(sensor.left)]
+    is_ahead = False
     if any(at_sensor[0] + at_sensor[1]):
         if sensor.kind == "jump":
             raise InputError(f"{path}: a jump sensor's readings are not shifted: nothing to add")
         sides = [_single(side, path) for side in at_sensor]
         ranges = [getattr(observer, name, None) for name in ("right", "left")]
         right, left = (_with_range(*pair) for pair in zip(sides, ranges, strict=True))
-        kind, unit = "backlash" if sensor.kind == "play" else "sensor", units.output
+        kind = "backlash" if sensor.kind == "play" else "sensor"
+        unit = units.output
     elif actuator is not None and any(_numbers(actuator.right) + _numbers(actuator.left)):
         sides = [_single(_numbers(side), path) for side in (actuator.right, actuator.left)]
         right, left = (_with_range(side, None) for side in sides)
-        is_ahead, unit = actuator.kind == "play", units.input
+        is_ahead = actuator.kind == "play"
+        unit = units.input
         kind = "backlash" if is_ahead else "actuator"
     else:
         raise InputError(f"{path}: no zone in sensor or actuator: nothing to compensate")

@@ -66,7 +66,8 @@ def build_source(code: Code, labels: Labels) -> Source:
     bodies = _print_bodies(code, style)
     used = bodies.functions
     functions = elementary.required_functions(used, code.dtype_name)
-    step, name = code.step, labels.prefix
+    step = code.step
+    name = labels.prefix
     words = labels._asdict() | {
         "name": name,
         "upper": name.upper(),
@@ -129,13 +130,16 @@ def _print_bodies(code: Code, style: Style) -> _Bodies:
 
     A step calls its two halves. A short step is written once more as a whole, without calls.
     """
-    step, parts, printed = code.step, outline_parts(code.parts), set[str]()
+    step = code.step
+    parts = outline_parts(code.parts)
+    printed = set[str]()
     stored = [f"state->{name}[{k}]" for name, k in member_entries(step.state)]
     following = [f"next_{name}_{k}" for name, k in member_entries(step.state)]
     out = [f"out->{name}[{k}]" for name, k in member_entries(step.outputs)]
     shown = [f"{name}_{k}" for name, k in member_entries(step.outputs)]
     kept = dict(zip(stored, name_entries(s=stored), strict=True))
-    functions, named = {}, dict[str, Body]()
+    functions = {}
+    named = dict[str, Body]()
     inputs = _input_expressions(code)
     is_short = len(required_nodes(itertools.chain(*code.results))) <= SMALL
     if code.phases is None or is_short:
@@ -188,7 +192,8 @@ def _places_in_arrays(
         style: how numbers are written.
     """
     places: dict[Node, Place] = {}
-    memory, carry = f"({style.real_type} *)state", "state->carry"
+    memory = f"({style.real_type} *)state"
+    carry = "state->carry"
     for node in required_nodes(itertools.chain(*results)):
         if node.op == "input" and node.text[0] == "s":
             places[node] = Place(memory.replace("(", "(const "), int(node.text[1:]), "")
@@ -309,7 +314,8 @@ _MEANINGS = {
 
 def _code_words(code: Code, name: str, style: Style, bodies: _Bodies) -> dict[str, Any]:
     """Return the template words of the code: its headers and functions."""
-    step, values = code.step, [*code.step.start.tolist(), *[0.0] * code.carry_size]
+    step = code.step
+    values = [*code.step.start.tolist(), *[0.0] * code.carry_size]
     start = _store_statements("state", code.structs["state"], values, style)
     defaults = _store_statements("params", step.params, step.defaults.tolist(), style)
     parts = {"params_default": defaults, "init": start}

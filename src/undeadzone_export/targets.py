@@ -64,7 +64,8 @@ def _earlier_digests(out: Path) -> dict[str, str]:
         content = json.loads(text)
         is_whole = text == _manifest_json(content) and content["generator"] == GENERATOR
         written = content["files"]
-        own, written[MANIFEST] = written[MANIFEST], ""
+        own = written[MANIFEST]
+        written[MANIFEST] = ""
         if not is_whole or own != content_digest(_manifest_json(content).encode()):
             return {}
     except (OSError, ValueError, KeyError, TypeError):
@@ -184,7 +185,8 @@ def export_files(to: str, material: Material) -> Files:
     Raises:
         InputError: the C compiler refuses an FMU, or Structured Text lacks an operation.
     """
-    report, name = material.report, material.report["name"]
+    report = material.report
+    name = material.report["name"]
     code = material.text.texts_by_name()
     content: Files = dict(code)
     if to == "arduino":
@@ -256,9 +258,12 @@ def _arduino_files(report: dict[str, Any]) -> dict[str, str]:
 
 def _st_files(material: Material) -> tuple[Files, dict[str, str]]:
     """Return the Structured Text and its README, by name. Add their sizes to the report."""
-    report, labels, printed = material.report, material.labels, material.printed
+    report = material.report
+    labels = material.labels
+    printed = material.printed
     made = plc.export_plc(printed, labels, material.vectors)
-    name, text = labels.prefix, plcopen.st_text(made.units, labels, printed)
+    name = labels.prefix
+    text = plcopen.st_text(made.units, labels, printed)
     report["structured_text"] = {"blocks": made.block_count, "lines": text.count("\n")}
     content: Files = {
         f"{name}.st": text,

@@ -164,7 +164,8 @@ def run_snippet_chain(lost: Lost, signal: Floats, folder: Path) -> FirmwareChain
         snippet = (folder / "snippet" / "snippet.h").read_text(encoding="utf-8")
         write_text(snippet + called, main)
         call = ctypes.CDLL(str(compile_library([main], Path(scratch) / "axis.so"))).call
-        call.restype, call.argtypes = ctypes.c_float, [ctypes.c_float]
+        call.restype = ctypes.c_float
+        call.argtypes = [ctypes.c_float]
         told = np.array([call(float(one)) for one in signal])
     files = [Path(one) for one in report["written"]]
     words = {"firmware": f"{name}() of snippet.h compiles. No plant is needed"}

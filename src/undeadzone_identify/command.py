@@ -170,12 +170,15 @@ def identify(
     if folder is not None and lines:
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
-    is_done, more = is_found or is_written, {}
+    is_done = is_found or is_written
+    more = {}
     if chain is not None:
         scenario_file = path if is_written else None
         reached = _go_on(answer, numbers, scenario_file, first, chain, options)
-        written, is_done = written + reached.files, reached.passed
-        why, more = why | reached.words, {"chain": reached.numbers} if reached.numbers else {}
+        written = written + reached.files
+        is_done = reached.passed
+        why = why | reached.words
+        more = {"chain": reached.numbers} if reached.numbers else {}
         if is_written:
             makes = shell_command("make", "-C", chain / "firmware")
             follow = {"next": f"{makes} builds the self-test"}

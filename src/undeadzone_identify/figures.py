@@ -120,13 +120,15 @@ def _time_label(found_log: Identified) -> str:
 
 def overview(found_log: Identified) -> Figure:
     """Plot z^, y and the zone over time, the held-out parts shaded, with the sides below."""
-    data, part = found_log.answer.fit.objective.data, _time_window(found_log)
+    data = found_log.answer.fit.objective.data
+    part = _time_window(found_log)
     figure, panels = create_panels(
         [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
     )
     signals(panels["signals"], found_log)
     _shade_held_out(panels["sides"], found_log)
-    fit, t = found_log.answer.fit, found_log.answer.case.grid.t[part]
+    fit = found_log.answer.fit
+    t = found_log.answer.case.grid.t[part]
     behind = fit.objective.kind == "behind"  # readings inside the zone are noise
     whose = "Side of ẑ" if behind else "Side of the readings"
     side = np.where(data.ok, fit.objective.branch_sides(fit.theta), np.nan)[part]
@@ -183,8 +185,11 @@ def plot_first_fit(axes: Axes, result: IdentifiedOutputs) -> None:
 def lost_motion(result: IdentifiedMotion) -> Figure:
     """Plot both positions over time, and the second less its share of the first by the first."""
     figure, panels = create_panels([["time"], ["flanks"]], "Two positions", height=2.6)
-    one, axes = result.answer, panels["time"]
-    data, found, part = one.data, one.found, slice(None, MOST)
+    one = result.answer
+    axes = panels["time"]
+    data = one.data
+    found = one.found
+    part = slice(None, MOST)
     fitted = data.y - found.residual
     axes.plot(data.t[part], fitted[part], color=ink.ESTIMATE, label="behind the lost motion")
     axes.plot(data.t[part], data.y[part], ".", color=ink.READING, markersize=2.5, label="reading y")
@@ -197,7 +202,8 @@ def lost_motion(result: IdentifiedMotion) -> Figure:
 def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
     """Plot what the second position lags behind the first, by the first: two flanks of a gap."""
     one = result.answer
-    data, found = one.data, one.found
+    data = one.data
+    found = one.found
     _plot_dots(axes, data.u, data.y - found.gain * data.u - found.level, ink.READING, "readings")
     for sign in (-1, 1):
         axes.axhline(sign * 0.5 * found.gain * one.gap.value, color=ink.ESTIMATE, linewidth=0.8)
@@ -207,7 +213,8 @@ def both_flanks(axes: Axes, result: IdentifiedMotion) -> None:
 
 def _shade_held_out(axes: Axes, found_log: Identified) -> None:
     """Mark the held-out samples by a shaded background."""
-    answer, part = found_log.answer, _time_window(found_log)
+    answer = found_log.answer
+    part = _time_window(found_log)
     held_out = ~training_samples(answer.fit.objective.data, answer.case.options.held_out)
     axes.fill_between(
         answer.case.grid.t[part], 0, 1, where=held_out[part], color=ink.ZONE, alpha=0.12,
@@ -235,7 +242,9 @@ def _plot_hidden_output(found_log: Identified) -> Figure:
     part = _time_window(found_log, MOST_AT_END)
     figure, panels = create_panels([["z"]], "The hidden output", height=3.2)
     axes = panels["z"]
-    t, z, band = states.t[part], states.z[part], HALF_95 * states.z_std[part]
+    t = states.t[part]
+    z = states.z[part]
+    band = HALF_95 * states.z_std[part]
     _plot_zone_bands(axes, found_log)
     axes.fill_between(t, z - band, z + band, color=ink.ESTIMATE, alpha=0.25, linewidth=0)
     axes.plot(t, z, color=ink.ESTIMATE, label="ẑ with 95 % band")
@@ -257,7 +266,8 @@ def _plot_residual_map(found_log: Identified) -> Figure:
     left = (fit.objective.readings.y - mean_reading(fit)) * scale
     _plot_dots(axes, (fit.z * scale)[ok], left[ok], ink.ZONE)
     unit = _unit_of_output(found_log)
-    by_z, y_label = label_with_unit("ẑ", unit), label_with_unit("y - E[y | ẑ]", unit)
+    by_z = label_with_unit("ẑ", unit)
+    y_label = label_with_unit("y - E[y | ẑ]", unit)
     finish_panel(axes, "Residual by ẑ", y_label, by_z, legend=0)
     axes = panels["static"]
     _plot_dots(axes, (fit.z * scale)[ok], answer.case.grid.y[ok], ink.READING, "readings")
@@ -270,7 +280,8 @@ def _plot_residual_map(found_log: Identified) -> Figure:
 def _sensor_characteristic(found_log: Identified) -> tuple[Floats, Floats]:
     """Return z in ascending order, and the mean reading of the fitted sensor there [y] (N each)."""
     answer = found_log.answer
-    fit, jumps = answer.chosen.singles, answer.case.jump_edges
+    fit = answer.chosen.singles
+    jumps = answer.case.jump_edges
     z = np.sort(fit.z) * answer.scale
     if jumps is None:
         return z, np.sort(mean_reading(fit)) * answer.scale  # it rises with z
@@ -284,7 +295,8 @@ def _plot_residual_correlation(found_log: Identified) -> Figure:
     data = fit.objective.data
     kalman = found_log.answer.found.kalman
     if kalman:
-        value, use = filtered(kalman[0]), data.ok & (data.side != 0)
+        value = filtered(kalman[0])
+        use = data.ok & (data.side != 0)
     else:
         value, use = one_step_residuals(fit, data.ok)
     figure, panels = create_panels(
@@ -336,11 +348,13 @@ def _plot_profiles(found_log: Identified) -> Figure:
 
 def _plot_element_over_time(found_log: Identified, element: Element) -> Figure:
     """Plot z^, its noise-free reading and the readings over time, contacts or sides below."""
-    grid, part = found_log.answer.case.grid, _time_window(found_log, MOST_AT_END)
+    grid = found_log.answer.case.grid
+    part = _time_window(found_log, MOST_AT_END)
     figure, panels = create_panels(
         [["signals"], ["signals"], ["sides"]], "The log and its fit", height=1.9
     )
-    axes, t = panels["signals"], grid.t[part]
+    axes = panels["signals"]
+    t = grid.t[part]
     _plot_output(axes, found_log, part)
     _plot_readings(axes, found_log, part)
     if element.kind in NAMES:
@@ -361,23 +375,30 @@ def _name_of(element: Element) -> str:
 def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
     """Plot readings by z^ with the expected path, and the residual (by u for an input zone)."""
     answer = found_log.answer
-    grid, scale, unit = answer.case.grid, answer.scale, _unit_of_output(found_log)
+    grid = answer.case.grid
+    scale = answer.scale
+    unit = _unit_of_output(found_log)
     figure, panels = create_panels([["map", "left"]], "What was found", height=3.4)
-    axes, z, title = panels["map"], element.z * scale, "Reading by z^"
-    x, x_label, of_input = z, label_with_unit("ẑ", unit), element.kind not in NAMES
+    axes = panels["map"]
+    z = element.z * scale
+    title = "Reading by z^"
+    x = z
+    x_label = label_with_unit("ẑ", unit)
+    of_input = element.kind not in NAMES
     _plot_dots(axes, z[grid.ok], grid.y[grid.ok], ink.READING, "readings")
     if not of_input:
-        part, title = _time_window(found_log, MOST_AT_END), f"{title}, and its path"
-        path, name = (element.readings * scale)[part], f"path of {_name_of(element)}"
+        part = _time_window(found_log, MOST_AT_END)
+        title = f"{title}, and its path"
+        path = (element.readings * scale)[part]
+        name = f"path of {_name_of(element)}"
         axes.plot(z[part], path, color=ink.ESTIMATE, linewidth=1.0, label=name)
     finish_panel(axes, title, label_with_unit("y", unit), x_label)
-    axes, title = panels["left"], "What is left"
+    axes = panels["left"]
+    title = "What is left"
     if of_input:
-        x, x_label, title = (
-            grid.u[:, 0],
-            label_with_unit("u", grid.input_unit),
-            f"{title}, by the input",
-        )
+        x = grid.u[:, 0]
+        x_label = label_with_unit("u", grid.input_unit)
+        title = f"{title}, by the input"
     residual = (answer.fit.objective.data.y - element.readings) * scale
     _plot_dots(axes, x[grid.ok], residual[grid.ok], ink.READING, "readings")
     finish_panel(axes, title, label_with_unit("y - E[y]", unit), x_label)
@@ -386,7 +407,8 @@ def _plot_element_by_output(found_log: Identified, element: Element) -> Figure:
 
 def _plot_crossings(found_log: Identified, columns: dict[str, Floats]) -> Figure:
     """Plot the gap at each crossing by time, y and duration, with the printed interval shaded."""
-    unit, width = _unit_of_output(found_log), found_log.width
+    unit = _unit_of_output(found_log)
+    width = found_log.width
     figure, panels = create_panels([["t", "y", "duration"]], "The gap at each crossing", height=3.0)
     places = {
         "t": _time_label(found_log),

@@ -234,7 +234,8 @@ def _identify_logs(
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
-    motion, stands = (None, False)
+    motion = None
+    stands = False
     if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
         motion, stands = find_lost_motion(logs[0], options)
         advance(1)
@@ -356,7 +357,8 @@ def _count_from_zone(grid: Grid, options: Options) -> Grid:
 
     Only where it is never near 0 while readings lie about 0, as pulses of 1500 us that mean rest.
     """
-    u, y = grid.u[:, 0], grid.y[grid.ok]
+    u = grid.u[:, 0]
+    y = grid.y[grid.ok]
     is_about_zero = np.quantile(y, ASIDE) < 0 < np.quantile(y, 1 - ASIDE)
     near = abs(float(np.median(u))) < FAR_OFF * float(u.std())
     if grid.u.shape[1] > 1 or near or u.min() * u.max() <= 0 or not is_about_zero:

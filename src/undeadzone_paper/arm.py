@@ -104,7 +104,8 @@ def run_arm() -> ArmRuns:
     problem = resolve_scenario(scenario)
     contact = simulate(scenario, check_step=False)
     last = slice(-round(LAST / scenario.simulation.step), None)
-    tracking, estimation = {}, {}
+    tracking = {}
+    estimation = {}
     for given, words in WORDS.items():
         link, estimate, reference = _run_as_printed(problem, given)
         tracking[words] = rms_or_inf((link - reference)[last])
@@ -142,7 +143,8 @@ def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Flo
     The function takes (state, reference) to (next state, `[link; its estimate]` about the hanging
     arm). Reading and torque are held for the step.
     """
-    plant, step = problem.plant, problem.scenario.simulation.step
+    plant = problem.plant
+    step = problem.scenario.simulation.step
     model = system(hanging_arm())
     L = observer_gain(model.linear, POLES, None).ravel()
     zone = resolve(Sensor(right=HALF_GAP, left=HALF_GAP), 1, step)
@@ -150,8 +152,10 @@ def _close_printed_loop(problem: Problem, given: bool) -> tuple[ca.Function, Flo
     law = PrintedLaw(L=L, alpha=ALPHA, widths=HALF_GAP if given else None).build(model)
     first = observer.init(observer.params)
     size = tree.count_numbers(first)
-    state, reference = ca.SX.sym("s", plant.n + size), ca.SX.sym("r")
-    x, column = state[: plant.n], state[plant.n :]
+    state = ca.SX.sym("s", plant.n + size)
+    reference = ca.SX.sym("r")
+    x = state[: plant.n]
+    column = state[plant.n :]
     reading = Reading(plant.read(plant.params, x) - DOWN, ca.SX.zeros(1))
     nothing = ca.SX.zeros(1)
     s = tree.unpack_column(first, column)

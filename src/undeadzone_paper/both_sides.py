@@ -103,9 +103,11 @@ class ErrorSignals(NamedTuple):
 
 def compare_sides(evidence: Evidence) -> dict[int, BothSides]:
     """Compute both sides of every equation, by its number."""
-    theorem, repaired = evidence.law[0], evidence.repaired[0]
+    theorem = evidence.law[0]
+    repaired = evidence.repaired[0]
     linear = linear_matrices(example_as_printed(1.0).plant)
-    printed, mended = _signals_of(theorem), _signals_of(repaired)
+    printed = _signals_of(theorem)
+    mended = _signals_of(repaired)
     compared = {
         **_sides_of_sensor(printed, mended),
         **_sides_of_observer(printed, mended, linear),
@@ -149,8 +151,10 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
     """
     sat = _saturation_by_branches(p.z, D, D)
     branches = np.where(p.z > D, p.z - D, np.where(p.z < -D, p.z + D, 0.0))
-    outside, read = p.side != 0, q.side != 0
-    sign, branch = np.sign(p.y), np.stack([p.z > D, p.z < -D], axis=1) * 1.0
+    outside = p.side != 0
+    read = q.side != 0
+    sign = np.sign(p.y)
+    branch = np.stack([p.z > D, p.z < -D], axis=1) * 1.0
     taken = (p.chi * D).sum(axis=1)
     taken_mended = (q.mended_chi * D).sum(axis=1)
     mended_side = np.stack([q.side > 0, q.side < 0], axis=1) * 1.0
@@ -206,7 +210,8 @@ def _sides_of_sensor(p: ErrorSignals, q: ErrorSignals) -> dict[int, BothSides]:
 def _sides_of_observer(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (14)-(20), as printed along p, as mended along q."""
     A, _, C = linear
-    L, L_mended = np.array(L_PRINTED), np.array(L_REPAIRED)
+    L = np.array(L_PRINTED)
+    L_mended = np.array(L_REPAIRED)
     z_sat = _saturation_by_branches(p.z, D, D)
     estimated_sat = _saturation_by_branches(p.z_hat, p.d_hat[:, 0], p.d_hat[:, 1])
     of_18 = p.z - z_sat - p.z_hat + estimated_sat
@@ -250,7 +255,10 @@ def motion_at_truth(scenario: Scenario, s: ErrorSignals) -> float:
     model = system(scenario.plant)
     sensor = resolve(scenario.sensor, 1, scenario.simulation.step)
     observer = require_graph(scenario.observer.build(model, sensor))
-    x, u, y, side = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("y"), ca.SX.sym("side")
+    x = ca.SX.sym("x", 2)
+    u = ca.SX.sym("u")
+    y = ca.SX.sym("y")
+    side = ca.SX.sym("side")
     widths = np.array([D])
     state = observer.init(observer.params)._replace(x=x, right=widths, left=widths)
     moved, _ = observer.step(observer.params, state, u, Reading(y, side))
@@ -291,10 +299,12 @@ def _state_error_forms(
 def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (22)-(24), (27), (28), as printed along p, as mended along q."""
     A, B, C = linear
-    L, L_mended = np.array(L_PRINTED), np.array(L_REPAIRED)
+    L = np.array(L_PRINTED)
+    L_mended = np.array(L_REPAIRED)
     moved = p.x @ A.T + np.outer(p.u, B[:, 0]) - (p.x_hat @ A.T + np.outer(p.e, L))
     printed = _state_error_forms(p, linear, L, p.chi, 1.0)
-    e, read = _innovation_on_side(q), q.side != 0
+    e = _innovation_on_side(q)
+    read = q.side != 0
     moved_mended = q.x_error @ A.T - np.outer(e, L_mended)
     first, second, third = _state_error_forms(q, linear, L_mended, q.mended_chi, 0.0)
     twice = 2 * np.outer((q.mended_chi * q.d_error).sum(axis=1), L_mended)
@@ -320,7 +330,8 @@ def _sides_of_errors(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict
 def _sides_of_law(p: ErrorSignals, q: ErrorSignals, linear: Matrices) -> dict[int, BothSides]:
     """Compare both sides of (25), (26), (29), (42), as printed along p, as mended along q."""
     _, B, C = linear
-    P, L = _printed_P(linear), np.array(L_PRINTED)
+    P = _printed_P(linear)
+    L = np.array(L_PRINTED)
     # With x^ = x: y~ = -chi_bar d~, on the measured side.
     of_widths = (p.mended_chi * p.d_error).sum(axis=1)[:, None]
     printed_step = SIGMA * of_widths * float(C[0] @ P @ L) * p.chi
@@ -380,9 +391,12 @@ def _sides_of_V(p: ErrorSignals, linear: Matrices, rise: float) -> dict[int, Bot
     stands y~ C P L chi_bar d~.
     """
     A, B, C = linear
-    P, L, c = _printed_P(linear), np.array(L_PRINTED), C[0]
+    P = _printed_P(linear)
+    L = np.array(L_PRINTED)
+    c = C[0]
     drift = A - np.outer(L, c)
-    size, gain = float(c @ P @ c), float(c @ P @ L)
+    size = float(c @ P @ c)
+    gain = float(c @ P @ L)
     d_moved = -SIGMA * gain * p.e[:, None] * p.chi  # d^', so that d~' = -d^'
     of_widths = -(p.d_error * d_moved).sum(axis=1) / SIGMA  # d~ d~' / sigma
     offset = (p.chi * p.d_error).sum(axis=1)

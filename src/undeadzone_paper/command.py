@@ -56,7 +56,8 @@ def _print_claims(claims: list[Claim], summary: dict[str, Any], written: list[Pa
     console = Console()
     console.print(_claims_table(claims))
     console.print(verdict_counts_text(claims), highlight=False)
-    printed, repaired = summary["printed"], summary["repaired"]
+    printed = summary["printed"]
+    repaired = summary["repaired"]
     console.print(
         f"As printed: max |z| = {printed['max_abs_z']:.4g} over the last 4 s, max |y| = "
         f"{printed['max_abs_y']:g}: the sensor never speaks."
@@ -78,7 +79,8 @@ def _claims_table(claims: list[Claim]) -> Table:
     for column in COLUMNS:
         table.add_column(column, justify="right" if column in NUMBERS else "left")
     for claim in claims:
-        text, verdict = claim.text, claim.verdict
+        text = claim.text
+        verdict = claim.verdict
         numbers = [
             _cell_number_text(value) for value in (claim.worst_printed, claim.repaired, text.limit)
         ]

@@ -38,8 +38,13 @@ HATS: Final = {
 }
 """What figures call the fields of an estimate."""
 
-REFERENCE, CONTROLLER, PLANT, SENSOR = "reference", "controller", "plant", "sensor"
-OBSERVER, INVERSE, OUT = "observer", "inverse", "out"
+REFERENCE = "reference"
+CONTROLLER = "controller"
+PLANT = "plant"
+SENSOR = "sensor"
+OBSERVER = "observer"
+INVERSE = "inverse"
+OUT = "out"
 HALF: Final = (0.75, 0.3)  # of a block, width and height
 PLACES: Final[dict[str, Point]] = {
     REFERENCE: (0.8, 2.0),
@@ -82,9 +87,13 @@ class Diagram(NamedTuple):
 def trace_diagram(scenario: Scenario) -> Diagram:
     """Trace the blocks and arrows of a scenario's loop by its graph, with all numbers put in."""
     problem = resolve_scenario(scenario)
-    plant, observer, law = problem.plant, require_graph(problem.observer), problem.controller
-    x, u = ca.SX.sym("x", plant.n), ca.SX.sym("u", plant.m)
-    y, side = ca.SX.sym("y", plant.p), ca.SX.sym("side", plant.p)
+    plant = problem.plant
+    observer = require_graph(problem.observer)
+    law = problem.controller
+    x = ca.SX.sym("x", plant.n)
+    u = ca.SX.sym("u", plant.m)
+    y = ca.SX.sym("y", plant.p)
+    side = ca.SX.sym("side", plant.p)
     z = ca.SX.sym("z", plant.p)
     _, s = tree.create_symbols(observer.init(observer.params), "s")
     following, estimate = observer.step(observer.params, s, u, Reading(y, side))

@@ -165,7 +165,8 @@ class Runner(NamedTuple):
 
     def simulate_pair(self, *variations: dict[str, Any]) -> RunPair:
         """Simulate the example under the same conditions, as printed and repaired."""
-        begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
+        begun = example_as_printed(5.0, x1=STARTED)
+        nominal = example_as_repaired(5.0)
         return RunPair(
             tuple(self.simulate_changed(begun, **variation) for variation in variations),
             tuple(self.simulate_changed(nominal, **variation) for variation in variations),
@@ -292,8 +293,10 @@ def _constant_width_runs(runner: Runner) -> tuple[Run, Run]:
 
 def _lopsided_runs(runner: Runner) -> RunPair:
     """Run both versions behind a zone that is not symmetric, with d^(0) = d."""
-    sensor, widths = Sensor(right=LOPSIDED[0], left=LOPSIDED[1]), [list(LOPSIDED)]
-    begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
+    sensor = Sensor(right=LOPSIDED[0], left=LOPSIDED[1])
+    widths = [list(LOPSIDED)]
+    begun = example_as_printed(5.0, x1=STARTED)
+    nominal = example_as_repaired(5.0)
     runs = [
         runner.simulate_changed(
             scenario, sensor=sensor, observer=_change_observer(scenario, widths0=widths)
@@ -321,8 +324,10 @@ def _run_zone_at_input(runner: Runner) -> Run:
 
 def _mismatch_runs(runner: Runner) -> RunPair:
     """Run both versions with the widths held at d, then 20 % off."""
-    begun, nominal = example_as_printed(5.0, x1=STARTED), example_as_repaired(5.0)
-    printed, repaired = [], []
+    begun = example_as_printed(5.0, x1=STARTED)
+    nominal = example_as_repaired(5.0)
+    printed = []
+    repaired = []
     for width in (D, HELD):
         held = _change_observer(begun, sigma=0.0, widths0=width)
         printed.append(runner.simulate_changed(begun, observer=held))

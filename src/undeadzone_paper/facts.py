@@ -75,7 +75,9 @@ def _pole_facts(name: str, linear: Matrices) -> list[Fact]:
     roots = _quadratic_roots(a1 + l1, a0 + a1 * l1 + l2)
     poles = np.sort(np.linalg.eigvals(linear.A - np.array([L_PRINTED]).T @ linear.C).real)
     placed = observer_gain(linear, POLES, None).ravel()
-    p, q = -sum(POLES), POLES[0] * POLES[1]  # of the wanted polynomial s^2 + p s + q
+    # of the wanted polynomial s^2 + p s + q
+    p = -sum(POLES)
+    q = POLES[0] * POLES[1]
     wanted = (p - a1, q - a0 - a1 * (p - a1))
     return [
         Fact(name, "rightmost pole of A - L C, (40)", float(poles[1]), float(roots[0])),
@@ -92,19 +94,21 @@ def _quadratic_roots(b: float, c: float) -> tuple[float, float]:
 
 
 def _riccati_facts(linear: Matrices) -> list[Fact]:
-    """Compute K of (34) with A - L C at (-4, -10), alpha = 10.
+    """Return facts on K of (34) with A - L C at (-4, -10) and alpha = 10.
 
-    Also compute the alpha from which A - B K is unstable.
+    They are K, the rightmost pole of A - B K, and the alpha from which A - B K is unstable.
 
-    In closed form by spectral factorisation: for A - L C = [[-l1, 1], [-1 - l2, -2]], Q = I, the
-    Riccati loop's polynomial s^2 + f s + g has g^2 = q^2 + 2 alpha (1 + l1^2), f^2 - 2 g = p^2 - 2
-    q + 2 alpha, with s^2 + p s + q the polynomial of A - L C.
+    The expected values come from spectral factorisation, a way that solves no Riccati equation. For
+    A - L C = [[-l1, 1], [-1 - l2, -2]] with polynomial s^2 + p s + q, and Q = I, the closed loop
+    has the polynomial s^2 + f s + g with
+
+        g^2 = q^2 + 2 alpha (1 + l1^2),    f^2 - 2 g = p^2 - 2 q + 2 alpha.
     """
     A, B, C = linear
     drift = A - np.array([L_POLES]).T @ C
     K = paper_riccati(drift, B, ALPHA, np.eye(2)).K
     k1, k2 = _control_gain(ALPHA)
-    # A - B K has s^2 + (2 + k2) s + 1 + k1, with k2 > 0.
+    # A - B K has the polynomial s^2 + (2 + k2) s + 1 + k1 with k2 > 0: unstable if k1 < -1.
     brink = brentq(lambda alpha: 1 + _control_gain(alpha)[0], 1.0, 100.0)
     pole = _quadratic_roots(2 + k2, 1 + k1)[0]
     where = "omega_n = 1, (34) with A - L C, L = (12, 15)"
@@ -120,7 +124,9 @@ def _riccati_facts(linear: Matrices) -> list[Fact]:
 
 def _control_gain(alpha: float) -> tuple[float, float]:
     """Return (k1, k2) of (34) with A - L C at (-4, -10), Q = I, in closed form."""
-    l1, p, q = L_POLES[0], -sum(POLES), POLES[0] * POLES[1]
+    l1 = L_POLES[0]
+    p = -sum(POLES)
+    q = POLES[0] * POLES[1]
     g = np.sqrt(q**2 + 2 * alpha * (1 + l1**2))
     f = np.sqrt(p**2 - 2 * q + 2 * alpha + 2 * g)
     k2 = (f - p) / 2
@@ -137,7 +143,8 @@ def _certificate_facts(linear: Matrices) -> list[Fact]:
     w = np.linspace(0.0, 20.0, 20001)  # [rad/s]
     G = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(2) - A, L)
     sampled = 1 + G.real.ravel()
-    a, b = 2 * L_POLES[0] + L_POLES[1], L_POLES[0]
+    a = 2 * L_POLES[0] + L_POLES[1]
+    b = L_POLES[0]
     # Re G = (a + (2 b - a) v) / (1 + v)^2; its derivative vanishes at v = (2 b - 3 a) / (2 b - a).
     v = (2 * b - 3 * a) / (2 * b - a)
     least = 1 + (a + (2 * b - a) * v) / (1 + v) ** 2

@@ -50,7 +50,10 @@ class SignalLine(NamedTuple):
 
 
 Y_HAT: Final = "\u0177"
-X1, X1_HAT, X2, X2_HAT = "x\u2081", "x\u0302\u2081", "x\u2082", "x\u0302\u2082"
+X1 = "x\u2081"
+X1_HAT = "x\u0302\u2081"
+X2 = "x\u2082"
+X2_HAT = "x\u0302\u2082"
 D_HAT: Final = "d\u0302"
 
 _LINES: Final = {
@@ -205,7 +208,8 @@ def _plot_lines(axes: Axes, lines: tuple[SignalLine, ...], run: Run) -> None:
     if widths:
         axes.axhline(D, color=ink.TRUTH, linewidth=3.0, alpha=0.25, label="truth")
     for line in lines:
-        t, value = run.t[shown], line.value(run)[shown]
+        t = run.t[shown]
+        value = line.value(run)[shown]
         dashes = DASHED if paired and line is lines[1] else "-"
         axes.plot(t, value, color=line.colour, label=line.name, linestyle=dashes)
 
@@ -225,7 +229,8 @@ def plot_silence(t: Floats, outputs: Mapping[str, Floats]) -> Figure:
     """
     title = "Why the sensor says nothing: 5 sin 2πt as a force, from rest"
     sketch, panels = create_panels([["all", "all", "inside"]], title, height=3.0)
-    everything, inside = panels["all"], panels["inside"]
+    everything = panels["all"]
+    inside = panels["inside"]
     early = t <= EARLY
     shade_zone(everything, D, D)
     shade_zone(inside, D, D)

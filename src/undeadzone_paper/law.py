@@ -66,7 +66,8 @@ class PrintedLaw(Options, frozen=True, kw_only=True, tag="printed"):
             taken_off = -e
             if given:
                 chi_r, chi_l = indicators(_reading_of(estimate), p.sharpness)
-                missing_r, missing_l = p.right - estimate.right, p.left - estimate.left
+                missing_r = p.right - estimate.right
+                missing_l = p.left - estimate.left
                 taken_off = chi_r * missing_r - p.left_sign * chi_l * missing_l
             return s, -p.sign * (p.of_reading * e + p.of_widths * taken_off) + target.r
 

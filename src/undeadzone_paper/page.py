@@ -120,7 +120,8 @@ def write_audit_figures(
     numbered = {}
     for amplitude, trio in zip(AMPLITUDES, trios, strict=True):
         suffix = "" if amplitude == AMPLITUDES[0] else f"_{amplitude:g}sin"
-        runs, words = RunTrio(*trio), f"r = {amplitude:g} sin 2πt"
+        runs = RunTrio(*trio)
+        words = f"r = {amplitude:g} sin 2πt"
         drawn = {
             **{f"figure_{number}": plot_paper_figure(number, runs, words) for number in FIGURES},
             "tracking": plot_tracking(runs, words),

@@ -176,7 +176,8 @@ def _with_gains(loop: Loop, problem: Problem, plant: str, name: str) -> Loop:
 def _with_signs(loop: Loop, variant: Variant) -> tuple[Loop, Floats]:
     """Return the loop with a variant's signs, and its packed initial state."""
     x1, width = STARTS[variant.start]
-    observer, law = loop.params.observer, loop.params.controller
+    observer = loop.params.observer
+    law = loop.params.controller
     observer = observer._replace(
         sigma=np.float64(variant.sigma),
         feed_input=np.float64(variant.feeds_input),

@@ -45,7 +45,8 @@ PLANTS: Final = {
     "(15)": Plant(A=[[0.0, 1.0], [0.0, 0.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]]),
 }
 GAINS: Final = {"printed": "(40)", "placed": "the poles"}
-GIVEN, ESTIMATED = "given", "estimated"
+GIVEN = "given"
+ESTIMATED = "estimated"
 SIGNS: Final = {1.0: "(29) as printed", -1.0: "with the sign of the left half of (42)"}
 
 
@@ -195,7 +196,8 @@ def _with_gains(loop: Loop, problem: Problem, reading: TheoremReading) -> Loop:
 
 def _with_signs(loop: Loop, reading: TheoremReading) -> tuple[Loop, Floats]:
     """Return the loop with the signs of a reading, and its packed initial state."""
-    left_sign, widths = np.float64(reading.left_sign), np.array([reading.width])
+    left_sign = np.float64(reading.left_sign)
+    widths = np.array([reading.width])
     observer = loop.params.observer._replace(
         feed_input=np.float64(reading.feeds_input), left_sign=left_sign
     )

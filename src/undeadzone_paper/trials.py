@@ -85,7 +85,8 @@ Numbers: TypeAlias = dict[str, ClaimNumbers]  # by the claim's id
 
 SHARPNESS: Final = 100.0  # k_s of tanh(k_s y), (8)
 EQUAL: Final = 1e-12  # rms of y^ - y up to which they are equal
-POSITIVE, NEGATIVE = "with d_l > 0", "with d_l < 0"
+POSITIVE = "with d_l > 0"
+NEGATIVE = "with d_l < 0"
 
 
 def measure_claims(evidence: Evidence) -> Numbers:
@@ -130,7 +131,8 @@ def _sensor_claims(e: Evidence) -> Numbers:
     """Compute the numbers of the claims on the dead zone itself."""
     z = np.linspace(-5.0, 5.0, 1001)
     z = z[np.abs(z) > D]
-    y, side = deadzone(z, D, D), zone(z, D, D)
+    y = deadzone(z, D, D)
+    side = zone(z, D, D)
     printed_form = z - D * (side < 0) - D * (side > 0)  # (11) with chi_bar = [chi_r, chi_l]
     signed_form = z + D * (side < 0) - D * (side > 0)  # the same with d_l = -D
     corrected = z - offset(side, D, D)
@@ -193,7 +195,8 @@ def _gain_claims(linear: Matrices) -> Numbers:
     placed = observer_gain(linear, POLES, None).ravel()
     poles = np.sort(np.linalg.eigvals(_error_matrix(linear, L_PRINTED)).real)
     where = {"leftmost": float(poles[0]), "rightmost": float(poles[-1])}
-    printed_drift, placed_drift = _error_matrix(linear, L_PRINTED), _error_matrix(linear, L_POLES)
+    printed_drift = _error_matrix(linear, L_PRINTED)
+    placed_drift = _error_matrix(linear, L_POLES)
     of_riccati = {
         "brink": destabilising_alpha(linear, placed_drift),
         "fed": where["rightmost"],
@@ -524,7 +527,8 @@ def _theorem_claims(e: Evidence) -> Numbers:
 def _change_of_input(options: Any) -> float:
     """Return the change of u at equal estimates when the d that a law is given grows by 1 [u]."""
     model = system(example_as_printed(1.0).plant)
-    x, one = np.array([2.0, 0.0]), np.ones(1)
+    x = np.array([2.0, 0.0])
+    one = np.ones(1)
     estimate = Estimate(x, x[:1], one, one, x[:1], one)
     target = Target(np.zeros(1), np.zeros(2), np.zeros(1))
     inputs = []
@@ -567,9 +571,12 @@ def calm_share(switch: Callable[[float], float]) -> float:
     Args:
         switch: in place of the sign of s
     """
-    gain, step = 5.0, 1e-3  # of the switched part; of sampling [s]
+    # of the switched part; of sampling [s]
+    gain = 5.0
+    step = 1e-3
     Ad, Bd, _ = zoh(linear_matrices(example_as_printed(1.0).plant), step)
-    x, inputs = np.array([1.0, 0.0]), []
+    x = np.array([1.0, 0.0])
+    inputs = []
     for _ in range(round(5.0 / step)):
         inputs.append(x[0] - gain * float(switch(2.0 * x[0] + x[1])))
         x = Ad @ x + Bd[:, 0] * inputs[-1]
@@ -595,7 +602,8 @@ def controller_operations(scenario: Scenario) -> float:
     law = scenario.controller.build(model)
     p_column, p = tree.create_symbols(law.params, "p")
     s_column, s = tree.create_symbols(law.init(law.params), "s")
-    x, x_ref = ca.SX.sym("x", model.n), ca.SX.sym("x_ref", model.n)
+    x = ca.SX.sym("x", model.n)
+    x_ref = ca.SX.sym("x_ref", model.n)
     z, e, r, u_ff, right, left = (ca.SX.sym(name) for name in ("z", "e", "r", "u", "dr", "dl"))
     following, u = law.step(p, s, Estimate(x, z, right, left, z, e), Target(r, x_ref, u_ff))
     inputs = [s_column, p_column, x, x_ref, z, e, r, u_ff, right, left]

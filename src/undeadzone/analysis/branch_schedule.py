@@ -105,7 +105,8 @@ def plan_schedule(
     z = reference.state((times[:-1] + times[1:]) / 2) @ rows.T
     low, high = extreme_values(reference, rows, ends)
     mean = (reference.state((np.arange(MEAN) + 0.5) / MEAN * end) @ rows.T).mean(axis=0)
-    read, spans = noiseless_reading(z, sensor), np.diff(times)
+    read = noiseless_reading(z, sensor)
+    spans = np.diff(times)
     exact = read.exact_share(spans)
     return Schedule(read.side, spans, None, periodic, 0.0, low, mean, high, levels, exact)
 
@@ -231,12 +232,14 @@ def level_crossing_times(reference: Exosystem, row: Floats, level: float, ends: 
         ends: times [s], rising, at which w may jump.
     """
     S = reference.S
-    slope, curvature = row @ S, np.abs(row @ S @ S)
+    slope = row @ S
+    curvature = np.abs(row @ S @ S)
     middle, half = _initial_intervals(S, ends)
     times: list[Floats] = [np.empty(0)]
     while middle.size:
         w = reference.state(middle)
-        f, reach = w @ row - level, _exponential_bound(np.abs(S), float(half.max()))
+        f = w @ row - level
+        reach = _exponential_bound(np.abs(S), float(half.max()))
         # By how much the signal changes on half an interval: by its slope, and by its bend at most.
         tangent = np.abs(w @ slope) * half
         bend = np.abs(w) @ (curvature @ reach) * half**2
@@ -244,8 +247,10 @@ def level_crossing_times(reference: Exosystem, row: Floats, level: float, ends: 
         open_ = (np.abs(f) <= tangent + bend / 2) & (tangent + bend > rounding)
         monotone = open_ & (tangent > bend)
         times.append(_bisect_crossings(reference, row, level, middle[monotone], half[monotone]))
-        middle, half = middle[open_ & ~monotone], half[open_ & ~monotone] / 2
-        middle, half = np.concatenate([middle - half, middle + half]), np.tile(half, 2)
+        middle = middle[open_ & ~monotone]
+        half = half[open_ & ~monotone] / 2
+        middle = np.concatenate([middle - half, middle + half])
+        half = np.tile(half, 2)
     return np.sort(np.concatenate(times))
 
 
@@ -264,7 +269,8 @@ def _initial_intervals(S: Floats, ends: Floats) -> tuple[Floats, Floats]:
 
 def extreme_values(reference: Exosystem, rows: Floats, ends: Floats) -> tuple[Floats, Floats]:
     """Return the (least, greatest) value of every row w between ends[0] and ends[-1] (p each)."""
-    low, high = [], []
+    low = []
+    high = []
     for row in rows:
         t = np.concatenate([ends, level_crossing_times(reference, row @ reference.S, 0.0, ends)])
         z = reference.state(t) @ row
@@ -279,19 +285,22 @@ def _bisect_crossings(
     """Return the crossing times on intervals with a monotone signal [s]. An interval may hold
     none.
     """
-    a, b = middle - half, middle + half
+    a = middle - half
+    b = middle + half
 
     def is_above_level(t: Floats) -> Any:
         """Return whether the signal is above the level at times t."""
         return reference.state(t) @ row > level
 
     crossing = is_above_level(a) != is_above_level(b)
-    a, b = a[crossing], b[crossing]
+    a = a[crossing]
+    b = b[crossing]
     first = is_above_level(a)
     for _ in range(BISECTIONS):
         middle = (a + b) / 2
         left = is_above_level(middle) == first
-        a, b = np.where(left, middle, a), np.where(left, b, middle)
+        a = np.where(left, middle, a)
+        b = np.where(left, b, middle)
     return (a + b) / 2
 
 
@@ -344,7 +353,9 @@ def _schedule_from_samples(
         grain = 1.0
         spans = np.diff(np.append(first, side.shape[0])).astype(float)
     with np.errstate(invalid="ignore", over="ignore"):  # a run that diverged has a schedule too
-        low, mean, high = z.min(axis=0), z.mean(axis=0), z.max(axis=0)
+        low = z.min(axis=0)
+        mean = z.mean(axis=0)
+        high = z.max(axis=0)
         exact = read.exact_share(np.ones(len(side)))
         contact = None if read.contact is None else read.contact[first]
         return Schedule(
@@ -426,11 +437,14 @@ def noiseless_reading(z: Floats, sensor: Zone, again: bool = False) -> Noiseless
             low, high = (limit / sensor.slope for limit in sensor.limits)
             limited = (z - sensor.right >= high) | (z + sensor.left <= low)
         return NoiselessReading(np.where(limited, 0.0, side), limited)
-    gaps, level, contact = _play_gaps(sensor), z, None
+    gaps = _play_gaps(sensor)
+    level = z
+    contact = None
     if sensor.play is not None:  # exact beyond an edge, while the level moves
         play = sensor.play.right, sensor.play.left, sensor.start
         level, contact = (along(passes, *play)[-len(z) :] for along in (levels, contacts))
-    side, limits = zone(level, *(reading_levels(sensor) - gaps).T), limit_levels(sensor)
+    side = zone(level, *(reading_levels(sensor) - gaps).T)
+    limits = limit_levels(sensor)
     if limits is not None:
         limited = zone(level, *(limits - gaps).T) != 0
     silent = limited if contact is None else limited | (contact == 0)

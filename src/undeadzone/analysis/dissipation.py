@@ -53,7 +53,8 @@ class Inequality(NamedTuple):
 
     def term_magnitudes(self, P: Floats) -> list[Floats]:
         """Return the sums of `lmi_matrices` with every term replaced by its magnitude."""
-        P_size, B_size = np.abs(P), np.abs(self.B)
+        P_size = np.abs(P)
+        B_size = np.abs(self.B)
         magnitudes = []
         for A in self.A:
             for size in self.size:
@@ -116,7 +117,8 @@ def build_quadratic_form(
     total = np.zeros((ends[-1], ends[-1]))
     size = np.zeros((ends[-1], ends[-1]))
     for i, j, value in terms:
-        rows, columns = slice(ends[i], ends[i + 1]), slice(ends[j], ends[j + 1])
+        rows = slice(ends[i], ends[i + 1])
+        columns = slice(ends[j], ends[j + 1])
         total[rows, columns] += value
         size[rows, columns] += np.abs(value)
         if i != j:
@@ -172,7 +174,8 @@ def optimise_storage(
     Returns:
         The last pass's solution, or None if there is none.
     """
-    A, Ts = family(start).A[0], family(start).Ts
+    A = family(start).A[0]
+    Ts = family(start).Ts
     for first in (_lyapunov_storage(A, Ts), np.eye(len(A))):
         best = None
         if not np.isfinite(first).all():
@@ -203,7 +206,8 @@ def _solve_in_local_units(
     if not values[-1] > 0:
         return None
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    T, inverse = vectors / root, (vectors * root).T
+    T = vectors / root
+    inverse = (vectors * root).T
     units = (np.zeros(cost.size), *np.eye(cost.size))
     at = _affine_family([family(unit).transform_coordinates(T, inverse) for unit in units])
     scales = _diagonal_scales(at(q), np.eye(n))
@@ -212,7 +216,8 @@ def _solve_in_local_units(
 
     def blocks(x: Floats) -> list[Floats]:
         """Return the matrices that must be positive semidefinite."""
-        local, q = symmetric_matrix(x[:entries], n), x[entries : entries + cost.size]
+        local = symmetric_matrix(x[:entries], n)
+        q = x[entries : entries + cost.size]
         scaled = []
         for M, scale in zip(at(q).lmi_matrices(local), scales, strict=True):
             block = -M * np.outer(scale, scale)
@@ -307,7 +312,8 @@ def check_inequality(inequality: Inequality, P: Floats) -> DefinitenessCheck:
     n = inequality.A[0].shape[0]
     if P.shape != (n, n) or not np.isfinite(P).all() or not np.array_equal(P, P.T):
         return NO_PROOF
-    matrices, magnitudes = inequality.lmi_matrices(P), inequality.term_magnitudes(P)
+    matrices = inequality.lmi_matrices(P)
+    magnitudes = inequality.term_magnitudes(P)
     least_of_P, slack_of_P = _least_eigenvalue_and_rounding(P, np.abs(P))
     of_lmi = [
         _least_eigenvalue_and_rounding(-M, size)

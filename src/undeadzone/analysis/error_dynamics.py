@@ -83,7 +83,8 @@ class Dynamics(NamedTuple):
             decay: rate [1/s] at which sqrt(x~'P x~) must fall besides.
         """
         n, p = self.L.shape
-        supplies, sizes = [], []
+        supplies = []
+        sizes = []
         for step in self.largest_gain_steps:
             own = [
                 (0, 1, self.C.T * W),
@@ -123,10 +124,12 @@ class Storage(NamedTuple):
     @property
     def visible_errors(self) -> tuple[np.ndarray, Floats]:
         """Return (mask of the entries e of `[x~; d~]` that enter V, M with V = e'M e)."""
-        R, n = self.R, len(self.P)
+        R = self.R
+        n = len(self.P)
         widths = np.diag(R) > 0
         M = np.zeros((n + widths.sum(), n + widths.sum()))
-        M[:n, :n], M[n:, n:] = self.P, R[np.ix_(widths, widths)]
+        M[:n, :n] = self.P
+        M[n:, n:] = R[np.ix_(widths, widths)]
         return np.concatenate([np.ones(n, bool), widths]), M
 
     def evaluate_storage(self, x_error: Floats, d_error: Floats) -> Floats:
@@ -158,7 +161,8 @@ def build_error_dynamics(linear: Matrices, L: Floats, gamma: Floats, Ts: float |
     Raises:
         InputError, ShapeError: for gains of the wrong kind.
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     L = require_matrix("L", L, n, p, "states x outputs")
     return Dynamics((delta_form(linear, Ts).A,), linear.C, L, adaptation_matrix(gamma, p), Ts)
 
@@ -265,7 +269,8 @@ def balance_dynamics(errors: Dynamics) -> Scaling:
     Outputs that share a weight keep a common unit.
     """
     A = np.mean(errors.A, axis=0)
-    n, p = A.shape[0], errors.C.shape[0]
+    n = A.shape[0]
+    p = errors.C.shape[0]
     time = 2.0 ** -np.round(np.log2(_fastest_error_rate(A, errors)))
     joined = np.block([[time * A, time * errors.L], [errors.C, np.eye(p)]])
     scale = balance_states(joined)

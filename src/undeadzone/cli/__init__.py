@@ -40,8 +40,12 @@ BLOCKS = {
     "Special": ("tune", "watch", "arm"),
 }
 OF_MOST = ("out", "as_json", "no_figures", "untrusted")  # options
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-KEPT, MAPPED = 2**29, 2**25  # bytes that stay with a process; from which an array has its own pages
+# of malloc.h
+M_TRIM_THRESHOLD = -1
+M_MMAP_THRESHOLD = -3
+# bytes that stay with a process; from which an array has its own pages
+KEPT = 2**29
+MAPPED = 2**25
 OTHER_NAMES = {"simulate": "run", "sim": "run", "plot": "run", "compare": "arena", "new": "init"}
 
 

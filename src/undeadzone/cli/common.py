@@ -63,8 +63,10 @@ class UserPath(click.Path):
         return super().convert(value, param, ctx)
 
 
-READ, WRITTEN = UserPath("read"), UserPath("written")
-READ_AND_WRITTEN, LIMIT = UserPath("read and written"), UserPath("limit")
+READ = UserPath("read")
+WRITTEN = UserPath("written")
+READ_AND_WRITTEN = UserPath("read and written")
+LIMIT = UserPath("limit")
 
 
 def value_option(
@@ -211,7 +213,8 @@ def _prefix_file(message: str, options: Mapping[str, Any]) -> str:
     """Return a message that begins with the scenario, or the logs, in error."""
     from undeadzone.scenario.schema import Scenario
 
-    first, scenario = re.split(r"\W", message, maxsplit=1)[0], options.get("scenario")
+    first = re.split(r"\W", message, maxsplit=1)[0]
+    scenario = options.get("scenario")
     if scenario is not None and first in Scenario.__struct_fields__:
         return f"{scenario}: {message}"
     if "logs" in options and message.startswith("log: "):
@@ -221,7 +224,8 @@ def _prefix_file(message: str, options: Mapping[str, Any]) -> str:
 
 def _output_folder(options: Mapping[str, Any]) -> Path | None:
     """Return the folder that a command may write: --out, or the folder of its only file."""
-    out, state = options.get("out"), options.get("state")
+    out = options.get("out")
+    state = options.get("state")
     file = out if options.get("to") == "page" else state
     folder: Path | None = out if file is None else file.parent
     return folder

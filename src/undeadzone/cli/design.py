@@ -145,7 +145,8 @@ def _design_to_json(design: uz.Design, judged: uz.Check) -> dict[str, Any]:
     """Return a design for JSON, its gains first, and the results of `check`."""
     import msgspec
 
-    numbers, known = msgspec.to_builtins(design), judged.summary()
+    numbers = msgspec.to_builtins(design)
+    known = judged.summary()
     del known["nearest"]  # those found are certified
     return numbers.pop("best") | numbers | known
 

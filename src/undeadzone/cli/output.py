@@ -151,7 +151,8 @@ def partial_file(folder: Path | None, name: str, resume: bool) -> Path | None:
         click.UsageError: there is nothing to resume.
     """
     if folder is not None:
-        whole, partial = folder / name, folder / f"{name}.partial"
+        whole = folder / name
+        partial = folder / f"{name}.partial"
         if resume and whole.exists() and not partial.exists():
             raise click.UsageError(f"{whole}: is finished. Leave --resume out to replace it")
         if resume:

@@ -29,9 +29,16 @@ SYSTEM: Final = (
 )  # fmt: skip
 
 # Linux's Landlock: numbers of its calls and rights, from the kernel's headers.
-CREATE, ADD, RESTRICT, NO_NEW_PRIVILEGES = 444, 445, 446, 38
-VERSION, BENEATH = 1, 1
-EXECUTE, WRITE_FILE, READ_FILE, READ_FOLDER = 1, 2, 4, 8
+CREATE = 444
+ADD = 445
+RESTRICT = 446
+NO_NEW_PRIVILEGES = 38
+VERSION = 1
+BENEATH = 1
+EXECUTE = 1
+WRITE_FILE = 2
+READ_FILE = 4
+READ_FOLDER = 8
 OF_FILES: Final = EXECUTE | WRITE_FILE | READ_FILE
 EVERY: Final = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1}  # rights by version
 TRUNCATE: Final = 1 << 14
@@ -75,7 +82,8 @@ def restrict_process(folder: Path, out: Path | None, ending: ExitStack) -> list[
 
 def _is_untrusted_place(place: Path, folder: Path) -> bool:
     """Return whether a place of modules is in `folder`, or the start folder of `python -m`."""
-    own, real = Path(__file__).parents[2], Path(os.path.realpath(place))
+    own = Path(__file__).parents[2]
+    real = Path(os.path.realpath(place))
     return real.is_relative_to(folder) or (real == Path.cwd() and real != own)
 
 

@@ -142,7 +142,8 @@ class SavedWatch:
     """
 
     def __init__(self, path: Path | None, every: float, follower: Follower, log: LiveLog) -> None:
-        self._path, self._every = path, every
+        self._path = path
+        self._every = every
         self._parts = {"follower": follower, "clock": log.clock, "reader": log.reader}
         self._digest = follower.digest
         self._saved = time.monotonic()
@@ -187,10 +188,12 @@ def _print_heartbeat(seconds: float | None, follower: Follower, log: LiveLog) ->
 
     def beat() -> None:
         """Print the progress at intervals until the block ends."""
-        seen, idle = follower.samples, 0.0
+        seen = follower.samples
+        idle = 0.0
         while not ended.wait(seconds):
             idle = idle + (seconds or 0.0) if follower.samples == seen else 0.0
-            seen, faults = follower.samples, sum(log.clock.faults.by_kind.values())
+            seen = follower.samples
+            faults = sum(log.clock.faults.by_kind.values())
             print_line(
                 f"alive: {seen} samples, {faults} faults, {idle:g} s without a sample", err=True
             )

@@ -61,7 +61,8 @@ class PlayInverse(Options, frozen=True, kw_only=True, tag="play_inverse"):
             q: Numbers, s: State, v: Any, estimate: Estimate, reading: Reading
         ) -> tuple[State, Any]:
             """Return the next state, and the command u (m)."""
-            more, less = v > s.level + q.hold, v < s.level - q.hold
+            more = v > s.level + q.hold
+            less = v < s.level - q.hold
             u = ca.if_else(more, v + q.drive.gap_right, s.command)
             u = ca.if_else(less, v - q.drive.gap_left, u)
             level, _ = pass_command(ca, u, s.level, q.drive, model.Ts)

@@ -60,7 +60,7 @@ class KernelAssumption(NamedTuple):
 
 
 def read_assumptions(numbers: list[list[tuple[int | None, float]]]) -> tuple[KernelAssumption, ...]:
-    """Return the assumptions that were stored as lists."""
+    """Return assumptions from pairs of breakpoints, each [place of a param or None, offset]."""
     return tuple(
         KernelAssumption(ParamBreakpoint(*low), ParamBreakpoint(*high)) for low, high in numbers
     )
@@ -85,7 +85,8 @@ def exclusion_assumption(more: Node, less: Node) -> KernelAssumption | None:
     """
     if more.op != "lt" or less.op != "lt" or more.args[1] is not less.args[0]:
         return None
-    high, low = to_breakpoint(more.args[0]), to_breakpoint(less.args[1])
+    high = to_breakpoint(more.args[0])
+    low = to_breakpoint(less.args[1])
     return None if high is None or low is None else KernelAssumption(low, high)
 
 

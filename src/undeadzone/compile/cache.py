@@ -38,7 +38,8 @@ LONG: Final = 6000  # lines of a text whose code of no effort is worth while
 IN_PIECES: Final = 100_000  # lines of a text in whose many loads and stores schedulers get lost
 LESS: Final = 1  # LLVM's effort without them
 # Bytes of the stack that a line takes in such code, which shares nothing: of vectors, of numbers.
-FRAME, FRAME_OF_ONE = 32, 8
+FRAME = 32
+FRAME_OF_ONE = 8
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
 # Time of other jobs is not counted, except on Windows, where it is coarse (1/64 s).
@@ -74,7 +75,8 @@ class CompiledBlock:
     """
 
     def __init__(self, code: LinkedCode, kinds: tuple[str, ...], note: str, text: str = "") -> None:
-        self.note, self.text = note, text
+        self.note = note
+        self.text = text
         self.trial: Callable[..., None] | None = None  # calls it, or a code of the same bits
         self._arrays = tuple(map(_entry_type, kinds))
         self._codes = [code]  # all are kept, since another thread may be within one
@@ -138,11 +140,17 @@ class Trial:
         group: int,
         keep: Callable[[str], None],
     ) -> None:
-        self._own, self._others, self._group, self._keep = own, others, group, keep
-        self.codes, self._random = {own: ""}, random.Random(0)
+        self._own = own
+        self._others = others
+        self._group = group
+        self._keep = keep
+        self.codes = {own: ""}
+        self._random = random.Random(0)
         # Seconds per step and lane of the last calls.
         self.rates: dict[CompiledBlock, deque[float]] = defaultdict(lambda: deque(maxlen=CALLS))
-        self._seconds, self._begun, self.is_done = 0.0, threading.Lock(), False
+        self._seconds = 0.0
+        self._begun = threading.Lock()
+        self.is_done = False
 
     def __call__(self, steps: int, lanes: int, *addresses: int) -> None:
         """Call the function.
@@ -164,7 +172,8 @@ class Trial:
                 threading.Thread(target=self._compile_alternatives, name="compile").start()
         elif len(self.codes) > 1 and all(len(self.rates[each]) == CALLS for each in self.codes):
             best = min(self.codes, key=self._weighted_time)
-            self.codes, self.is_done = {best: self.codes[best]}, True
+            self.codes = {best: self.codes[best]}
+            self.is_done = True
             self._keep(self.codes[best])
 
     def _compile_alternatives(self) -> None:

@@ -82,7 +82,8 @@ def trim_folder(directory: Path | int, newest: str) -> None:
         newest: the file that stays in any case.
     """
     entries = [entry for entry in _list_kernels(directory) if entry.name != newest]
-    oldest, excess = time.time() - UNUSED, sum(entry.size for entry in entries) - LARGEST
+    oldest = time.time() - UNUSED
+    excess = sum(entry.size for entry in entries) - LARGEST
     for entry in sorted(entries):
         if entry.used >= oldest and excess <= 0:
             return

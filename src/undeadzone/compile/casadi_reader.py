@@ -68,7 +68,8 @@ def read_program(function: ca.Function) -> Program:
     results = [[0] * function.nnz_out(i) for i in range(function.n_out())]
     for k in range(function.n_instructions()):
         word = _WORDS[function.instruction_id(k)]
-        sources, targets = function.instruction_input(k), function.instruction_output(k)
+        sources = function.instruction_input(k)
+        targets = function.instruction_output(k)
         if word == "output":
             results[targets[0]][targets[1]] = holds[sources[0]]
             continue

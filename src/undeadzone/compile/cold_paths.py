@@ -41,7 +41,8 @@ class ColdPaths:
     """
 
     def __init__(self, shape: Shape, form: Form, parts: list[list[list[Node]]]) -> None:
-        self._shape, self._form = shape, form
+        self._shape = shape
+        self._form = form
         self._results = [[*following, *flag] for following, flag in parts]
         self._orders = [_order_part(results, form) for results in self._results]
         self._written = len(parts[0][0]) if parts else 0
@@ -58,7 +59,8 @@ class ColdPaths:
 
     def _steady_uses(self, part: int) -> list[Node]:
         """Return the steady values that a part uses."""
-        order, results = self._orders[part], self._results[part]
+        order = self._orders[part]
+        results = self._results[part]
         shared = [
             node
             for node in required_nodes(operands_at_level(order, results, SHARED))
@@ -85,7 +87,8 @@ class ColdPaths:
             some = text.add(f"or i1 {some}, {mark}")
         text.append_line(f"br i1 {some}, label %rarely, label %after, !prof !0")
         text.label("rarely")
-        came, merged = "rarely", []
+        came = "rarely"
+        merged = []
         for u, (flag, mark) in enumerate(zip(flags, marks, strict=True)):
             with text.print_if(mark, f"rare{u}"):
                 changed = self._print_group_call(text, u, following[u], flag)
@@ -109,7 +112,8 @@ class ColdPaths:
         one = text.splat("1.0", "double")
         asked = text.print_select(flag, text.type("double"), one, text.zero())
         text.store(asked, f"%flag{u}", vector=True)
-        row, own = f"%row{u}_0", f"%own{u}_0" if self._shape.exogenous else "%own"
+        row = f"%row{u}_0"
+        own = f"%own{u}_0" if self._shape.exogenous else "%own"
         given = (f"%before{u}", f"%next{u}", f"%flag{u}", row, own, "%w", "%rare")
         pointers = ", ".join(f"ptr {name}" for name in given)
         text.append_line(f"call void @rare0(i64 %lanes, {pointers})")
@@ -128,8 +132,10 @@ class ColdPaths:
 
     def _cold_function_text(self, part: int, declared: dict[str, str]) -> str:
         """Return the text of a part: states if the flag is set, a new flag, then the next part."""
-        text, results = Text(self._form.lanes, declared), self._results[part]
-        vector, order = text.type("double"), self._orders[part]
+        text = Text(self._form.lanes, declared)
+        results = self._results[part]
+        vector = text.type("double")
+        order = self._orders[part]
         have: dict[Node, str] = {}
         for place, node in enumerate(self.steady):
             if node in self._uses[part]:
@@ -171,9 +177,11 @@ class ColdPaths:
                     self._vector_address(text, "%before", self._read.index(place)), vector=True
                 )
             if node.text[0] == "p":
-                base, row = "%row", self._shape.sizes[0] + self._shape.params.index(place)
+                base = "%row"
+                row = self._shape.sizes[0] + self._shape.params.index(place)
             elif place in self._shape.exogenous:
-                base, row = "%own", self._shape.exogenous.index(place)
+                base = "%own"
+                row = self._shape.exogenous.index(place)
             else:
                 return text.load(text.address_of("%w", place))
             return text.load(text.address_of(base, text.add(f"mul i64 %lanes, {row}")), vector=True)

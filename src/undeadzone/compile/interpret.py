@@ -46,7 +46,8 @@ def run_interpreted(
     start = 0
     for count in (min(CHUNK, total), 1):
         many = step.mapaccum(count) if count > 1 else step
-        repeated, states = np.tile(params, (count, 1)), np.empty((count, state.size))
+        repeated = np.tile(params, (count, 1))
+        states = np.empty((count, state.size))
         buffer, evaluate = many.buffer()
         buffer.set_arg(0, state.data)
         buffer.set_arg(2, repeated.data)
@@ -90,7 +91,8 @@ class Stepper:
         self.state = np.array(state, float)
         self.w = np.zeros(step.size1_in(1))
         self.out = np.zeros(step.size1_out(1))
-        self._step, self._params = step, np.array(params, float)
+        self._step = step
+        self._params = np.array(params, float)
         self._next = np.empty_like(self.state)
         self._count = 0  # rows so far
         self._kernel: Kernel | None = None

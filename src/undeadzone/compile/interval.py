@@ -159,7 +159,8 @@ def bound_increasing(
     """Return bounds of a function that increases on [least, greatest] (unbounded beyond this
     domain).
     """
-    low, high = function(a.low), function(a.high)
+    low = function(a.low)
+    high = function(a.high)
     inside = (a.low >= least) & (a.high <= greatest)
     padded = _round_outward(low - PAD * np.abs(low), high + PAD * np.abs(high))
     return _unbound_unless(inside, padded)
@@ -192,7 +193,8 @@ def tan(a: Interval) -> Interval:
 
 def _bound_wave(function: Callable[[Floats], Floats], top: float, a: Interval) -> Interval:
     """Return bounds of a wave of period 2 pi that is 1 at `top` and -1 half a period later."""
-    at_low, at_high = function(a.low), function(a.high)
+    at_low = function(a.low)
+    at_high = function(a.high)
     endless = ~(np.isfinite(a.low) & np.isfinite(a.high))
     least = np.maximum(np.minimum(at_low, at_high) - PAD, -1.0)
     greatest = np.minimum(np.maximum(at_low, at_high) + PAD, 1.0)

@@ -103,8 +103,11 @@ class KernelPrinter:
         parts: list[list[list[Node]]],
         name: str,
     ) -> None:
-        self.shape, self.form, self.name = shape, form, name
-        self.following, self.out = usual[0], usual[1]
+        self.shape = shape
+        self.form = form
+        self.name = name
+        self.following = usual[0]
+        self.out = usual[1]
         self.flag = (to_condition(usual[2][0]) or usual[2][0]) if parts else None
         self.declared: dict[str, str] = {}
         self.rare = ColdPaths(shape, form, parts)
@@ -139,7 +142,8 @@ class KernelPrinter:
         """Return the lines of the function, which begins with linkage and type, and its pieces."""
         entry = self._new_text("e")
         self._print_steady(entry)
-        group, body = self._print_groups(), self._print_step()
+        group = self._print_groups()
+        body = self._print_step()
         functions = (
             self.pieces.outlined_texts(self.declared, self._table_source) if self.pieces else []
         )
@@ -191,7 +195,8 @@ class KernelPrinter:
         """Print the addresses of the tables and fill the steady tables. Return the total
         size [numbers].
         """
-        lanes, streams = self.form.lanes, self.form.streams
+        lanes = self.form.lanes
+        streams = self.form.streams
         text.append_line("%steady = getelementptr double, ptr %scratch, i64 0")
         at = _round_to_cache_line(len(self.steady.entries))
         text.append_line(f"%table = getelementptr double, ptr %scratch, i64 {at}")
@@ -233,14 +238,16 @@ class KernelPrinter:
         at = text.add(f"mul i64 {step}, {self.shape.sizes[1]}")
         text.append_line(f"%pa = getelementptr double, ptr %exogenous, i64 {at}")
         row = text.add(f"sub i64 {step}, %first")
-        have, place = dict(self.have), text.add(f"mul i64 {row}, {len(self.shared.entries)}")
+        have = dict(self.have)
+        place = text.add(f"mul i64 {row}, {len(self.shared.entries)}")
         print_once(text, self.shared.entries, have, entry_source(text, "pa"))
         self.shared.print_fill(text, text.address_of("%table", place), have)
 
     def _print_groups(self) -> list[str]:
         """Print the loop over groups up to the loop over time."""
         text = self._new_text("g")
-        vector, (states, _, _) = text.type("double"), self.shape.sizes
+        vector = text.type("double")
+        (states, _, _) = self.shape.sizes
         text.label("group")
         text.append_line("%g = phi i64 [0, %groups], [%g_next, %grouped]")
         text.append_line(f"%g_next = add i64 %g, {self.form.lanes * self.form.streams}")

@@ -254,7 +254,8 @@ def run_lanes(
     shape = kernel.shape
     inputs = check_inputs(shape, states, exogenous, params, lane_exogenous, lane_params)
     assumptions.require_assumptions(kernel.promises, inputs.params, shape.params, inputs.own_params)
-    total, lanes = len(inputs.exogenous), len(inputs.states)
+    total = len(inputs.exogenous)
+    lanes = len(inputs.states)
     outputs = np.empty((lanes, -(-total // every), len(shape.record)))
     finals = np.empty((lanes, shape.sizes[0]))
     threads = threads or os.cpu_count() or 1
@@ -342,8 +343,10 @@ def _run_block(
     start: int,
 ) -> None:
     """Run the lanes of the block from `start` on. The results are written in place."""
-    states_each, every = kernel.shape.sizes[0], schedule.every
-    total, lanes = len(inputs.exogenous), len(inputs.states)
+    states_each = kernel.shape.sizes[0]
+    every = schedule.every
+    total = len(inputs.exogenous)
+    lanes = len(inputs.states)
     end = min(start + width, lanes)
     steps = min(schedule.chunk, total)
     arrays = spare.pop() if spare else _allocate_arrays(kernel, width, steps)

@@ -357,7 +357,7 @@ class _Lowering(NamedTuple):
 
 
 def _is_never_nan(node: Node) -> bool:
-    """Return whether a node cannot be NaN."""
+    """Return whether a node cannot be NaN: a parameter, or a constant other than NaN."""
     if node.op == "input":
-        return node.text.startswith("p")
+        return node.text.startswith("p")  # parameters are finite, other inputs may be missing
     return node.op == "const" and node.text != "nan"

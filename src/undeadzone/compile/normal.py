@@ -38,14 +38,16 @@ def fill_normal(
     Raises:
         ShapeError: an array of other channels or lanes.
     """
-    channels, lanes = len(words), len(runs)
+    channels = len(words)
+    lanes = len(runs)
     if numbers.shape[1:] != (channels, lanes):
         raise ShapeError(
             f"numbers: expected steps x {channels} channels x {lanes} lanes, "
             f"found {describe_shape(numbers.shape)}"
         )
     kernel = cache.load_block(*_fill_program())
-    streams, lane_runs = np.asarray(words, np.uint32), np.asarray(runs, np.uint64)
+    streams = np.asarray(words, np.uint32)
+    lane_runs = np.asarray(runs, np.uint64)
     kernel(*numbers.shape, numbers, first, seed, streams, lane_runs)
 
 
@@ -69,7 +71,9 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
     if first == 0:  # the very first number stays as it is
         state[:] = numbers[0]
     white = numbers[first == 0 :]
-    steps, shared, params = len(white), np.zeros(len(white)), np.array([memory, drive])
+    steps = len(white)
+    shared = np.zeros(len(white))
+    params = np.array([memory, drive])
     coloured = np.empty_like(white)
     block = _colouring_kernel(math.gcd(state.size, host_machine().vector_shape[0])).block
     block(steps, state.size, state, shared, params, white, coloured)
@@ -79,7 +83,9 @@ def colour_noise(numbers: Floats, state: Floats, first: int, memory: float, driv
 @functools.cache
 def _colouring_kernel(group: int) -> lanes.Kernel:
     """Return the kernel of the colouring filter, with a lane for each channel of each run."""
-    last, white, params = ca.SX.sym("s"), ca.SX.sym("w"), ca.SX.sym("p", 2)
+    last = ca.SX.sym("s")
+    white = ca.SX.sym("w")
+    params = ca.SX.sym("p", 2)
     new = params[0] * last + params[1] * white
     step = ca.Function("colour", [last, white, params], [new, new])
     return lanes.build_kernel(step, exogenous=[0], form=Form(group, 1, False, 0))
@@ -125,13 +131,15 @@ def fill_text(group: int) -> str:
     at a time.
     """
     results = _normal_nodes()
-    text, order = Text(1, {}), lane_instructions(results)
+    text = Text(1, {})
+    order = lane_instructions(results)
     text.block = "entry"
     below = [*operands_at_level(order, results, STEADY), *operands_at_level(order, results, SHARED)]
     last = text.add("add i64 %first, %steps")
     text.append_line(f"%whole = and i64 %lanes, -{group}")
     row = text.add("mul i64 %channels, %lanes")
-    begin, rounded = text.add("udiv i64 %first, 4"), text.add(f"add i64 {last}, 3")
+    begin = text.add("udiv i64 %first, 4")
+    rounded = text.add(f"add i64 {last}, 3")
     with text.print_loop("four", begin, text.add(f"udiv i64 {rounded}, 4")) as four:
         rows = [_print_row_start(text, four, i, last, row) for i in range(len(results))]
         with text.print_loop("channel", "0", "%channels") as channel:
@@ -160,8 +168,10 @@ def _normal_nodes() -> list[Node]:
         """Return an input of the graph."""
         return Value(nodes, nodes.intern_input(name, level, "uint64"))
 
-    run, key = given("run", LANES), given("key", STEADY)
-    low, high = run & philox.LOW, run >> philox.HALF
+    run = given("run", LANES)
+    key = given("key", STEADY)
+    low = run & philox.LOW
+    high = run >> philox.HALF
     words = philox.philox(given("counter", SHARED), given("word", SHARED), low, high, key, m)
     numbers = [*philox.box_muller(words[0], words[1], m), *philox.box_muller(words[2], words[3], m)]
     return [m.float64(number).node for number in numbers]
@@ -172,7 +182,8 @@ def _print_row_start(text: Text, counter: str, i: int, last: str, row: str) -> t
     return both.
     """
     k = text.add(f"add i64 {text.add(f'mul i64 {counter}, 4')}, {i}")
-    late, early = text.add(f"icmp ule i64 %first, {k}"), text.add(f"icmp ult i64 {k}, {last}")
+    late = text.add(f"icmp ule i64 %first, {k}")
+    early = text.add(f"icmp ult i64 {k}, {last}")
     asked = text.add(f"and i1 {late}, {early}")
     return asked, text.add(f"mul i64 {text.add(f'sub i64 {k}, %first')}, {row}")
 

@@ -26,15 +26,16 @@ class OutlinedStep:
     """Step of a group of lanes as several functions.
 
     Args:
-        order: of the instructions.
-        results: nodes that they compute.
-        form: of the kernel.
-        name: of the function that the step belongs to.
+        order: instructions of the step, in order.
+        results: nodes of its results.
+        form: form of the kernel.
+        name: name of the function that calls them.
     """
 
     def __init__(self, order: Order, results: list[Node], form: Form, name: str) -> None:
         self._name = name
-        self._orders, self._lanes = list(_cut_order(order, form.piece)), form.lanes
+        self._orders = list(_cut_order(order, form.piece))
+        self._lanes = form.lanes
         self._made: dict[Node, int] = {}
         for at, piece in enumerate(self._orders):
             self._made.update(dict.fromkeys(_flat_instructions(piece), at))
@@ -111,21 +112,21 @@ class OutlinedStep:
         use.
         """
         text.block = "entry"
-        have: dict[Node, str] = {}
+        names_of: dict[Node, str] = {}
         frame = self._frame_source(text, self._places, tables(text))
 
         def source(node: Node) -> str:
             """Return the name of a value."""
-            return have[node] if node in have else frame(node)
+            return names_of[node] if node in names_of else frame(node)
 
-        for one in piece:
-            (names,) = print_lanes(text, [one], [source], False)
-            for node in one.leaving if isinstance(one, Branch) else (one,):
-                have[node] = names(node)
+        for instruction in piece:
+            (names,) = print_lanes(text, [instruction], [source], False)
+            for node in instruction.leaving if isinstance(instruction, Branch) else (instruction,):
+                names_of[node] = names(node)
                 if node in self._places:
-                    self._print_frame_store(text, node, have[node])
-        given = _pointer_arguments("ptr noalias")
-        head = f"define internal void @{self._name}.piece{at}({given}) noinline #0 {{"
+                    self._print_frame_store(text, node, names_of[node])
+        arguments = _pointer_arguments("ptr noalias")
+        head = f"define internal void @{self._name}.piece{at}({arguments}) noinline #0 {{"
         return "\n".join([head, "entry:", *text.lines, "  ret void", "}"])
 
     def _print_frame_store(self, text: Text, node: Node, name: str) -> None:
@@ -155,15 +156,15 @@ def _pointer_arguments(kind: str) -> str:
 
 def _flat_instructions(order: Order) -> Iterator[Node]:
     """Yield all instructions, including those inside branches."""
-    for one in order:
-        yield from one.nodes if isinstance(one, Branch) else (one,)
+    for item in order:
+        yield from item.nodes if isinstance(item, Branch) else (item,)
 
 
 def _all_operands(order: Order) -> Iterator[Node]:
     """Yield the operands of all instructions and the truths of all branches."""
-    for one in order:
-        if isinstance(one, Branch):
-            yield one.truth
+    for item in order:
+        if isinstance(item, Branch):
+            yield item.truth
     for node in _flat_instructions(order):
         yield from node.args
 
@@ -172,25 +173,26 @@ def _cut_order(order: Order, piece: int) -> Iterator[Order]:
     """Yield the instructions in parts of about `piece` instructions."""
     part: Order = []
     length = 0
-    for one in itertools.chain.from_iterable(_split_branch(one, piece) for one in order):
-        part.append(one)
-        length += len(one.nodes) if isinstance(one, Branch) else 1
+    for item in itertools.chain.from_iterable(_split_branch(item, piece) for item in order):
+        part.append(item)
+        length += len(item.nodes) if isinstance(item, Branch) else 1
         if length >= piece:
             yield part
-            part, length = [], 0
+            part = []
+            length = 0
     if part:
         yield part
 
 
-def _split_branch(one: Node | Branch, piece: int) -> Iterator[Node | Branch]:
+def _split_branch(item: Node | Branch, piece: int) -> Iterator[Node | Branch]:
     """Yield a branch as branches that are not longer than a function."""
-    if not isinstance(one, Branch) or len(one.nodes) <= piece:
-        yield one
+    if not isinstance(item, Branch) or len(item.nodes) <= piece:
+        yield item
         return
-    wanted = set(one.leaving)
+    wanted = set(item.leaving)
     parts = []
-    for end in range(len(one.nodes), 0, -piece):
-        nodes = one.nodes[max(0, end - piece) : end]
-        parts.append(one._replace(nodes=nodes, leaving=[n for n in nodes if n in wanted]))
+    for end in range(len(item.nodes), 0, -piece):
+        nodes = item.nodes[max(0, end - piece) : end]
+        parts.append(item._replace(nodes=nodes, leaving=[n for n in nodes if n in wanted]))
         wanted.update(*(node.args for node in nodes))
     yield from reversed(parts)

@@ -12,12 +12,15 @@ from typing import Any
 import numpy as np
 
 # Of a word of 64 bits: its lower half, and how far the upper one is shifted.
-LOW, HALF = np.uint64(0xFFFFFFFF), np.uint64(32)
+LOW = np.uint64(0xFFFFFFFF)
+HALF = np.uint64(32)
 
 # Philox: factors of a round, and its increment of the key.
 ROUNDS = 10
-MULTIPLY_A, MULTIPLY_C = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
-RAISE_LOW, RAISE_HIGH = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
+MULTIPLY_A = np.uint64(0xD2511F53)
+MULTIPLY_C = np.uint64(0xCD9E8D57)
+RAISE_LOW = np.uint64(0x9E3779B9)
+RAISE_HIGH = np.uint64(0xBB67AE85)
 
 UNIT = np.float32(2.0**-32)  # of a word, and of a quarter turn
 HALVE = np.float32(0.5)
@@ -26,7 +29,9 @@ UPPER = np.uint32(0xC0000000)  # words from 3/4 on
 THREE_QUARTERS = np.int32(0x3F400000)  # the bits of 0.75
 EXPONENT = np.int32(-0x800000)  # bits of the exponent in a float
 DOUBLING = np.float32(-1.3862943611198906 * 2.0**-23)  # -2 log 2, for an exponent at its place
-SIGN, SWAP = np.uint32(0x80000000), np.uint32(0x40000000)  # bits of a word that choose an axis
+# bits of a word that choose an axis
+SIGN = np.uint32(0x80000000)
+SWAP = np.uint32(0x40000000)
 
 # Polynomials of least relative error (Remez): -2 log(1 + f) / f for f in [-1/4, 1/2], 1.7e-7.
 LOG = np.array(
@@ -52,11 +57,17 @@ def philox(a: Any, b: Any, c: Any, d: Any, key: Any, m: Any = np) -> Any:
         key: 64 bits (uint64).
         m: where functions come from: NumPy, or `trace.Numpy`.
     """
-    low, high = key & LOW, key >> HALF
+    low = key & LOW
+    high = key >> HALF
     for _ in range(ROUNDS):
-        x, y = MULTIPLY_A * a, MULTIPLY_C * c
-        a, b, c, d = (y >> HALF) ^ b ^ low, y & LOW, (x >> HALF) ^ d ^ high, x & LOW
-        low, high = (low + RAISE_LOW) & LOW, (high + RAISE_HIGH) & LOW
+        x = MULTIPLY_A * a
+        y = MULTIPLY_C * c
+        a = (y >> HALF) ^ b ^ low
+        b = y & LOW
+        c = (x >> HALF) ^ d ^ high
+        d = x & LOW
+        low = (low + RAISE_LOW) & LOW
+        high = (high + RAISE_HIGH) & LOW
     return m.uint32(a), m.uint32(b), m.uint32(c), m.uint32(d)
 
 

@@ -49,10 +49,12 @@ def split_exponent(m: Maths, x: Any) -> Any:
     n: Any = 0.0
     for step in exponent_steps(m):
         large = x >= edge * 2.0**step
-        x, n = m.select(large, x * 2.0**-step, x), m.select(large, n + step, n)
+        x = m.select(large, x * 2.0**-step, x)
+        n = m.select(large, n + step, n)
     for step in exponent_steps(m):
         small = x < edge * 2.0 ** (1.0 - step)
-        x, n = m.select(small, x * 2.0**step, x), m.select(small, n - step, n)
+        x = m.select(small, x * 2.0**step, x)
+        n = m.select(small, n - step, n)
     return n, x
 
 

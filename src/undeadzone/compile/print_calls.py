@@ -1,7 +1,8 @@
-"""Calls of repeated parts in C: differences between copies are passed, by address if possible.
+"""Calls of repeated parts in C, with arguments passed by address if possible.
 
-Numbers that stand in an array in the same order for each copy, as states do, are passed by their
-address. Results go to the places that the caller gives. Only the rest is copied into arrays.
+Arguments that are consecutive entries of an array for each call, as states are, are passed by
+address. Results are written to the places of the caller's results. Other arguments and results are
+copied through local arrays.
 """
 
 from __future__ import annotations
@@ -22,16 +23,16 @@ from undeadzone.compile.print_c import (
 )
 from undeadzone.compile.repeats import Part, Row, find_calls
 
-FEW: Final = 2  # numbers below which an array is copied: an address would cost as much
+FEW: Final = 2  # entries below which an array is copied: an address would cost as much
 
 
 class Place(NamedTuple):
     """Entry of an array.
 
     Attributes:
-        array: its expression.
-        number: of the entry.
-        text: the entry itself.
+        array: expression of the array in C.
+        number: index of the entry.
+        text: expression of the entry in C.
     """
 
     array: str
@@ -40,15 +41,15 @@ class Place(NamedTuple):
 
 
 class _Parameter(NamedTuple):
-    """Parameter of a function, an array.
+    """Parameter of a function: an array of some of its arguments or results.
 
     Attributes:
-        name: its name in the function, and behind a prefix at a call.
-        kind: of its entries.
-        entries: numbers of the arguments or results that it holds, by their indices.
-        array: array into which it points (empty for a copy).
-        starts: the first index there for each call.
-        is_shared: whether all calls have the same copy.
+        name: name in the function, and with a prefix at a call.
+        kind: type of its entries.
+        entries: index in the parameter of each argument or result, by number.
+        array: array of the caller into which it points; empty for a copy.
+        starts: first index in that array for each call.
+        is_shared: whether all calls have the same values, and so one copy.
     """
 
     name: str
@@ -64,7 +65,7 @@ class _Parameter(NamedTuple):
         return 1 + max(self.entries.values())
 
     def texts(self) -> dict[int, str]:
-        """Return the expression of each entry in the function."""
+        """Return the expression of each argument or result in the function, by number."""
         return {number: f"{self.name}[{k}]" for number, k in self.entries.items()}
 
 
@@ -73,55 +74,63 @@ class CalledPart:
 
     Args:
         part: the function.
-        calls: the nodes of its calls.
-        taken: of each call, the node of each result that is used.
-        places: where inputs and wanted results stand.
+        calls: nodes of its calls.
+        used: node of each result that is used, by number, for each call.
+        places: array entries of inputs and results of the caller.
     """
 
     def __init__(
         self,
         part: Part,
         calls: list[Node],
-        taken: list[dict[int, Node]],
+        used: list[dict[int, Node]],
         places: Mapping[Node, Place],
     ) -> None:
-        self.part, self._calls, self._taken = part, calls, taken
+        self.part, self._calls, self._used = part, calls, used
         self.name = part.name
         self._places, self._has_shared = places, False
-        given = list(zip(*[call.args for call in calls], strict=True))
-        self._given = self._parameters("a", given)
-        wanted = [tuple(each.get(k, node) for each in taken) for k, node in enumerate(part.results)]
-        self._results = self._parameters("r", wanted)
+        arguments = list(zip(*[call.args for call in calls], strict=True))
+        self._arguments = self._group_parameters("a", arguments)
+        results = [
+            tuple(nodes.get(k, node) for nodes in used) for k, node in enumerate(part.results)
+        ]
+        self._results = self._group_parameters("r", results)
 
-    def _parameters(self, letter: str, rows: list[Row]) -> list[_Parameter]:
-        """Return the parameters of arguments or results, which are given as rows of the calls."""
+    def _group_parameters(self, letter: str, rows: list[Row]) -> list[_Parameter]:
+        """Return the parameters that pass the arguments or the results.
+
+        Args:
+            letter: first letter of their names, a for arguments, r for results.
+            rows: nodes of each argument or result at the calls.
+        """
         groups = defaultdict[tuple[object, ...], list[int]](list)
         for number, row in enumerate(rows):
             groups[self._common_array(row)].append(number)
         copies = defaultdict[tuple[bool, str], list[int]](list)
-        found: list[_Parameter] = []
+        parameters: list[_Parameter] = []
         for (array, *steps), numbers in groups.items():
             if array and len(numbers) >= FEW:
                 at = {number: self._places[rows[number][0]].number for number in numbers}
-                first, name = min(at.values()), f"{letter}{len(found)}"
+                first, name = min(at.values()), f"{letter}{len(parameters)}"
                 starts = tuple(first + int(str(step)) for step in steps)
                 entries = {number: index - first for number, index in at.items()}
                 kind = rows[numbers[0]][0].kind
-                found.append(_Parameter(name, kind, entries, str(array), starts))
+                parameters.append(_Parameter(name, kind, entries, str(array), starts))
                 continue
             for number in numbers:
                 row = rows[number]
                 copies[letter == "a" and len(set(row)) == 1, row[0].kind].append(number)
         for (is_shared, kind), numbers in copies.items():
             entries = {number: k for k, number in enumerate(numbers)}
-            name = f"{letter}{len(found)}"
-            found.append(_Parameter(name, kind, entries, is_shared=is_shared))
-        return found
+            name = f"{letter}{len(parameters)}"
+            parameters.append(_Parameter(name, kind, entries, is_shared=is_shared))
+        return parameters
 
     def _common_array(self, row: Row) -> tuple[object, ...]:
-        """Return the array of a row's nodes and their distances from the first, or ("",).
+        """Return the array that has all nodes of a row, and their distances from the first one.
 
-        A truth has no array: where it stands among numbers, its address has another type.
+        It is ("",) if there is no such array. A truth has none: among numbers, its address would
+        have another type.
         """
         if not row[0].is_real:
             return ("",)
@@ -136,59 +145,65 @@ class CalledPart:
 
         Args:
             style: how numbers and functions are written.
-            calls: of other parts in it.
+            calls: calls of other parts in it.
         """
         inputs: dict[str, str] = {}
-        for parameter in self._given:
+        for parameter in self._arguments:
             texts = parameter.texts()
             inputs |= {self.part.inputs[number].text: text for number, text in texts.items()}
-        stored: dict[int, str] = {}
+        result_texts: dict[int, str] = {}
         for parameter in self._results:
-            stored |= parameter.texts()
+            result_texts |= parameter.texts()
         numbers = range(len(self.part.results))
-        names = [[stored[k] for k in numbers]], [[f"out_{k}" for k in numbers]]
+        names = [[result_texts[k] for k in numbers]], [[f"out_{k}" for k in numbers]]
         body = build_body([self.part.results], style, Names(inputs, *names, {}, {}, calls))
-        declared = [f"const {TYPES[each.kind]} *restrict {each.name}" for each in self._given]
-        declared += [f"{TYPES[each.kind]} *restrict {each.name}" for each in self._results]
+        declared = [
+            f"const {TYPES[parameter.kind]} *restrict {parameter.name}"
+            for parameter in self._arguments
+        ]
+        declared += [
+            f"{TYPES[parameter.kind]} *restrict {parameter.name}" for parameter in self._results
+        ]
         head = wrap_statement(f"static void {style.prefix}_{self.name}({', '.join(declared)})", "")
         return Body([*head, "{", *body.lines, "}"], body.functions)
 
     def print_call(self, name: str, node: Node, expressions: Expressions) -> list[str]:
-        """Return the statements of a call. Its results get their names.
+        """Return the statements of a call, and name its results in `expressions`.
 
         Args:
-            name: first part of the names of its arrays.
-            node: of the call.
-            expressions: how nodes are written.
+            name: prefix of the names of its arrays.
+            node: node of the call.
+            expressions: writer of nodes, with the names of results.
         """
-        k, lines, passed = self._calls.index(node), list[str](), []
-        for each in self._given:
-            copy = f"{self.part.name if each.is_shared else name}_{each.name}"
-            if not each.array and not (each.is_shared and self._has_shared):
+        k, lines, arguments = self._calls.index(node), list[str](), []
+        for parameter in self._arguments:
+            copy = f"{self.part.name if parameter.is_shared else name}_{parameter.name}"
+            if not parameter.array and not (parameter.is_shared and self._has_shared):
                 texts = ", ".join(
-                    expressions.write_node(node.args[number]).text for number in each.entries
+                    expressions.write_node(node.args[number]).text for number in parameter.entries
                 )
-                lines += wrap_statement(
-                    f"const {TYPES[each.kind]} {copy}[{each.entry_count}] = {{ {texts} }};"
-                )
-            passed.append(_address(each, k) or copy)
+                declared = f"const {TYPES[parameter.kind]} {copy}[{parameter.entry_count}]"
+                lines += wrap_statement(f"{declared} = {{ {texts} }};")
+            arguments.append(_address(parameter, k) or copy)
         self._has_shared = True
-        for each in self._results:
-            copy = f"{name}_{each.name}"
-            if not each.array:
-                lines += wrap_statement(f"{TYPES[each.kind]} {copy}[{each.entry_count}];")
-            for number, index in each.entries.items():
-                result = self._taken[k].get(number)
+        for parameter in self._results:
+            copy = f"{name}_{parameter.name}"
+            if not parameter.array:
+                lines += wrap_statement(f"{TYPES[parameter.kind]} {copy}[{parameter.entry_count}];")
+            for number, index in parameter.entries.items():
+                result = self._used[k].get(number)
                 if result is not None:
                     own = f"{copy}[{index}]"
-                    expressions.names[result] = self._places[result].text if each.array else own
-            passed.append(_address(each, k) or copy)
+                    expressions.names[result] = (
+                        self._places[result].text if parameter.array else own
+                    )
+            arguments.append(_address(parameter, k) or copy)
         function = f"{expressions.style.prefix}_{self.name}"
-        return [*lines, *wrap_statement(f"{function}({', '.join(passed)});")]
+        return [*lines, *wrap_statement(f"{function}({', '.join(arguments)});")]
 
 
 def _address(parameter: _Parameter, k: int) -> str:
-    """Return where call k finds its entries, or "" of a copy."""
+    """Return the address that call k passes for a parameter, or "" for a copy."""
     if not parameter.array or not parameter.starts[k]:
         return parameter.array
     return f"{parameter.array} + {parameter.starts[k]}"
@@ -199,23 +214,23 @@ class Calls:
 
     Args:
         parts: all functions.
-        results: the graph.
-        places: where inputs and wanted results stand.
+        results: results of the graph.
+        places: array entries of inputs and results.
     """
 
     def __init__(
         self, parts: list[Part], results: Results, places: Mapping[Node, Place] | None = None
     ) -> None:
         calls = defaultdict[str, list[Node]](list)
-        taken = find_calls(results)
-        for node in taken:
+        used = find_calls(results)
+        for node in used:
             calls[node.text].append(node)
         self.parts: dict[str, CalledPart] = {}
         for part in parts:
             if part.name in calls:
                 own = calls[part.name]
-                results_of = [taken[call] for call in own]
-                self.parts[part.name] = CalledPart(part, own, results_of, places or {})
+                used_results = [used[call] for call in own]
+                self.parts[part.name] = CalledPart(part, own, used_results, places or {})
 
     def __call__(self, name: str, node: Node, expressions: Expressions) -> list[str]:
         """Return the statements of a call."""
@@ -227,14 +242,14 @@ class Calls:
         Args:
             parts: all functions.
             style: how numbers and functions are written.
-            names: of the functions that are printed (grows): each caller has its own.
+            names: names of the printed functions (grows): each caller has functions of its own.
         """
-        found: list[Body] = []
+        bodies: list[Body] = []
         for called in self.parts.values():
             inner = Calls(parts, [called.part.results])
-            found += inner.print_functions(parts, style, names)
+            bodies += inner.print_functions(parts, style, names)
             while called.name in names:
                 called.name += "_"
             names.add(called.name)
-            found.append(called.print_function(style, inner))
-        return found
+            bodies.append(called.print_function(style, inner))
+        return bodies

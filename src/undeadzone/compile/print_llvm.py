@@ -58,10 +58,14 @@ class Text:
         calls: Mapping[Node, int] = MappingProxyType({}),
         given: int = 0,
     ) -> None:
-        self.lanes, self.declared, self._calls, self._given = lanes, declared, calls, given
+        self.lanes = lanes
+        self.declared = declared
+        self._calls = calls
+        self._given = given
         self.lines: list[str] = []
         self.block = ""  # the label of the block that is being printed
-        self._prefix, self._fresh = prefix, 0
+        self._prefix = prefix
+        self._fresh = 0
 
     def append_line(self, text: str) -> None:
         """Append a line without a value."""
@@ -112,7 +116,8 @@ class Text:
         """Return the text of a constant. A float is written as the double of the same
         value.
         """
-        of_type, text = TYPES[node.kind], node.text
+        of_type = TYPES[node.kind]
+        text = node.text
         if node.is_real:
             (word,) = struct.unpack("<Q", struct.pack("<d", np.dtype(node.kind).type(text)))
             text = f"0x{word:016X}"
@@ -141,7 +146,8 @@ class Text:
         if node.op == "part":
             place = self._calls[node.args[0]] + int(node.text)
             return self.load(self.address_of("%frame", place))
-        args, last = [names(arg) for arg in node.args], node.args[-1]
+        args = [names(arg) for arg in node.args]
+        last = node.args[-1]
         if node.op == "apply":
             return self._print_apply(node, args)
         value = self.type(TYPES[last.kind], vector)
@@ -175,7 +181,8 @@ class Text:
     def _print_conversion(self, node: Node, name: str, vector: bool) -> str:
         """Print a conversion of a number to the node's type, and return the name of the value."""
         source = node.args[0]
-        old, new = TYPES[source.kind], TYPES[node.kind]
+        old = TYPES[source.kind]
+        new = TYPES[node.kind]
         if old == new:
             return name
         word = "bitcast" if node.op == "view" else _conversion_word(source, node)
@@ -196,7 +203,8 @@ class Text:
         self.declared[function] = f"declare double @{function}({numbers})"
         if not vector or self.lanes == 1:
             return self._print_call(function, "double", args)
-        value, whole = self.type("double"), "poison"
+        value = self.type("double")
+        whole = "poison"
         for lane in range(self.lanes):
             parts = [self.add(f"extractelement {value} {arg}, i64 {lane}") for arg in args]
             one = self._print_call(function, "double", parts)
@@ -225,7 +233,8 @@ class Text:
             name: of its blocks.
             begin, end, stride: of the count. Both ends are at least 0.
         """
-        came, count = self.block, f"%{name}.count"
+        came = self.block
+        count = f"%{name}.count"
         self.append_line(f"br label %{name}")
         self.label(name)
         head = len(self.lines)
@@ -276,14 +285,14 @@ def print_once(text: Text, wanted: Iterable[Node], have: dict[Node, str], source
         source: prints an input.
     """
 
-    def name(node: Node) -> str:
+    def operand(node: Node) -> str:
         """Return the name of a plain number."""
         return text.constant_text(node, False) if node.level == CONSTANT else have[node]
 
     for node in required_nodes(wanted, have):
         if node.op == "const":
             continue
-        have[node] = source(node) if node.op == "input" else text.print_node(node, name, False)
+        have[node] = source(node) if node.op == "input" else text.print_node(node, operand, False)
 
 
 def to_double(text: Text, node: Node, name: str, vector: bool = False) -> str:
@@ -323,7 +332,7 @@ def print_lanes(
     """
     have: list[dict[Node, str]] = [{} for _ in sources]
 
-    def name(node: Node, group: int) -> str:
+    def operand(node: Node, group: int) -> str:
         """Return the operand of a node's value in a group.
 
         A value below level `STILL` is common to all groups: it is loaded once, and all share its
@@ -343,7 +352,7 @@ def print_lanes(
 
     def namer(group: int) -> Names:
         """Return the source of names for a group."""
-        return lambda node: name(node, group)
+        return lambda node: operand(node, group)
 
     namers = [namer(group) for group in range(len(sources))]
     for node in order:
@@ -365,7 +374,8 @@ def _print_branch(text: Text, branch: Branch, have: dict[Node, str], name: Names
         condition = text.add(
             f"xor {text.type('i1')} {condition}, {text.in_every_lane('true', 'i1')}"
         )
-    before, label = dict(have), f"needed{branch.nodes[0].number}"
+    before = dict(have)
+    label = f"needed{branch.nodes[0].number}"
     came = text.block
     with text.print_if(text.any_lane(condition), label):
         for node in branch.nodes:

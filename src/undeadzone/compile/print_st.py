@@ -49,12 +49,17 @@ def st_literal(value: float, kind: str) -> str:
 
 def assign_number(name: str, value: float, kind: str) -> list[str]:
     """Return statements that store a number. Beyond the range of REAL they are exact products."""
-    size, factor = _clip_to_type(value, kind), 1.0
+    size = _clip_to_type(value, kind)
+    factor = 1.0
     count = 0
     while kind == "float64" and abs(size) > float(_LIMITS.max):
-        size, factor, count = size / _SCALE, _SCALE, count + 1
+        size = size / _SCALE
+        factor = _SCALE
+        count = count + 1
     while kind == "float64" and 0.0 < abs(size) < float(_LIMITS.tiny):
-        size, factor, count = size * _SCALE, 1.0 / _SCALE, count + 1
+        size = size * _SCALE
+        factor = 1.0 / _SCALE
+        count = count + 1
     more = f"{name} := {name} * {st_literal(factor, kind)};"
     return [f"{name} := {st_literal(size, kind)};", *[more] * count]
 

@@ -71,7 +71,8 @@ class CompiledStepper:
         self.state[:] = state
         self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
         self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
-        self.w, self.out = self._rows[0], self._outs[0]
+        self.w = self._rows[0]
+        self.out = self._outs[0]
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
         self._recipe = _stepper_recipe(step, starts)
         self._left = BEGUN if brief else np.inf  # samples until `run` compiles the step

@@ -112,7 +112,8 @@ class _ListSchedule(NamedTuple):
 
     def choose_next(self, clock: int, registers: int) -> Node:
         """Return the instruction to place in a cycle."""
-        frees, height = self._count_freed, self.height
+        frees = self._count_freed
+        height = self.height
         if len(self.live) >= registers:
             return max(self.ready, key=lambda node: (frees(node), height[node], -node.number))
         now = [node for node in self.ready if self.at[node] <= clock] or self.ready
@@ -144,7 +145,8 @@ class _ListSchedule(NamedTuple):
 
 def _start_schedule(order: list[Node], results: list[Node]) -> _ListSchedule:
     """Return a schedule in which nothing is placed."""
-    inside, users = set(order), _find_users(order)
+    inside = set(order)
+    users = _find_users(order)
     waiting = {node: len(inside.intersection(node.args)) for node in order}
     left = Counter(set(results))
     height: dict[Node, int] = {}
@@ -239,7 +241,9 @@ class _Gathering:
     def __init__(
         self, order: list[Node], results: set[Node], users: Users, kept: dict[Node, Guard]
     ) -> None:
-        self._results, self._users, self._kept = results, users, kept
+        self._results = results
+        self._users = users
+        self._kept = kept
         self._place_of = {node: place for place, node in enumerate(order)}
         self._free: list[tuple[int, Node]] = []
         self._held: dict[Guard, list[tuple[int, Node]]] = defaultdict(list)

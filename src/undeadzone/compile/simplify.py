@@ -1,9 +1,11 @@
 """Simplification rules: the same values by fewer instructions.
 
-`ExactRules` changes no bit. `PortableRules`, for exported code, changes the sign of zero, and the
-value of 0 times infinity: conditions select instead of multiplying by 0 and 1, and NaN is left in
-results alone. `FusedRules`, for fused lanes, rounds otherwise: conditions move into products,
-inverses of steady values and products with them are gathered.
+A truth is a value of type bool. In a CasADi graph it is a number, 1 or 0.
+
+`ExactRules` changes no bit. `PortableRules`, for exported code, may change the sign of zero and the
+value of 0 times infinity: conditions select instead of multiplying by 0 and 1, and only results may
+be NaN. `FusedRules`, for fused lanes, changes the rounding: conditions move into products, and
+steady factors are collected.
 """
 
 from __future__ import annotations
@@ -27,9 +29,9 @@ class ExactRules:
     """Rules that preserve every bit: those of truths and selections.
 
     Args:
-        nodes: where nodes are made.
-        real: the type of numbers.
-        granted: promises that may be taken for granted (grows). None: none may.
+        nodes: graph to which nodes are added.
+        real: NumPy's name of the type of numbers.
+        granted: assumptions on params that the rules use (grows); None: they use none.
     """
 
     def __init__(
@@ -38,9 +40,13 @@ class ExactRules:
         real: str = "float64",
         granted: dict[KernelAssumption, None] | None = None,
     ) -> None:
-        self.nodes, self.real, self.granted = nodes, real, granted
-        self.zero, self.one = nodes.intern_constant(0.0, real), nodes.intern_constant(1.0, real)
-        self.no, self.yes = nodes.intern_constant(0, "bool"), nodes.intern_constant(1, "bool")
+        self.nodes = nodes
+        self.real = real
+        self.granted = granted
+        self.zero = nodes.intern_constant(0.0, real)
+        self.one = nodes.intern_constant(1.0, real)
+        self.no = nodes.intern_constant(0, "bool")
+        self.yes = nodes.intern_constant(1, "bool")
         self._implied: dict[tuple[Node, Node], bool] = {}
 
     def build_instruction(self, word: str, *args: Node) -> Node:
@@ -86,57 +92,62 @@ class ExactRules:
 
     def join_truths(self, a: Node, b: Node) -> Node:
         """Return the conjunction of two truths."""
-        for one, other in ((a, b), (b, a)):
-            if one.constant_value is not None:
-                return other if one.constant_value else self.no
-            if self.implies(one, other):
-                return one
+        for truth, other in ((a, b), (b, a)):
+            if truth.constant_value is not None:
+                return other if truth.constant_value else self.no
+            if self.implies(truth, other):
+                return truth
         return self.nodes.intern("and", a, b)
 
     def either_truth(self, a: Node, b: Node) -> Node:
         """Return the disjunction of two truths."""
-        for one, other in ((a, b), (b, a)):
-            if one.constant_value is not None:
-                return self.yes if one.constant_value else other
-            if self.implies(one, other):
+        for truth, other in ((a, b), (b, a)):
+            if truth.constant_value is not None:
+                return self.yes if truth.constant_value else other
+            if self.implies(truth, other):
                 return other
         return self.nodes.intern("or", a, b)
 
-    def implies(self, one: Node, other: Node) -> bool:
-        """Return whether a truth is known to imply a second truth.
+    def implies(self, premise: Node, conclusion: Node) -> bool:
+        """Return whether a truth is known to imply another one.
 
-        Each pair is tested once: truths share their parts, and have more paths than nodes.
+        The result is cached: truths share their parts, so a pair is met on many paths.
         """
-        if (one, other) not in self._implied:
-            self._implied[one, other] = self._check_implication(one, other)
-        return self._implied[one, other]
+        if (premise, conclusion) not in self._implied:
+            self._implied[premise, conclusion] = self._check_implication(premise, conclusion)
+        return self._implied[premise, conclusion]
 
-    def _check_implication(self, one: Node, other: Node) -> bool:
-        """Determine `implies` from the parts of two truths."""
-        if one is other or other.constant_value == 1.0:
+    def _check_implication(self, premise: Node, conclusion: Node) -> bool:
+        """Return `implies` by recursion over the parts of conjunctions and disjunctions."""
+        if premise is conclusion or conclusion.constant_value == 1.0:
             return True
-        every, some = {"and": all, "or": any}, {"and": any, "or": all}
-        if other.op in every and every[other.op](self.implies(one, part) for part in other.args):
+        all_or_any = {"and": all, "or": any}
+        any_or_all = {"and": any, "or": all}
+        if conclusion.op in all_or_any and all_or_any[conclusion.op](
+            self.implies(premise, part) for part in conclusion.args
+        ):
             return True
-        if one.op in some:
-            return some[one.op](self.implies(part, other) for part in one.args)
-        return one.op == "lt" and other.op == "ne" and set(one.args) == set(other.args)
+        if premise.op in any_or_all:
+            return any_or_all[premise.op](self.implies(part, conclusion) for part in premise.args)
+        return (
+            premise.op == "lt"
+            and conclusion.op == "ne"
+            and set(premise.args) == set(conclusion.args)
+        )
 
     def compare_numbers(self, word: str, a: Node, b: Node) -> Node:
         """Return the truth of a comparison of numbers."""
-        compare, (x, y), (this, that) = (
-            _COMPARED[word],
-            (a.constant_value, b.constant_value),
-            map(to_condition, (a, b)),
-        )
+        compare = _COMPARED[word]
+        (x, y) = (a.constant_value, b.constant_value)
+        (truth_a, truth_b) = map(to_condition, (a, b))
         if x is not None and y is not None:
             return self.yes if compare(x, y) else self.no
-        if this is not None and y is not None:
-            return self._choose_truth(this, compare(1.0, y), compare(0.0, y))
-        if that is not None and x is not None:
-            return self._choose_truth(that, compare(x, 1.0), compare(x, 0.0))
-        if this is not None and that is not None and word in ("eq", "ne"):
-            return self._compare_truths(word, this, that)
+        if truth_a is not None and y is not None:
+            return self._choose_truth(truth_a, compare(1.0, y), compare(0.0, y))
+        if truth_b is not None and x is not None:
+            return self._choose_truth(truth_b, compare(x, 1.0), compare(x, 0.0))
+        if truth_a is not None and truth_b is not None and word in ("eq", "ne"):
+            return self._compare_truths(word, truth_a, truth_b)
         if y == 0.0 and _truths_of_difference(a):
             return self._compare_difference(word, *_truths_of_difference(a)[::-1])
         if x == 0.0 and _truths_of_difference(b):
@@ -155,7 +166,7 @@ class ExactRules:
         return unequal if word == "ne" else self.negate_truth(unequal)
 
     def _compare_difference(self, word: str, more: Node, less: Node) -> Node:
-        """Return the comparison of 0 with the difference [more] - [less] of two truths."""
+        """Return the truth of 0 < [more] - [less], or of another comparison of these truths."""
         exclusive = self._is_exclusive(more, less) or self._is_exclusive(less, more)
         if word in ("eq", "ne") and exclusive:
             some = self.either_truth(more, less)
@@ -167,18 +178,19 @@ class ExactRules:
         return more if exclusive else self.join_truths(more, self.negate_truth(less))
 
     def _is_exclusive(self, a: Node, b: Node) -> bool:
-        """Return whether high < y is a part of a truth and y < low of the second, low not
-        above high.
+        """Return whether two truths exclude each other.
+
+        They do if a contains high < y, and b contains y < low, with low <= high.
         """
         for above in _find_conjuncts(a):
             for below in _find_conjuncts(b):
-                promise = assumptions.exclusion_assumption(above, below)
-                if promise is None:
+                assumption = assumptions.exclusion_assumption(above, below)
+                if assumption is None:
                     continue
-                if promise.is_evident:
+                if assumption.is_evident:
                     return True
-                if promise.is_open and self.granted is not None:
-                    self.granted[promise] = None
+                if assumption.is_open and self.granted is not None:
+                    self.granted[assumption] = None
                     return True
         return False
 
@@ -197,7 +209,7 @@ class ExactRules:
         return yes if yes is no else self.nodes.intern("select", truth, yes, no)
 
     def _simplify_under(self, truth: Node, number: Node) -> Node:
-        """Return a number under a truth, without the selections that the truth decides."""
+        """Return a number for the case that a truth holds, with decided selections removed."""
         if number.op == "select" and self.implies(truth, number.args[0]):
             return self._simplify_under(truth, number.args[1])
         if number.op == "neg":
@@ -208,21 +220,21 @@ class ExactRules:
 class PortableRules:
     """Rules for exported code.
 
-    A value that is NaN if a truth fails is a selection of NaN, and all that is computed with it is
-    one, too: the code computes with numbers alone.
+    A value that may be NaN is a node `select(valid, number, NaN)`. Each instruction on such values
+    gives another node of this form, so that the exported code computes with numbers only.
     """
 
     def __init__(self, nodes: Nodes, real: str) -> None:
-        self.nodes, self.real, self.exact = nodes, real, ExactRules(nodes, real)
-        self.nan, self.largest = (
-            nodes.intern_constant(math.nan, real),
-            round_to_type(math.inf, real),
-        )
+        self.nodes = nodes
+        self.real = real
+        self.exact = ExactRules(nodes, real)
+        self.nan = nodes.intern_constant(math.nan, real)
+        self.largest = round_to_type(math.inf, real)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
         """Return the node of an instruction on numbers. Truths are 1 or 0."""
-        numbers, there = zip(*map(self._number_and_validity, args), strict=True)
-        if all(each is self.exact.yes for each in there):
+        numbers, valid = zip(*map(self._number_and_validity, args), strict=True)
+        if all(condition is self.exact.yes for condition in valid):
             return self._build_valid(word, *numbers)
         if word in ("not", "and", "or"):
             return self._build_valid(word, *map(self._nonzero_number, args))
@@ -233,18 +245,18 @@ class PortableRules:
             )
         if word in ("fmin", "fmax"):
             return self._extreme_of_valid(
-                self._build_valid(word, *numbers), *zip(numbers, there, strict=True)
+                self._build_valid(word, *numbers), *zip(numbers, valid, strict=True)
             )
-        both = there[0] if len(there) == 1 else self.exact.join_truths(*there)
+        all_valid = valid[0] if len(valid) == 1 else self.exact.join_truths(*valid)
         if word not in _COMPARED:
-            return self._nan_unless(both, self._build_valid(word, *numbers))
-        numbers = tuple(self.exact._simplify_under(both, number) for number in numbers)
-        plain = self.exact.compare_numbers(word, *numbers)
+            return self._nan_unless(all_valid, self._build_valid(word, *numbers))
+        numbers = tuple(self.exact._simplify_under(all_valid, number) for number in numbers)
+        comparison = self.exact.compare_numbers(word, *numbers)
         if word == "ne":
             return self.exact.to_number(
-                self.exact.either_truth(self.exact.negate_truth(both), plain)
+                self.exact.either_truth(self.exact.negate_truth(all_valid), comparison)
             )
-        return self.exact.to_number(self.exact.join_truths(both, plain))
+        return self.exact.to_number(self.exact.join_truths(all_valid, comparison))
 
     def build_constant(self, value: float) -> Node:
         """Return the node of a constant."""
@@ -255,7 +267,7 @@ class PortableRules:
         return self._number_and_validity(node)[1] is self.exact.yes
 
     def _number_and_validity(self, node: Node) -> tuple[Node, Node]:
-        """Return the number of a node, and the condition without which the node is NaN."""
+        """Return the number of a node, and the truth that it is not NaN."""
         if node is self.nan:
             return self.exact.zero, self.exact.no
         if node.op != "select" or node.args[2] is not self.nan:
@@ -271,26 +283,29 @@ class PortableRules:
 
     def _nonzero_number(self, node: Node) -> Node:
         """Return 1 if a number is not 0 or is NaN, else 0. The result is never NaN."""
-        number, there = self._number_and_validity(node)
-        absent = self.exact.negate_truth(there)
-        return self.exact.to_number(self.exact.either_truth(absent, self.exact.to_truth(number)))
+        number, valid = self._number_and_validity(node)
+        invalid = self.exact.negate_truth(valid)
+        return self.exact.to_number(self.exact.either_truth(invalid, self.exact.to_truth(number)))
 
-    def _gate_valid(self, truth: Node, number: Node, there: Node) -> Node:
-        """Return a number if a truth holds, else 0, with NaN if the number is invalid."""
+    def _gate_valid(self, truth: Node, number: Node, valid: Node) -> Node:
+        """Return a number if a truth holds, else 0; NaN if the truth holds and it is not valid."""
         gated = self._select_positive(truth, number, self.exact.zero)
-        if self.exact.implies(truth, there):
+        if self.exact.implies(truth, valid):
             return gated
         return self._nan_unless(
-            self.exact.either_truth(self.exact.negate_truth(truth), there), gated
+            self.exact.either_truth(self.exact.negate_truth(truth), valid), gated
         )
 
-    def _extreme_of_valid(self, both: Node, a: tuple[Node, Node], b: tuple[Node, Node]) -> Node:
-        """Return the minimum or maximum of two numbers. A number takes precedence over
-        NaN.
+    def _extreme_of_valid(self, extreme: Node, a: tuple[Node, Node], b: tuple[Node, Node]) -> Node:
+        """Return the extreme of two values, the other one if one is NaN.
+
+        Args:
+            extreme: the minimum or maximum of both numbers.
+            a, b: number of each value, and the truth that it is valid.
         """
         if a[1] is b[1]:
-            return self._nan_unless(a[1], both)
-        only_a = self.exact.select_number(b[1], both, a[0])
+            return self._nan_unless(a[1], extreme)
+        only_a = self.exact.select_number(b[1], extreme, a[0])
         chosen = self.exact.select_number(a[1], only_a, b[0])
         return self._nan_unless(self.exact.either_truth(a[1], b[1]), chosen)
 
@@ -307,9 +322,7 @@ class PortableRules:
         return self.exact.build_instruction(word, *args)
 
     def _select_positive(self, truth: Node, yes: Node, no: Node) -> Node:
-        """Return the selection of two numbers by a truth, with a negation of the truth
-        resolved.
-        """
+        """Return the selection of two numbers by a truth; a negation of the truth swaps them."""
         if truth.op == "not":
             truth, yes, no = truth.args[0], no, yes
         return self.exact.select_number(truth, yes, no)
@@ -327,17 +340,16 @@ class PortableRules:
         return self._build_commutative("mul", a, b)
 
     def _build_sum(self, a: Node, b: Node) -> Node:
-        """Return a sum, as a single selection if a truth and its opposite select the
-        terms.
-        """
+        """Return a sum, as a single selection if opposite truths select its terms."""
         zero = self.exact.zero
-        for one, other in ((a, b), (b, a)):
-            if one is zero:
+        for term, other in ((a, b), (b, a)):
+            if term is zero:
                 return other
-            if one.op == "neg":
-                return self.nodes.intern("sub", other, one.args[0])
+            if term.op == "neg":
+                return self.nodes.intern("sub", other, term.args[0])
         if a.op == "select" and b.op == "select" and a.args[0] is b.args[0]:
-            (truth, first, second), (_, third, fourth) = a.args, b.args
+            (truth, first, second) = a.args
+            (_, third, fourth) = b.args
             if second is zero and third is zero:
                 return self.exact.select_number(truth, first, fourth)
             if first is zero and fourth is zero:
@@ -349,9 +361,7 @@ class PortableRules:
         return self.nodes.intern(word, *sorted((a, b), key=lambda node: node.number))
 
     def _build_extreme(self, word: str, a: Node, b: Node) -> Node:
-        """Return the minimum or maximum of two numbers, as a selection if an operand is
-        constant.
-        """
+        """Return the minimum or maximum of two numbers, a selection if one is constant."""
         for number, bound in ((a, b), (b, a)):
             if bound.constant_value is None:
                 continue
@@ -365,31 +375,37 @@ class PortableRules:
 def round_to_type(value: float, real: str) -> float:
     """Return a number rounded to a type, with finite values for infinite and large numbers.
 
-    Infinity is the largest number. Other numbers beyond the type stand in its upper half, in their
-    order, so that comparisons with them and among them have the same result as in double. For
-    float, a number that is too small becomes the least normal number.
+    Infinity becomes the largest number. Other numbers beyond the type are mapped to its upper half,
+    in their order, so that comparisons have the same result as in double. A number that is too
+    small for float32 becomes the least normal number.
     """
     if math.isnan(value):
         return value
-    limits, size = np.finfo(real), abs(value)
-    most, least = float(limits.max), float(limits.tiny)
+    limits = np.finfo(real)
+    size = abs(value)
+    largest = float(limits.max)
+    smallest = float(limits.tiny)
     if math.isinf(value):
-        return math.copysign(most, value)
-    if size > most:
-        place = math.log(size) / math.log(np.finfo(float).max)  # of all numbers of double, 0 to 1
-        size = most / 2 * (1 + place)
+        return math.copysign(largest, value)
+    if size > largest:
+        position = math.log(size) / math.log(
+            np.finfo(float).max
+        )  # of all numbers of double, 0 to 1
+        size = largest / 2 * (1 + position)
         return math.copysign(float(np.dtype(real).type(size)), value)
-    if real == "float32" and 0 < size < least:
-        return math.copysign(least, value)
+    if real == "float32" and 0 < size < smallest:
+        return math.copysign(smallest, value)
     return float(np.dtype(real).type(value))
 
 
 class FusedRules:
-    """Rules for fused lanes. Params are steady, whether lanes share them or not."""
+    """Rules for fused lanes. Steady values, of constants and params, do not change by the step."""
 
     def __init__(self, nodes: Nodes, granted: dict[KernelAssumption, None]) -> None:
-        self.nodes, self.exact = nodes, ExactRules(nodes, granted=granted)
-        self.real, self.two = self.exact.real, nodes.intern_constant(2.0)
+        self.nodes = nodes
+        self.exact = ExactRules(nodes, granted=granted)
+        self.real = self.exact.real
+        self.two = nodes.intern_constant(2.0)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
         """Return the node of an instruction on numbers. Truths are 1 or 0."""
@@ -407,8 +423,9 @@ class FusedRules:
         return self.exact.build_constant(value)
 
     def _gather_product(self, a: Node, b: Node) -> Node:
-        """Return a b with the steady factors first and gathered, and without conditions as
-        factors.
+        """Return the product a b, with all steady factors multiplied first.
+
+        A condition as a factor becomes a selection.
         """
         for factor, value in ((a, b), (b, a)):
             truth = to_condition(factor)
@@ -424,9 +441,7 @@ class FusedRules:
         return self.nodes.intern("mul", a, b)
 
     def _gate_gathered(self, truth: Node, value: Node) -> Node:
-        """Return the value if a truth holds, else 0. A steady factor and a sign stay
-        outside.
-        """
+        """Return a value if a truth holds, else 0, with its steady factor and sign outside."""
         factor, rest = _split_steady_factor(value)
         if factor is not None:
             return self.nodes.intern("mul", factor, self._gate_gathered(truth, rest))
@@ -436,7 +451,7 @@ class FusedRules:
 
 
 def _find_conjuncts(truth: Node) -> list[Node]:
-    """Return the truths whose conjunction is a truth."""
+    """Return the truths of which a truth is the conjunction."""
     if truth.op != "and":
         return [truth]
     return _find_conjuncts(truth.args[0]) + _find_conjuncts(truth.args[1])
@@ -456,9 +471,7 @@ def _is_steady(number: Node) -> bool:
 
 
 def _split_steady_factor(number: Node) -> tuple[Node | None, Node]:
-    """Return the steady factor and the rest of a product, None and the number without such a
-    factor.
-    """
+    """Return the steady factor of a product and the rest; None and the number without one."""
     if not _is_steady(number) and number.op == "mul" and _is_steady(number.args[0]):
         return number.args[0], number.args[1]
     return None, number

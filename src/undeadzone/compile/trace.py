@@ -49,7 +49,8 @@ class Value:
     __hash__ = None  # type: ignore[assignment]
 
     def __init__(self, nodes: Nodes, node: Node) -> None:
-        self.nodes, self.node = nodes, node
+        self.nodes = nodes
+        self.node = node
 
     def operand_node(self, other: Any) -> Node:
         """Return the node of an operand."""
@@ -121,11 +122,15 @@ class Numpy:
         real: kind of Python's numbers.
     """
 
-    float64, float32 = Kind("float64"), Kind("float32")
-    int32, uint32, uint64 = Kind("int32"), Kind("uint32"), Kind("uint64")
+    float64 = Kind("float64")
+    float32 = Kind("float32")
+    int32 = Kind("int32")
+    uint32 = Kind("uint32")
+    uint64 = Kind("uint64")
 
     def __init__(self, nodes: Nodes, real: str = "float64") -> None:
-        self.nodes, self.real = nodes, real
+        self.nodes = nodes
+        self.real = real
 
     def where(self, truth: Value, yes: Any, no: Any) -> Value:
         """Select one of two numbers by a truth."""

@@ -87,7 +87,8 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
 
         def step(p: Params, s: Any, estimate: Estimate, target: Target) -> tuple[Any, Any]:
             """Return the state unchanged, and the torques of the joints (N) [N m]."""
-            q, v = estimate.x[:N], estimate.x[N:]
+            q = estimate.x[:N]
+            v = estimate.x[N:]
             drift, push = self._model_residual(estimate, N)
             speed_error = target.x_ref[N:] - v - drift
             error = target.x_ref[:N] - q
@@ -112,7 +113,8 @@ class ComputedTorque(Options, frozen=True, kw_only=True, tag="computed_torque"):
             return require_positive(f"controller.{name}", getattr(self, name), N, "one per joint")
 
         if chosen == ["bandwidth"]:
-            w, z = per_joint("bandwidth"), per_joint("damping")
+            w = per_joint("bandwidth")
+            z = per_joint("damping")
             return w**2, 2 * z * w
         if chosen == ["k_p", "k_d"]:
             return per_joint("k_p"), per_joint("k_d")
@@ -194,7 +196,8 @@ def build_gear_controller(
     Raises:
         InputError: w cannot be.
     """
-    gears, Ts = model.gears, model.Ts
+    gears = model.gears
+    Ts = model.Ts
     assert gears is not None
     assert Ts is not None
     N = gears.joint_count
@@ -208,7 +211,8 @@ def build_gear_controller(
     def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
         """Return the next state, and the torques of the motors (N) [N m]."""
         a, *later, swung = ca.vertsplit(target.plan, N)
-        q, v = target.x_ref[N : 2 * N], target.x_ref[3 * N :]
+        q = target.x_ref[N : 2 * N]
+        v = target.x_ref[3 * N :]
         motor, link, spin, speed = ca.vertsplit(estimate.x, N)
         astray = q - link + (LEAD / crossing + 2 * p.k_d / p.k_p) * (v - speed)
         half = gears.gear_number(p.model, "half")
@@ -216,7 +220,8 @@ def build_gear_controller(
         towards = carrying_flank(gears, p.model, (*later, back), s.towards)
         moved = ca.reshape(s.moved, N, 2).T
         push, following = step_filters(p.crossing, moved, (towards * half).T)
-        place, turning = q - gears.gear_number(p.model, "centre") + moved[0, :].T, v + moved[1, :].T
+        place = q - gears.gear_number(p.model, "centre") + moved[0, :].T
+        turning = v + moved[1, :].T
         correction = p.k_p * (place - motor) + p.k_d * (turning - spin)
         links = inverse_dynamics(gears.arm, gears.link_params(p.model), q, v, a + correction)
         known = reject and estimate.w.shape[0] > 0  # effects that the model leaves out
@@ -262,11 +267,13 @@ def link_accelerations(gears: Geared, params: Floats, target: Target) -> Floats:
         params: its parameters.
         target: the reference, a row per instant.
     """
-    N, p = gears.joint_count, ca.SX(params)
+    N = gears.joint_count
+    p = ca.SX(params)
 
     def turned_together(x: Any, u: Any) -> Any:
         """Return the acceleration of links and motors that turn together (N) [rad/s^2]."""
-        q, v = x[N : 2 * N], x[3 * N :]
+        q = x[N : 2 * N]
+        v = x[3 * N :]
         held = inverse_dynamics(
             gears.arm, gears.link_params(p), q, v, ca.SX(N, 1)
         ) + gears.motor_friction_torque(p, v)

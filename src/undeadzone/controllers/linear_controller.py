@@ -94,7 +94,8 @@ class LinearController(Options, frozen=True, tag="linear"):
             )
         if by_function:
             return self._realise_transfer_function()
-        m, p = model.m, model.p
+        m = model.m
+        p = model.p
         D: Floats = np.zeros((m, p))
         if self.D is not None:
             D = require_matrix("controller.D", self.D, m, p, "inputs x outputs")

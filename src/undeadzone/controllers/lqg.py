@@ -76,7 +76,8 @@ class LQG(Options, frozen=True, kw_only=True, tag="lqg"):
                 "controller.integral: needs as many inputs as outputs at least, the plant has "
                 f"{model.m} and {model.p}"
             )
-        n, p = model.n, model.p
+        n = model.n
+        p = model.p
         assert self.integral is not None
         of_integrals = require_weight("controller.integral", self.integral, p, "outputs x outputs")
         A, B, C = model.linear

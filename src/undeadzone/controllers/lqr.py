@@ -55,7 +55,8 @@ class LQR(Options, frozen=True, kw_only=True, tag="lqr"):
             raise InputError(
                 f"controller.stride: expected a number of samples, at least 1, found {self.stride}"
             )
-        n, m = model.n, model.m
+        n = model.n
+        m = model.m
         Q = require_weight("controller.Q", self.Q, n)
         R = require_weight("controller.R", self.R, m, "inputs x inputs")
 
@@ -115,7 +116,8 @@ def linearise_trajectory(model: System, target: Target, stride: int) -> tuple[Fl
     n = model.n
     instants = np.arange(len(target.u_ff))
     chosen = np.unique(np.append(instants[::stride], instants[-1]))
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", model.m)
+    x = ca.SX.sym("x", n)
+    u = ca.SX.sym("u", model.m)
     after = model.move(ca.SX(model.params), x, u)
     jacobian = ca.Function("jacobian", [x, u], [ca.jacobian(after, ca.vertcat(x, u))])
     along = jacobian.map(chosen.size)(target.x_ref[chosen].T, target.u_ff[chosen].T).full()

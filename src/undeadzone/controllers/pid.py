@@ -105,7 +105,8 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
         if model.Ts is not None:
             unwind = np.minimum(unwind, 1.0)
         unwind = np.where(k_i == 0, 0.0, unwind)
-        weights, rate = (np.float64(b), np.float64(c)), model.filtering(tau)
+        weights = (np.float64(b), np.float64(c))
+        rate = model.filtering(tau)
         return Params(k_p, k_i * model.per_step, k_d, tau, rate, *weights, low, high, unwind)
 
     def _input_limits(self, m: int) -> tuple[Floats, Floats]:

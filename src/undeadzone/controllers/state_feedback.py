@@ -150,7 +150,9 @@ def rest_response(model: System) -> Floats:
     """
     flow = model.continuous
     A, B, C = flow
-    of_x, rate, C = state_units(flow), plant_pace(flow), C[: model.m]
+    of_x = state_units(flow)
+    rate = plant_pace(flow)
+    C = C[: model.m]
     of_w = (rate * of_x)[:, None]
     push = np.abs(B / of_w).max(axis=0)
     of_u = 1 / np.where(push > 0, push, 1.0)

@@ -82,7 +82,8 @@ class Batch(NamedTuple):
         _, finals = self.execute_kernel(self.kernel, runs, own, threads=threads)
         states, tallied = np.split(finals, [own.states.shape[1]], axis=1)
         tally: Tally = tree.unpack_columns(self.measured.tally, tallied)
-        samples, tracked = len(self.exogenous), len(self.problem.tracked)
+        samples = len(self.exogenous)
+        tracked = len(self.problem.tracked)
         scales = plant_scales(self.problem)
         return metrics.metric_rows(tally, states, scales, samples, self.tail, tracked)
 
@@ -97,7 +98,8 @@ class Batch(NamedTuple):
             options: of `lanes.run`
         """
         nothing_yet = np.zeros((len(own.states), tree.count_numbers(self.measured.tally)))
-        start, noise = np.hstack([own.states, nothing_yet]), self.own.noise_supply(runs)
+        start = np.hstack([own.states, nothing_yet])
+        noise = self.own.noise_supply(runs)
         return lanes.run_lanes(
             kernel, start, self.exogenous, self.params, noise, own.params, **options
         )

@@ -61,7 +61,8 @@ class ResampledPlant(NamedTuple):
         rows, columns = self.AB.shape
         AB = np.empty((rows, columns, count))
         for i, slot in enumerate(self.param_slots):
-            row, column = i % rows, i // rows
+            row = i % rows
+            column = i // rows
             AB[row, column] = own.get(slot, self.AB[row, column])
         held = zoh_of_each(AB, self.Ts)
         return {slot: held[i % rows, i // rows] for i, slot in enumerate(self.param_slots)}
@@ -120,7 +121,8 @@ class Binding(NamedTuple):
 
     def to_lanes(self, values: Floats) -> Lanes:
         """Return the states and params of runs with these values (count x columns)."""
-        count, size = len(values), self.params.size
+        count = len(values)
+        size = self.params.size
         own: dict[int, Floats] = {}  # values (count) by slot of [params, state]
         for i, column in enumerate(self.columns):
             for slot, factor in column.slots:
@@ -167,7 +169,8 @@ def bind_ensemble(problem: Problem, loop: Loop) -> Binding:
             '"sensor.right" = { uniform = [0.3, 2.0] }'
         )
     seed = _require_seed(vary, problem)
-    params, held = tree.pack_tree(loop.params), _collect_sampled_plants(problem, loop)
+    params = tree.pack_tree(loop.params)
+    held = _collect_sampled_plants(problem, loop)
     nominal = params.copy()
     for system in held:
         nominal[list(system.param_slots)] = system.AB.ravel(order="F")
@@ -282,7 +285,8 @@ def build_run_noise(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
         for k in range(len(disturbance.weights)):
             for i in range(disturbance.rms.size):
                 entries.append(k * len(places) + places[f"w[{i}]"])
-    strides, dropout = exogenous.strides(problem), problem.sensor.dropout
+    strides = exogenous.strides(problem)
+    dropout = problem.sensor.dropout
     return RunNoise(
         entries=tuple(entries),
         words=tuple(streams.values()),
@@ -307,8 +311,10 @@ def _noise_streams(problem: Problem, loop: Loop, binding: Binding) -> dict[str, 
 
 def _sensor_streams(problem: Problem) -> dict[str, int]:
     """Return the counter words of drifting widths, then of lossy readings, by exogenous input."""
-    sensor, p = problem.sensor, problem.plant.p
-    wear, loss = (noise.WEAR, sensor.drift), (noise.LOSS, sensor.dropout)
+    sensor = problem.sensor
+    p = problem.plant.p
+    wear = (noise.WEAR, sensor.drift)
+    loss = (noise.LOSS, sensor.dropout)
     words = {}
     for name, first, (stream, has) in (("right", 0, wear), ("left", p, wear), ("lost", 0, loss)):
         for channel in np.flatnonzero(has).tolist():
@@ -375,7 +381,9 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
     """Return the source of the entries of `words`, as `simulation.exogenous` computes for a
     run.
     """
-    channels, edges, losses = len(own.words), own.strides.size, own.dropout.size
+    channels = len(own.words)
+    edges = own.strides.size
+    losses = own.dropout.size
     wear = slice(channels - losses - edges, channels - losses)
     lost = slice(channels - losses, channels)
     walk = np.zeros((edges, runs.size))  # of each edge, in logarithms, up to the requested steps

@@ -37,7 +37,8 @@ def open_dask_pool(prepare: Callable[[], Job], cluster: str) -> Iterator[Pool]:
         InputError: where distributed is missing
         ClusterError: if the cluster fails
     """
-    payload, here = pickle.dumps(prepare), package_versions()
+    payload = pickle.dumps(prepare)
+    here = package_versions()
     with _open_client(cluster) as client:
 
         def require_work() -> None:

@@ -105,7 +105,9 @@ def yield_block_rows(pool: Pool, blocks: Sequence[int]) -> Iterator[tuple[int, F
     finished: SimpleQueue[Any] = SimpleQueue()
     running: dict[Any, Sequence[int]] = {}  # the blocks of each batch, by its future
     submitted = 0  # number of blocks
-    seconds, size = float("inf"), 1  # of a block: [s], [bytes]
+    # of a block: [s], [bytes]
+    seconds = float("inf")
+    size = 1
     while submitted < len(blocks) or running:
         with pool.failures():
             threads = max(1, pool.threads())

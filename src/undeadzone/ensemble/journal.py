@@ -64,7 +64,8 @@ class Store(NamedTuple):
 
         Raises ShapeError, and FileError (disk full, file removed).
         """
-        count, width = len(self.layout.runs_in_block(block)), len(self.layout.columns)
+        count = len(self.layout.runs_in_block(block))
+        width = len(self.layout.columns)
         if rows.shape != (count, width):
             shape = " x ".join(map(str, rows.shape))
             raise ShapeError(f"block {block}: expected {count} x {width}, found {shape}")
@@ -186,7 +187,8 @@ def _set_size(path: Path, file: io.FileIO, size: int, fresh: bool) -> None:
             file.truncate(0)
         file.truncate(size)
         if hasattr(os, "fstatvfs"):
-            disk, taken = os.fstatvfs(file.fileno()), os.fstat(file.fileno()).st_blocks * SECTOR
+            disk = os.fstatvfs(file.fileno())
+            taken = os.fstat(file.fileno()).st_blocks * SECTOR
             free = disk.f_bavail * disk.f_frsize
             if size - taken > free:
                 raise OSError(f"it needs {size / 1e6:,.0f} MB, and the disk has {free / 1e6:,.0f}")

@@ -73,7 +73,9 @@ def add_metrics(loop: Loop, problem: Problem) -> LoopWithMetrics:
     s = ca.SX.sym("s", step.size1_in(0) + size)
     w = ca.SX.sym("w", step.size1_in(1) + 2)
     p = ca.SX.sym("p", step.size1_in(2) + 1)
-    t, tail, tolerance = w[-2], w[-1], p[-1]
+    t = w[-2]
+    tail = w[-1]
+    tolerance = p[-1]
     arguments = (s[:-size], w[:-2], p[:-1])
     following, out, *flag = step(*arguments)
     outputs: Outputs = tree.unpack_column(loop.outputs, out)
@@ -97,7 +99,8 @@ def add_metrics(loop: Loop, problem: Problem) -> LoopWithMetrics:
 
 def _empty_tally(plant: System, sensor: str) -> Tally:
     """Return the tally of a run that has not begun."""
-    tip, behind = int(plant.arm is not None), int(sensor == "play")
+    tip = int(plant.arm is not None)
+    behind = int(sensor == "play")
     return Tally(*map(np.zeros, (*[1] * 6, plant.p, plant.p, tip, behind)))
 
 
@@ -229,7 +232,9 @@ def true_width(
     sign, nominal = (1, right) if edge == "right" else (-1, left)
     if not geared:
         return _value_of_runs(f"sensor.{name}", nominal, varied)
-    joint, half, centre = int(index) + 1, (right + left) / 2, (right - left) / 2
+    joint = int(index) + 1
+    half = (right + left) / 2
+    centre = (right - left) / 2
     wider = _value_of_runs(f"plant.parameters.half{joint}", half, varied) - half
     moved = _value_of_runs(f"plant.parameters.centre{joint}", centre, varied) - centre
     return nominal + wider + sign * moved

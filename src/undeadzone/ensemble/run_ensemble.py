@@ -185,7 +185,8 @@ def _load_finished(path: Path, batch: Batch) -> Ensemble | None:
         saved = Ensemble.load(path)
     except FileError:
         return None
-    there, here = msgspec.structs.asdict(saved.info), msgspec.structs.asdict(_build_info(batch))
+    there = msgspec.structs.asdict(saved.info)
+    here = msgspec.structs.asdict(_build_info(batch))
     require_same_problem(
         path, there, here, "leave resume=True out to replace it, or choose another name"
     )
@@ -250,7 +251,8 @@ def compute_bands(batch: Batch, runs: int) -> Bands:
     values = batch.binding.draw_columns(0, runs, batch.layout.runs)
     every = max(1, len(batch.exogenous) // POINTS)
     outputs = _record_outputs(batch, np.arange(runs), values, wanted, every)
-    z, d_hat = outputs[:, :, :p], outputs[:, :, p:]
+    z = outputs[:, :, :p]
+    d_hat = outputs[:, :, p:]
     t = batch.exogenous[::every, -2]
     params = np.array([batch.binding.pack_run(row)[1] for row in values])
     varied = dict(zip(batch.binding.names_of_columns, values.T, strict=True))
@@ -300,7 +302,8 @@ def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
     It records its states and own inputs before each call.
     """
     shape = kernel.shape
-    states, own = shape.sizes[0], len(shape.exogenous)
+    states = shape.sizes[0]
+    own = len(shape.exogenous)
 
     def block(steps: int, width: int, *arrays: Floats) -> None:
         """Compute the steps in pieces, and write state and drawn inputs at the start of
@@ -311,7 +314,8 @@ def _record_trail(kernel: lanes.Kernel, every: int) -> lanes.Kernel:
             outputs[k, :states] = work[:states]
             outputs[k, states:] = inputs[k]
             count = min(every, steps - k)
-            shared, drawn = exogenous[k : k + every], inputs[k : k + every]
+            shared = exogenous[k : k + every]
+            drawn = inputs[k : k + every]
             kernel.block(count, width, work, shared, params, drawn, outputs[:0])
 
     return kernel._replace(block=block, shape=shape._replace(record=tuple(range(states + own))))

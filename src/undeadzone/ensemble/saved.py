@@ -264,5 +264,6 @@ def _extract_bands(attached: Mapping[str, Floats]) -> Bands | None:
     """Return the bands among the further arrays of a file, or None."""
     if "t" not in attached:
         return None
-    t, names = attached["t"], [name for name in attached if name != "t"]
+    t = attached["t"]
+    names = [name for name in attached if name != "t"]
     return Bands(t, {name: attached[name].reshape(t.size, -1) for name in names})

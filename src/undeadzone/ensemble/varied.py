@@ -106,7 +106,8 @@ def collect_quantities(problem: Problem, loop: Loop, nominal: Floats) -> dict[st
         if is_fixed and slot not in renamed:
             continue
         address = renamed.get(slot) or _scenario_address(problem, name)
-        slots, gain = of_sensor.get(address, (slot,)), 1.0
+        slots = of_sensor.get(address, (slot,))
+        gain = 1.0
         if stem(name) in PER_SECOND and problem.model.Ts is not None:
             gain = problem.model.Ts
         by_address[address] = Quantity(value / gain, slots, gain, _least_value(problem, address))
@@ -124,7 +125,8 @@ def _find_sensor_slots(problem: Problem, loop: Loop) -> dict[str, tuple[int, ...
     other numbers, all of them different.
     """
     others = _perturb_sensor(problem)
-    scenario, model = problem.scenario, problem.model
+    scenario = problem.scenario
+    model = problem.model
     sensor = msgspec.structs.replace(scenario.sensor, **others)
     told = sensor_of_model(msgspec.structs.replace(scenario, sensor=sensor))
     read = problem.flow, scenario.simulation.step, plant_pace(problem.flow.linear)
@@ -181,7 +183,8 @@ def _list_unused_scales(problem: Problem) -> list[str]:
 
 def _scenario_address(problem: Problem, name: str) -> str:
     """Return the address in the scenario of a packed number of the loop."""
-    key, index = stem(name), index_of(name)
+    key = stem(name)
+    index = index_of(name)
     if key in PARAMETRIC:
         return f"{key}.parameters.{problem.plant.names[int(index[1:-1])]}"
     return SCALES.get(key, key) + index
@@ -273,7 +276,8 @@ def _numbers_of_entry(
         names += _quantities_of_part(address, part, known, problem)
     suffix = ""
     if distribution.relative:
-        names, suffix = _select_scalable(address, parts, names, known), " (relative)"
+        names = _select_scalable(address, parts, names, known)
+        suffix = " (relative)"
     else:
         _require_settable(address, names, known)
     groups = [(name, [name]) for name in names]
@@ -281,7 +285,8 @@ def _numbers_of_entry(
         groups = [(" + ".join(parts), names)]
     numbers = []
     for title, members in groups:
-        least, slots = [], []
+        least = []
+        slots = []
         for quantity in [known[name] for name in members]:
             size = quantity.nominal if distribution.relative else 1.0
             least.append(quantity.least / abs(size))

@@ -64,7 +64,8 @@ def crossing(linear: Matrices, w: float, Ts: float | None, key: str) -> Crossing
 
 def doubly_integrated(w: float, Ts: float, key: str) -> Crossing:
     """Return the filter of an acceleration held over a sample, with the arguments of `crossing`."""
-    A, B = np.array([[1.0, Ts], [0.0, 1.0]]), np.array([[Ts**2 / 2], [Ts]])
+    A = np.array([[1.0, Ts], [0.0, 1.0]])
+    B = np.array([[Ts**2 / 2], [Ts]])
     return crossing(Matrices(A, B, np.eye(1, 2)), w, Ts, key)
 
 

@@ -85,7 +85,8 @@ def after_swing(path: Exosystem, swing: Swing) -> Exosystem:
     Raises:
         InputError: or a subclass, for points and times that cannot be.
     """
-    key, begin = "reference.swing", path.output_at(np.zeros(1))
+    key = "reference.swing"
+    begin = path.output_at(np.zeros(1))
     joints = begin.shape[1]
     if path.output_at(np.zeros(1), 1).any():
         raise InputError(f"{key}: the path that follows must begin at rest. Set reference.ramp")
@@ -118,8 +119,8 @@ def _interpolate_nodes(
     """
     goals = equations.goals(task.output_at(t))
     q = follow_path(equations, goals, start)
-    places, J = evaluate_at_inputs(equations.place, q)
-    missed = ~(np.abs(places[:, :, 0] - goals).max(axis=1) < REACHED)
+    values, J = evaluate_at_inputs(equations.constraint, q)
+    missed = ~(np.abs(values[:, :, 0] - goals).max(axis=1) < REACHED)
     stops = np.flatnonzero(missed | singular(np.nan_to_num(J)))
     if stops.size:
         stop = stops[0]
@@ -136,18 +137,24 @@ def _interpolate_nodes(
 
 
 def _refine_path(equations: Equations, task: Exosystem, t: Floats, nearby: Floats) -> Floats:
-    """Return exact positions, speeds and accelerations (N x 3 x joints) at times t [s].
+    """Return positions, speeds and accelerations of the joints at N times (N x 3 x joints).
 
-    By Newton's method from positions nearby (N x joints).
+    Args:
+        equations: equations h(q) = goal of the arm.
+        task: path of the tip [m].
+        t: the times (N) [s].
+        nearby: positions from which Newton's method converges (N x joints) [rad].
     """
-    q, goals = nearby, equations.goals(task.output_at(t))
+    q = nearby
+    goals = equations.goals(task.output_at(t))
     for _ in range(NEWTON):
-        places, J = evaluate_at_inputs(equations.place, q)
-        q = q - solve_jacobians(J, places[:, :, 0] - goals)
-    _, J = evaluate_at_inputs(equations.place, q)
+        values, J = evaluate_at_inputs(equations.constraint, q)
+        q = q - solve_jacobians(J, values[:, :, 0] - goals)
+    _, J = evaluate_at_inputs(equations.constraint, q)
+    # Two derivatives of h(q) = goal by time: J q' = goal', and J q'' + J' q' = goal''.
     v = solve_jacobians(J, equations.goals(task.output_at(t, 1)))
-    (swing,) = evaluate_at_inputs(equations.swing, q, v)
-    a = solve_jacobians(J, equations.goals(task.output_at(t, 2)) - swing[:, :, 0])
+    (bias,) = evaluate_at_inputs(equations.bias_acceleration, q, v)
+    a = solve_jacobians(J, equations.goals(task.output_at(t, 2)) - bias[:, :, 0])
     return np.stack([q, v, a], axis=1)
 
 
@@ -192,14 +199,14 @@ def require_torque(model: System, path: Exosystem, t: Floats) -> None:
 def _blocking_reason(
     equations: Equations, task: Exosystem, t: Floats, before: Floats, missed: bool
 ) -> TrackingError:
-    """Return the error that names the reason why the tip cannot follow the path.
+    """Return the error with the reason why the tip cannot follow the path.
 
     Args:
-        equations: the equations of the arm.
-        task: the path of its tip.
-        t: the times of the path from there on (N) [s].
-        before: the last joint angles (joints) [rad].
-        missed: whether the equations are not met there.
+        equations: equations of the arm.
+        task: path of its tip [m].
+        t: times of the part of the path that is not followed (N) [s].
+        before: last joint angles on the path (joints) [rad].
+        missed: whether the equations have no solution at t[0], so that it is not singular.
     """
     looks = t[np.unique(np.linspace(0, t.size - 1, LOOKS).astype(int))]
     positions = task.output_at(looks)
@@ -211,7 +218,7 @@ def _blocking_reason(
             f"t = {looks[worst]:.4g} s, it comes no nearer than {short[worst]:.3g} m; "
             f"the path leaves the arm's reach at about t = {looks[0]:.4g} s"
         )
-    if missed and equations.place.size1_out(0) > equations.tip.size1_out(0):
+    if missed and equations.constraint.size1_out(0) > equations.tip.size1_out(0):
         return TrackingError(
             f"reference: the arm cannot follow beyond t = {t[0]:.4g} s, "
             f"near q = {list_numbers(before)}, "
@@ -227,7 +234,8 @@ def _blocking_reason(
 
 def _shortfall(equations: Equations, positions: Floats, start: Floats) -> Floats:
     """Return the distance that remains between the tip and each of N positions (N) [m]."""
-    short, angles = np.zeros(len(positions)), start
+    short = np.zeros(len(positions))
+    angles = start
     for i, position in enumerate(positions):
         goal = position / equations.reach
         angles = nearest(equations.tip, goal, angles)
@@ -258,33 +266,36 @@ def _require_within(
 
 
 class Equations(NamedTuple):
-    """place(q) = goal, as many equations as joints.
+    """Equations h(q) = goal of an arm's inverse kinematics, as many as joints.
 
-    They are the tip's position over the arm's reach, then the residuals that the arm keeps at 0.
+    h(q) is the tip's position over the arm's reach, then the residuals that the arm keeps at 0:
+    of the tip's orientation, and of the null space of the Jacobian at the start.
 
     Attributes:
-        place: q -> its value and Jacobian.
-        swing: (q, v) -> its second derivative at constant v.
+        constraint: q -> h and its Jacobian J.
+        bias_acceleration: (q, v) -> J' v, the second derivative of h at constant joint speeds v.
         tip: q -> the tip's position over the reach and its Jacobian.
         reach: sum of the lengths between the joints [m].
     """
 
-    place: ca.Function
-    swing: ca.Function
+    constraint: ca.Function
+    bias_acceleration: ca.Function
     tip: ca.Function
     reach: float
 
     def goals(self, positions: Floats) -> Floats:
-        """Return the goals (N x joints) for positions of the tip (N x 2 or 3), or their
-        derivatives.
+        """Return the goals of h (N x joints) for positions of the tip (N x 2 or 3) [m].
+
+        The map is linear, so it converts derivatives of positions as well.
         """
-        kept = self.place.size1_in(0) - positions.shape[1]
-        return np.pad(positions / self.reach, ((0, 0), (0, kept)))
+        residuals = self.constraint.size1_in(0) - positions.shape[1]
+        return np.pad(positions / self.reach, ((0, 0), (0, residuals)))
 
 
 def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
     """Return the equations of an arm that sets out from `start`. Raises TrackingError."""
-    q, v = ca.SX.sym("q", arm.joint_count), ca.SX.sym("v", arm.joint_count)
+    q = ca.SX.sym("q", arm.joint_count)
+    v = ca.SX.sym("v", arm.joint_count)
     numbers = ca.SX(params)
     tip = arm.tip(numbers, q)
     if arm.joint_count < tip.numel():
@@ -294,14 +305,14 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
             "(space = 'joint')"
         )
     reach = float(np.linalg.norm(np.diff(arm.points(params, start).full(), axis=0), axis=1).sum())
-    place = tip / reach
+    constraint = tip / reach
     if tip.numel() == 3 and arm.joint_count >= 6:
         W = ca.DM(arm.turn(params, start)).T @ arm.turn(numbers, q)  # turn since the start
         # 2 tan(angle / 2) about the axis: 0 at W = I alone.
-        turned = 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
-        place = ca.vertcat(place, turned)
-    free = arm.joint_count - place.numel()  # joints to spare
-    _, J = evaluate_at_inputs(_with_jacobian(q, place), start[None])
+        rotation = 2 / (1 + ca.trace(W)) * ca.inv_skew(W - W.T)
+        constraint = ca.vertcat(constraint, rotation)
+    free = arm.joint_count - constraint.numel()  # joints to spare
+    _, J = evaluate_at_inputs(_with_jacobian(q, constraint), start[None])
     if singular(J).any():
         raise TrackingError(
             f"reference: the arm is singular at the start of the path, "
@@ -310,11 +321,11 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
             "Let it start from another configuration (plant.x0)"
         )
     null_space = np.linalg.svd(J[0])[2][arm.joint_count - free :]
-    place = ca.vertcat(place, null_space @ (q - start))
-    swing = ca.jtimes(ca.jtimes(place, q, v), q, v)
+    constraint = ca.vertcat(constraint, null_space @ (q - start))
+    bias_acceleration = ca.jtimes(ca.jtimes(constraint, q, v), q, v)
     return Equations(
-        _with_jacobian(q, place),
-        ca.Function("swing", [q, v], [swing], {"cse": True}),
+        _with_jacobian(q, constraint),
+        ca.Function("bias_acceleration", [q, v], [bias_acceleration], {"cse": True}),
         _with_jacobian(q, tip / reach),
         reach,
     )
@@ -322,7 +333,7 @@ def equations_of(arm: Arm, params: Floats, start: Floats) -> Equations:
 
 def _with_jacobian(q: ca.SX, value: ca.SX) -> ca.Function:
     """Return q -> the value and its Jacobian."""
-    return ca.Function("place", [q], [value, ca.densify(ca.jacobian(value, q))], {"cse": True})
+    return ca.Function("value", [q], [value, ca.densify(ca.jacobian(value, q))], {"cse": True})
 
 
 def evaluate_at_inputs(function: ca.Function, *columns: Floats) -> list[Floats]:
@@ -340,49 +351,62 @@ def solve_jacobians(J: Floats, goals: Floats) -> Floats:
 
 
 def singular(J: Floats) -> np.ndarray:
-    """Return the mask of those of N matrices that are nearly singular, or turn over.
+    """Return flags of the Jacobians (N x rows x joints) that are singular (N, bool).
 
-    Then the determinant has another sign than that of the first one.
+    A square Jacobian is also flagged if its determinant has another sign than that of the first
+    one: the path has crossed a singular configuration between two samples.
     """
-    sizes = np.linalg.svd(J, compute_uv=False)
-    near = sizes[:, -1] < SINGULAR * sizes[:, 0]
+    values = np.linalg.svd(J, compute_uv=False)
+    nearly = values[:, -1] < SINGULAR * values[:, 0]
     if J.shape[1] < J.shape[2]:
-        return near
-    return near | (np.linalg.det(J) * np.linalg.det(J[:1]) < 0)
+        return nearly
+    return nearly | (np.linalg.det(J) * np.linalg.det(J[:1]) < 0)
 
 
 def follow_path(equations: Equations, goals: Floats, start: Floats) -> Floats:
-    """Return positions (N x joints) at which the equations meet their goals, the first from
-    `start`.
+    """Return joint positions (N x joints) that meet the equations h(q) = goal.
 
-    Each is reached by Newton's method from the one before.
+    Newton's method finds each position from the one before.
+
+    Args:
+        equations: equations of the arm.
+        goals: goals of h (N x joints).
+        start: joint positions from which the first goal is searched (joints).
     """
-    q, goal = ca.SX.sym("q", start.size), ca.SX.sym("goal", start.size)
+    q = ca.SX.sym("q", start.size)
+    goal = ca.SX.sym("goal", start.size)
     after = q
     for _ in range(NEWTON):
-        place, J = equations.place(after)
+        value, J = equations.constraint(after)
         D, L, order = ca.ldl(J.T @ J + 1e-12 * ca.SX.eye(start.size))
-        after = after - ca.ldl_solve(J.T @ (place - goal), D, L, order)
+        after = after - ca.ldl_solve(J.T @ (value - goal), D, L, order)
     follow = ca.Function("follow", [q, goal], [after], {"cse": True})
-    first = _first(equations, follow, goals[0], start)
+    first = _solve_first(equations, follow, goals[0], start)
     return follow.mapaccum(len(goals))(first, goals.T).full().T
 
 
-def _first(equations: Equations, follow: ca.Function, goal: Floats, start: Floats) -> Floats:
-    """Return joint angles that meet the first goal, by a line from `start` if that leads there."""
-    here = equations.place(start)[0].full().ravel()
-    line = np.linspace(here, goal, LOOKS).T
-    arrived = follow.mapaccum(LOOKS)(start, line).full()[:, -1]
-    miss = np.abs(equations.place(arrived)[0].full().ravel() - goal).max()
-    if miss < REACHED:
-        return arrived
-    return nearest(equations.place, goal, start)
+def _solve_first(equations: Equations, follow: ca.Function, goal: Floats, start: Floats) -> Floats:
+    """Return joint angles (joints) that meet the first goal (joints).
+
+    Newton's method follows a straight line of goals from `start`. If that fails, least squares
+    search for the nearest angles.
+    """
+    value = equations.constraint(start)[0].full().ravel()
+    line = np.linspace(value, goal, LOOKS).T
+    angles = follow.mapaccum(LOOKS)(start, line).full()[:, -1]
+    residual = np.abs(equations.constraint(angles)[0].full().ravel() - goal).max()
+    if residual < REACHED:
+        return angles
+    return nearest(equations.constraint, goal, start)
 
 
 def nearest(function: ca.Function, goal: Floats, start: Floats) -> Floats:
-    """Return the joint angles, from `start` on, at which a function comes nearest to its goal.
+    """Return the joint angles at which a function is nearest to a goal, in least squares.
 
-    function: q -> value and Jacobian. Nearest is meant in the sense of least squares.
+    Args:
+        function: q -> value and Jacobian.
+        goal: goal of the value (k).
+        start: joint angles from which the search starts (joints).
     """
     from scipy.optimize import least_squares
 

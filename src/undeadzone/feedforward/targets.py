@@ -44,7 +44,8 @@ def along_targets(law: Callable[[Any, Any], Any], target: Target) -> Floats:
         law: a function of CasADi expressions.
         target: what to follow, a row per instant.
     """
-    x, u = ca.SX.sym("x", target.x_ref.shape[1]), ca.SX.sym("u", target.u_ff.shape[1])
+    x = ca.SX.sym("x", target.x_ref.shape[1])
+    u = ca.SX.sym("u", target.u_ff.shape[1])
     function = ca.Function("law", [x, u], [law(x, u)], {"cse": True})
     return np.asarray(function.map(len(target.u_ff))(target.x_ref.T, target.u_ff.T).full().T)
 
@@ -65,7 +66,10 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
         of the plant meets the spectrum of S.
     """
     A, B, C = linear
-    n, m, k, q = A.shape[0], B.shape[1], S.shape[0], C.shape[0]
+    n = A.shape[0]
+    m = B.shape[1]
+    k = S.shape[0]
+    q = C.shape[0]
     identity = np.eye(k)
     dynamics = [np.kron(identity, A) - np.kron(S.T, np.eye(n)), np.kron(identity, B)]
     outputs = [np.kron(identity, C), np.zeros((q * k, m * k))]
@@ -75,7 +79,8 @@ def regulator(linear: Matrices, S: Floats, Q: Floats) -> tuple[Floats, Floats, f
     scale = np.concatenate([*state_sizes, np.ones(m * k)])
     rows = np.abs(equations * scale).max(axis=1)
     rows[rows == 0] = 1.0
-    scaled, goal = equations * scale / rows[:, None], wanted / rows
+    scaled = equations * scale / rows[:, None]
+    goal = wanted / rows
     solution = np.linalg.lstsq(scaled, goal, rcond=None)[0]
     gap = np.linalg.norm(scaled @ solution - goal)
     residual = float(gap / max(float(np.linalg.norm(goal)), 1e-300))
@@ -129,7 +134,8 @@ def steady_state(model: System, exo: Exosystem, tracked: list[int]) -> tuple[Flo
         TrackingError: there are none.
     """
     # Sampled, the same equations less the identity, per second: well scaled for short samples too.
-    S, linear = moves(exo.S, model.Ts), delta_form(model.linear, model.Ts)
+    S = moves(exo.S, model.Ts)
+    linear = delta_form(model.linear, model.Ts)
     if len(tracked) > model.m:
         many = "s" * (model.m > 1)
         raise TrackingError(
@@ -203,12 +209,14 @@ def invert_targets(
     Raises:
         TrackingError: the model is of another kind, or Newton's method finds no state and input.
     """
-    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
+    x = ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
     derivatives = _derivatives(model, tracked, x, u)
     highest = max(derivative.order for derivative in derivatives)
     r = [exo.output_at(t, order) for order in range(highest + 1)]
     goals = np.stack([r[each.order][:, each.channel] for each in derivatives], axis=1)
-    unknown, goal = ca.vertcat(x, u), ca.SX.sym("goal", goals.shape[1])
+    unknown = ca.vertcat(x, u)
+    goal = ca.SX.sym("goal", goals.shape[1])
     values = ca.vertcat(*[derivative.value for derivative in derivatives])
     gap = (values - goal) / (1 + np.abs(goals).max(axis=0))
     solve = ca.rootfinder(
@@ -246,12 +254,15 @@ def _derivatives(model: System, tracked: list[int], x: ca.SX, u: ca.SX) -> list[
         )
     params = ca.SX(model.params)
     dx = model.move(params, x, u)
-    without_input, with_input = [], []
+    without_input = []
+    with_input = []
     for channel, index in enumerate(tracked):
-        value, order = model.output(params, x)[index], 0
+        value = model.output(params, x)[index]
+        order = 0
         while not ca.depends_on(value, u) and order <= model.n:
             without_input.append(_Derivative(value, channel, order))
-            value, order = ca.jtimes(value, x, dx), order + 1
+            value = ca.jtimes(value, x, dx)
+            order = order + 1
         with_input.append(_Derivative(value, channel, order))
     if len(without_input) != model.n:
         degrees = [derivative.order for derivative in with_input]

@@ -68,7 +68,8 @@ def undo_zoh(sampled: Matrices, Ts: float) -> Matrices:
             "a negative real one"
         )
     block = np.eye(n + m)
-    block[:n, :n], block[:n, n:] = sampled.A, sampled.B
+    block[:n, :n] = sampled.A
+    block[:n, n:] = sampled.B
     both = np.real(logm(block)) / Ts
     return Matrices(both[:n, :n], both[:n, n:], sampled.C)
 
@@ -117,7 +118,8 @@ def discretise_noise(A: Floats, W: Floats, Ts: float) -> tuple[Floats, Floats]:
 
     n = A.shape[0]
     units = balance_states(A)
-    even, density = change_state_units(A, units), W / np.outer(units, units)
+    even = change_state_units(A, units)
+    density = W / np.outer(units, units)
     size = _size_ratio(density, even)
     doublings = max(0, int(np.frexp(np.abs(even).sum(axis=1).max() * Ts)[1]))
     part = np.ldexp(Ts, -doublings)
@@ -134,7 +136,8 @@ def _augment_inputs(A: Floats, B: Floats) -> Floats:
     """Return [[A, B], [0, 0]], the dynamics of `[x; u]` with constant u."""
     n, m = B.shape
     block = np.zeros((n + m, n + m))
-    block[:n, :n], block[:n, n:] = A, B
+    block[:n, :n] = A
+    block[:n, n:] = B
     return block
 
 
@@ -143,7 +146,8 @@ def _balancing_units(block: Floats, n: int) -> Floats:
 
     A unit of u moves x as much as x itself.
     """
-    A, B = block[:n, :n], block[:n, n:]
+    A = block[:n, :n]
+    B = block[:n, n:]
     of_states = balance_states(A)
     even = change_state_units(A, of_states)
     of_inputs = [1 / _size_ratio(b / of_states, even) for b in B.T]

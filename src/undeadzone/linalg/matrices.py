@@ -52,7 +52,8 @@ def companion_form(a: Any, b: Any = (1.0,)) -> Matrices:
         a: coefficients of the denominator without the leading 1 (n), lowest first.
         b: coefficients of the numerator (at most n), lowest first.
     """
-    a, b = np.atleast_1d(a), np.atleast_1d(b)
+    a = np.atleast_1d(a)
+    b = np.atleast_1d(b)
     n = a.size
     A = np.eye(n, k=1)
     A[-1] = -a

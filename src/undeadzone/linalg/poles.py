@@ -73,7 +73,8 @@ def pole_placement_gain(A: Floats, B: Floats, poles: np.ndarray, key: str) -> Fl
         if B.shape[1] == 1
         else _multi_input_gain(A, B, poles, key)
     )
-    wanted, reached = np.poly(poles), np.poly(A - B @ K)
+    wanted = np.poly(poles)
+    reached = np.poly(A - B @ K)
     off = np.abs(reached - wanted).max() / np.abs(wanted).max()
     if not off < ACCURATE:
         raise StructureError(

@@ -88,8 +88,10 @@ def solve_riccati(linear: Matrices, Q: Floats, R: Floats, Ts: float | None = Non
     Raises:
         StructureError: there is no stabilising solution.
     """
-    A, B = np.asarray(linear.A, float), np.asarray(linear.B, float)
-    Q, R = np.asarray(Q, float), np.atleast_2d(np.asarray(R, float))
+    A = np.asarray(linear.A, float)
+    B = np.asarray(linear.B, float)
+    Q = np.asarray(Q, float)
+    R = np.atleast_2d(np.asarray(R, float))
     equation = _Equation(A, B, Q, R, Ts)
     best = _evaluate_riccati(equation, _solution(equation))
     for _ in range(NEWTON):
@@ -262,7 +264,8 @@ def fast_gain(linear: Matrices, speed: float, Ts: float | None) -> Floats:
     flow = delta_form(linear, Ts).A
     # the unit of each state, so that the equations below are near 1
     unit = 1 / (speed * state_response_sizes(flow.T, C.T, speed))
-    A, C = A * unit / unit[:, None], C * unit
+    A = A * unit / unit[:, None]
+    C = C * unit
     L = _riccati_gain_with_shift(A, C, speed, Ts)
     if not slowest_growth_rate(np.linalg.eigvals(A - L @ C), Ts) < -speed / 4:
         raise StructureError(
@@ -295,7 +298,8 @@ def fast_feedback(linear: Matrices, speed: float, Ts: float | None) -> Floats:
 
 def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | None) -> Floats:
     """Return the Riccati gain of A shifted right by speed / 2 (n x p), or 0 if none exists."""
-    n, p = A.shape[0], C.shape[0]
+    n = A.shape[0]
+    p = C.shape[0]
     noise = 1e-8 * np.eye(n)
     with warnings.catch_warnings():
         # of scipy, on ill-conditioned equations: `fast_gain` judges the poles
@@ -304,7 +308,8 @@ def _riccati_gain_with_shift(A: Floats, C: Floats, speed: float, Ts: float | Non
             if Ts is None:
                 shifted = Matrices((A / speed + np.eye(n) / 2).T, C.T, C)
                 return speed * solve_riccati(shifted, noise, np.eye(p)).K.T
-            shrink, span = np.exp(-speed / 2 * Ts), speed * Ts
+            shrink = np.exp(-speed / 2 * Ts)
+            span = speed * Ts
             shifted = Matrices((A / shrink).T, C.T, C)
             return shrink * solve_riccati(shifted, noise * span, np.eye(p) / span, Ts).K.T
         except np.linalg.LinAlgError:

@@ -87,7 +87,8 @@ def output_chains(A: Floats, C: Floats) -> OutputChains:
     Raises:
         StructureError: they do not determine the whole state.
     """
-    n, p = A.shape[0], C.shape[0]
+    n = A.shape[0]
+    p = C.shape[0]
     unit = 1 / state_response_sizes(A.T, C.T)
     scaled = A * unit / unit[:, None]
     rate = max(float(np.linalg.norm(scaled, 2)), 1e-300)

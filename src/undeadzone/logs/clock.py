@@ -86,7 +86,9 @@ class Clock:
         self.gaps = 0
         self.faults = Faults(source, strict)
         self.last = np.nan
-        self._step, self._source, self._strict = step, source, strict
+        self._step = step
+        self._source = source
+        self._strict = strict
         self._count = 0  # samples so far, where there are no times
         self._waiting: Samples | None = None  # the line that waits for the next one
         self._first: Floats = np.empty(0)  # times of the first lines [s]
@@ -161,7 +163,8 @@ class Clock:
             ends = self._strict if run.kind == "time" else run.kind == "jump"
             if runs and (ends or missing > LONGEST):
                 yield self._piece(samples, runs)
-                runs, missing = [], 0.0
+                runs = []
+                missing = 0.0
             if run.kind:
                 self.faults.add(self._fault(samples, run))
             if run.kind != "time":
@@ -172,10 +175,14 @@ class Clock:
 
     def _runs(self, samples: Samples, last: bool) -> Iterator[Run]:
         """Yield the lines by kind, in order; one that needs the line after it may have to wait."""
-        t, size, k = samples.t, len(samples.t), 0
+        t = samples.t
+        size = len(samples.t)
+        k = 0
         ends = np.append(np.flatnonzero(self._steps(t[:-1], t[1:]) != 1) + 1, size)
         while k < size:
-            steps, kind, end = float(self._steps(self.last, t[k])), "", k + 1
+            steps = float(self._steps(self.last, t[k]))
+            kind = ""
+            end = k + 1
             if steps == 1:
                 end = int(ends[np.searchsorted(ends, k, side="right")])
             elif end < size or last:
@@ -200,7 +207,8 @@ class Clock:
         if after is None:
             alone = not has_begun and self._first.size <= 1
             return "" if steps or alone else "time"
-        fits_last, from_here = self._steps(self.last, after), self._steps(t, after)
+        fits_last = self._steps(self.last, after)
+        from_here = self._steps(t, after)
         if steps:
             return "time" if fits_last and not from_here else ""
         if fits_last or from_here != 1:

@@ -278,7 +278,8 @@ class _Header(NamedTuple):
             if used.count(column) > 1:
                 raise self.require_distinct(column)
         seconds: float | None = 1.0
-        date, roles = None, []
+        date = None
+        roles = []
         if time is not None:
             seconds = _seconds(self.titles[time], self.source)
             dated = [k for k, title in enumerate(self.titles) if title.name.lower() in DATES]
@@ -287,7 +288,8 @@ class _Header(NamedTuple):
         y, u = ([_add_unit(self.titles[k]) for k in columns] for columns in (readings, inputs))
         for signal, titles in (("y", y), ("u", u)):
             roles.append(f"{signal} from {', '.join(repr(title.name) for title in titles)}")
-        said, named = ", ".join(roles), bool(_of_signal(self.chosen, "y"))
+        said = ", ".join(roles)
+        named = bool(_of_signal(self.chosen, "y"))
         known = {*READINGS, *INPUTS}
         is_trade = not named and any(
             (INDEXED.match(title.name) or [title.name] * 2)[1].lower() not in known

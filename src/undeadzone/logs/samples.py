@@ -111,7 +111,8 @@ class Faults:
         self.counts = np.zeros(len(KINDS), np.int64)
         self.why = ""
         self._line = 0  # of the first one
-        self._source, self._strict = source, strict
+        self._source = source
+        self._strict = strict
 
     def add(self, fault: Fault) -> None:
         """Count a fault. Raises FileError where `strict` is set."""
@@ -119,7 +120,8 @@ class Faults:
             raise FileError(f"{self._source}, line {fault.line}: {fault.why}")
         self.counts[KINDS.index(fault.kind)] += 1
         if not self.why or fault.line < self._line:
-            self._line, self.why = fault.line, f"line {fault.line}: {fault.why}"
+            self._line = fault.line
+            self.why = f"line {fault.line}: {fault.why}"
 
     @property
     def unreadable(self) -> int:
@@ -168,7 +170,9 @@ class LogReader:
         self.latest: list[Fault] = []
         self.ahead = 0
         self._live = live
-        self._source, self._p, self._m = source, p, m
+        self._source = source
+        self._p = p
+        self._m = m
         self._chosen = chosen
         self._text = Text(source)
         self._dialect: Dialect | None = None
@@ -199,7 +203,7 @@ class LogReader:
                 return self._none()
             self.ahead = ahead or 0
             numbered = numbered[self.ahead :]
-            lines = self._telling([line for _, line in numbered[:FIRST]])
+            lines = self._select_dialect_lines([line for _, line in numbered[:FIRST]])
             dialect = dialect_of(lines)
             if dialect.heads and len(lines) < 2 and not last:
                 self._first = numbered  # a line of units may follow
@@ -217,25 +221,26 @@ class LogReader:
         return self._samples(numbered, self._dialect, self.layout)
 
     def _lines_ahead(self, lines: Sequence[str]) -> int | None:
-        """Return how many lines stand ahead of the header; None while a live log may show it.
+        """Return the number of lines ahead of the header; None if a live log has not shown it yet.
 
-        When live the first lines that tell it do so, in whatever pieces they come.
+        A live log arrives in pieces of any size. The answer is that of the shortest beginning that
+        determines it, so that it does not depend on the pieces.
         """
         if not self._live:
             return lines_ahead(lines) or 0
         by_number = self._chosen and all(name.isdigit() for name in self._chosen.values())
         if by_number and dialect_of(lines[:1]).heads == 0:
-            return 0  # times may be stamps
-        found = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
-        return next((ahead for ahead in found if ahead is not None), None)
+            return 0  # columns chosen by number need no header; times may be stamps
+        answers = (lines_ahead(lines[: count + 1]) for count in range(len(lines)))
+        return next((ahead for ahead in answers if ahead is not None), None)
 
     def _with_mark(self, dialect: Dialect, lines: Sequence[str]) -> Dialect:
-        """Return the dialect with the decimal mark that lines tell. Raises FileError."""
+        """Return the dialect with the decimal mark of these lines. Raises FileError."""
         mark, grouped = decimal_mark(lines, dialect.separator, self._live, self._source)
         return dialect._replace(mark=mark, grouped=grouped)
 
-    def _telling(self, lines: list[str]) -> list[str]:
-        """Those of the first lines that tell the dialect: when live, as few as will do."""
+    def _select_dialect_lines(self, lines: list[str]) -> list[str]:
+        """Return the first lines that determine the dialect; of a live log as few as possible."""
         if not self._live:
             return lines
         return lines[:2] if dialect_of(lines[:1]).heads else lines[:1]
@@ -262,12 +267,12 @@ class LogReader:
                 raise FileError(f"{self._source}, line {number}: {found.why}")
 
     def _none(self) -> Samples:
-        """No samples yet."""
+        """Return samples of length 0."""
         shapes = (np.empty(0), np.empty((0, self._p or 1)), np.empty((0, self._m or 1)))
         return Samples(*shapes, np.empty(0, np.int64))
 
     def _samples(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Samples:
-        """Return the samples in these lines."""
+        """Return the samples of numbered lines."""
         values = _at_once([line for _, line in numbered], dialect, layout)
         if values is not None:
             self._plain_times = self._plain_times or bool(np.isfinite(values[:, 0]).any())
@@ -276,15 +281,17 @@ class LogReader:
                 self._learn_stamps(numbered, dialect, layout)
             values = self._one_by_one(numbered, dialect, layout)
         values[np.isinf(values)] = np.nan
-        first, t = 0, np.full(len(values), np.nan)
+        first = 0
+        t = np.full(len(values), np.nan)
         if layout.time is not None:
-            first, t = 1, self._in_seconds(values[:, 0], layout)
+            first = 1
+            t = self._in_seconds(values[:, 0], layout)
         end = first + len(layout.readings)
         lines = np.array([number for number, _ in numbered], np.int64)
         return Samples(t, values[:, first:end], values[:, end:], lines)
 
     def _in_seconds(self, t: Floats, layout: Layout) -> Floats:
-        """Times as the log has them, in seconds; sample numbers stay as they are."""
+        """Return the times of a log (N) in seconds; sample numbers stay as they are."""
         if layout.seconds is None:
             return t
         if self._stamps is None:
@@ -295,7 +302,7 @@ class LogReader:
         return t
 
     def _learn_stamps(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> None:
-        """Learn from the first time that can be read how times are written. Raises FileError."""
+        """Find the format of the times from the first one that can be read. Raises FileError."""
         for k, (number, line) in enumerate(numbered):
             cells = dialect.cells(line)
             if len(cells) != dialect.width or layout.time is None:
@@ -304,11 +311,15 @@ class LogReader:
             if value is not None and math.isfinite(value):
                 self._plain_times = True
                 return
-            text = _stamp(cells, layout)
+            text = _join_date_and_time(cells, layout)
             if stamps_of([text]) is None:
                 continue
             others = [] if self._live else [dialect.cells(line) for _, line in numbered[k:]]
-            whole = [_stamp(cells, layout) for cells in others if len(cells) == dialect.width]
+            whole = [
+                _join_date_and_time(cells, layout)
+                for cells in others
+                if len(cells) == dialect.width
+            ]
             self._stamps = stamps_of([text, *whole])
             if self._stamps is not None and is_ambiguous(text, self._stamps):
                 raise FileError(
@@ -341,7 +352,7 @@ class LogReader:
             return Fault(number, "values", f"expected {dialect.width} values, found {len(cells)}")
         found = [dialect.parse_number(cells[k]) for k in layout.columns]
         if self._stamps is not None:
-            found[0] = self._stamps.seconds(_stamp(cells, layout))
+            found[0] = self._stamps.seconds(_join_date_and_time(cells, layout))
         if None in found:
             text = cells[layout.columns[found.index(None)]]
             why = f"expected a number or nothing, found {text!r:.40}"
@@ -383,8 +394,8 @@ def is_regular_time(values: Floats) -> bool:
     return not counts and float(np.ptp(between)) <= 2 * JITTER * float(np.median(between))
 
 
-def _stamp(cells: list[str], layout: Layout) -> str:
-    """Return the text of a line's time, behind its date where that stands in another column."""
+def _join_date_and_time(cells: list[str], layout: Layout) -> str:
+    """Return the text of a line's time stamp, after the date if another column has it."""
     assert layout.time is not None
     time = cells[layout.time]
     return time if layout.date is None else f"{cells[layout.date]} {time}"
@@ -402,7 +413,8 @@ def samples_of_text(reader: LogReader, path: Path, largest: int, most: float) ->
     Raises:
         FileError: as `LogReader.feed`, or it cannot be read.
     """
-    blocks, count = [], 0
+    blocks = []
+    count = 0
     for data, last in blocks_of(path, largest):
         blocks.append(reader.feed(data, last))
         count += blocks[-1].t.size

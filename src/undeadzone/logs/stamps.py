@@ -106,15 +106,23 @@ def over_midnight(t: Floats, before: float) -> Floats:
 
 def _day(found: re.Match[str], day_first: bool | None) -> int | None:
     """Return days since 1970; None if there is no such day, or if it is ambiguous."""
-    a, b, c = found["a"], found["b"], found["c"]
+    a = found["a"]
+    b = found["b"]
+    c = found["c"]
     if len(a) == 4:
-        year, month, day = a, b, c
+        year = a
+        month = b
+        day = c
     elif found["dot"] == "." or day_first:
-        year, month, day = c, b, a
+        year = c
+        month = b
+        day = a
     elif day_first is None:
         return None
     else:
-        year, month, day = c, a, b
+        year = c
+        month = a
+        day = b
     try:
         return date(int(year), int(month), int(day)).toordinal() - FIRST_DAY
     except ValueError:
@@ -127,7 +135,8 @@ def _of_day(found: re.Match[str]) -> float | None:
     """
     if found["h"] is None:
         return 0.0
-    hour, minute = int(found["h"]), int(found["min"])
+    hour = int(found["h"])
+    minute = int(found["min"])
     second = float((found["s"] or "0").replace(",", "."))
     if found["half"]:
         if not 1 <= hour <= NOON:

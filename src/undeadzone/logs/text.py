@@ -272,7 +272,9 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
     """
     if separator == ",":
         return ".", False
-    told, grouped, open_one = {",": 0, ".": 0}, {",": False, ".": False}, ""
+    told = {",": 0, ".": 0}
+    grouped = {",": False, ".": False}
+    open_one = ""
     for line in lines[:TELLING_MARK]:
         if "," not in line and "." not in line:
             continue
@@ -288,7 +290,8 @@ def decimal_mark(lines: Sequence[str], separator: str, live: bool, source: str) 
         mark = "," if told[","] > told["."] else "."
         return mark, grouped[mark]
     if open_one and not live:
-        whole, decimal = open_one.replace(",", ""), open_one.replace(",", ".")
+        whole = open_one.replace(",", "")
+        decimal = open_one.replace(",", ".")
         raise FileError(
             f"{source}: it is not known whether {open_one} is {whole} or {decimal}. Write "
             "numbers with a decimal point, and nothing between thousands"
@@ -334,13 +337,15 @@ def _separator(lines: Sequence[str]) -> str:
 
     Commas in numbers with blanks between are decimal commas.
     """
-    best, most = " ", 0
+    best = " "
+    most = 0
     for candidate in (";", "\t", ","):
         holding = [line for line in lines if candidate in line]
         if candidate == ",":
             holding = [line for line in holding if not _BLANKS_BETWEEN.search(line)]
         if len(holding) > most:
-            best, most = candidate, len(holding)
+            best = candidate
+            most = len(holding)
     return best
 
 

@@ -73,7 +73,8 @@ def samples_of(
         raise FileError(f"{source}: holds no columns of numbers")
     if "t" not in chosen:
         columns = _with_time_named(columns)
-    titles, values = [title for title, _ in columns], [column for _, column in columns]
+    titles = [title for title, _ in columns]
+    values = [column for _, column in columns]
     layout = layout_of_titles(titles, p, m, chosen, source)
     length = values[layout.readings[0]].size
     for k in layout.columns:
@@ -273,7 +274,8 @@ def _require_small(content: bytes) -> None:
     length. The lengths inside of an element may lie, so its unpacked bytes are counted.
     """
     order: Literal["little", "big"] = "little" if content[126:128] == b"IM" else "big"
-    at, left = 128, LARGEST_MATRICES
+    at = 128
+    left = LARGEST_MATRICES
     while at + 8 <= len(content):
         kind = int.from_bytes(content[at : at + 4], order)
         length = int.from_bytes(content[at + 4 : at + 8], order)
@@ -286,7 +288,8 @@ def _require_small(content: bytes) -> None:
 
 def _unpacked_size(packed: bytes, most: int) -> int:
     """How many bytes a stream unpacks to; counting ends at `most`."""
-    reader, count = zlib.decompressobj(), 0
+    reader = zlib.decompressobj()
+    count = 0
     while packed and count < most and not reader.eof:
         count += len(reader.decompress(packed, PIECE))
         packed = reader.unconsumed_tail

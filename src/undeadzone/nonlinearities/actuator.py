@@ -228,13 +228,16 @@ def resolve_actuator(actuator: Actuator | ActuatorModel, m: int, key: str = "act
         raise InputError(
             f"{key}.rate: expected two positive rates [falling, rising], found {actuator.rate}"
         )
-    limits, rates = np.clip(ends, -LARGEST, LARGEST), np.minimum(rates, LARGEST)
+    limits = np.clip(ends, -LARGEST, LARGEST)
+    rates = np.minimum(rates, LARGEST)
     gaps = np.empty((2, 0))
     if actuator.kind == "play":
         for name in ("slope", "rate"):
             if getattr(actuator, name) is not None:
                 raise InputError(f'{key}.{name}: kind = "play" has none. Leave it out')
-        gaps, right, left = np.stack([right, left]), np.zeros(m), np.zeros(m)
+        gaps = np.stack([right, left])
+        right = np.zeros(m)
+        left = np.zeros(m)
     return Drive(right, left, *slopes.T, *limits.T, *rates.T, *gaps)
 
 

@@ -29,13 +29,15 @@ class Limits(NamedTuple):
 
 def at_limit(y: Any, limits: Limits) -> Any:
     """Return +1 if a reading is at its upper limit, -1 if at its lower one, else 0 (NaN too)."""
-    low, high = (1 - ROUNDING) * limits.low, (1 - ROUNDING) * limits.high
+    low = (1 - ROUNDING) * limits.low
+    high = (1 - ROUNDING) * limits.high
     return 1.0 * (y >= high) - 1.0 * (y <= low)
 
 
 def is_beyond_range(y: Any, limits: Limits) -> Any:
     """Return 1 if a finite number lies beyond its range by more than rounding: no reading does."""
-    low, high = (1 + ROUNDING) * limits.low, (1 + ROUNDING) * limits.high
+    low = (1 + ROUNDING) * limits.low
+    high = (1 + ROUNDING) * limits.high
     return 1.0 * (y > high) * (y < np.inf) + 1.0 * (y < low) * (y > -np.inf)
 
 

@@ -31,7 +31,9 @@ from undeadzone.util.arrays import (
     require_vector,
 )
 
-RIGHT, LEFT = 1.0, -1.0  # sides; 0 is silent, twice a side is at the limit of its readings
+# sides; 0 is silent, twice a side is at the limit of its readings
+RIGHT = 1.0
+LEFT = -1.0
 # Weights of d_r and d_l, or of c_r and c_l, in what is known of a pair of widths. The centre is the
 # middle of the interval from -d_l to d_r.
 DIRECTIONS = {"right": (1.0, 0.0), "left": (0.0, 1.0), "width": (1.0, 1.0), "centre": (0.5, -0.5)}
@@ -190,9 +192,11 @@ def _edge(own: Any, other: Any, margin: Any, kind: str) -> Any:
     """
     if kind == "jump":
         ops = _ops(own, other, margin)
-        outer, inner = ops.fmax(own, margin), ops.fmin(-other, margin)
+        outer = ops.fmax(own, margin)
+        inner = ops.fmin(-other, margin)
     else:
-        outer, inner = own + margin, margin - other
+        outer = own + margin
+        inner = margin - other
     return outer * (margin >= 0) + inner * (margin < 0)
 
 
@@ -470,7 +474,8 @@ def _ahead(sensor: Sensor, p: int, threshold: Floats) -> Ahead | None:
 def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
     """Return (friction, inertia, std of the friction) behind a play (p each). Raises InputError."""
     why = f"one per output, the plant has {p}"
-    friction, std = sensor.load_friction, np.zeros(p)
+    friction = sensor.load_friction
+    std = np.zeros(p)
     if np.size(friction) == 2:
         ends = require_nonnegative("sensor.load_friction", friction, 2, "[least, largest]")
         if p != 1 or ends[0] > ends[1]:
@@ -478,7 +483,8 @@ def _load(sensor: Sensor, p: int) -> tuple[Floats, Floats, Floats]:
                 "sensor.load_friction: expected a number or [least, largest] of a single output, "
                 f"found {ends.tolist()} for {p}"
             )
-        friction, std = ends.mean(), np.diff(ends) / np.sqrt(12)
+        friction = ends.mean()
+        std = np.diff(ends) / np.sqrt(12)
     known = require_nonnegative("sensor.load_friction", friction, p, why)
     inertia = require_nonnegative("sensor.load_inertia", sensor.load_inertia, p, why)
     for name, given in (("load_friction", known), ("load_inertia", inertia)):

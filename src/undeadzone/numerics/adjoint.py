@@ -51,15 +51,18 @@ def smooth_backward(
     read_push, read_known = adjoint_information(moments.before, moments.read, moments.rows)
     edge_push, edge_known = adjoint_information(moments.read, moments.heard, moments.edges)
     count, size = moments.before.mean.shape
-    mean, cov = np.empty((count, size)), np.empty((count, size, size))
+    mean = np.empty((count, size))
+    cov = np.empty((count, size, size))
     unit = np.eye(size)
     lost = (moments.restarted[:, 0] != 0) | ~np.isfinite(moments.slope).all(axis=(1, 2))
     push, known = later
     for k in range(count - 1, -1, -1):
         F = unit + moments.slope[k]
-        push, known = F.T @ push, F.T @ known @ F
+        push = F.T @ push
+        known = F.T @ known @ F
         if lost[k]:
-            push, known = np.zeros(size), np.zeros((size, size))
+            push = np.zeros(size)
+            known = np.zeros((size, size))
         P = moments.heard.cov[k]
         mean[k] = moments.heard.mean[k] + P @ push
         cov[k] = P - P @ known @ P
@@ -80,7 +83,8 @@ def adjoint_information(before: Any, after: Any, rows: Floats) -> tuple[Floats, 
         rows: along whose covariances the belief mostly moves (B x r x N).
     """
     P = before.cov
-    lost, gained = P - after.cov, after.mean - before.mean
+    lost = P - after.cov
+    gained = after.mean - before.mean
     along = P @ np.swapaxes(rows, 1, 2)
     seen = rows @ along
     scale = np.sqrt(np.maximum(np.diagonal(seen, axis1=1, axis2=2), 0.0)) + 1e-300

@@ -56,7 +56,8 @@ def build_rk4_arcs(
     Returns:
         arc(x, c, mode): the solution from x at the fraction c of the step to its end.
     """
-    point, direction = ca.SX.sym("x", states), ca.SX.sym("v", states)
+    point = ca.SX.sym("x", states)
+    direction = ca.SX.sym("v", states)
     along = ca.jtimes(output(point), point, direction)
     slope = ca.Function("slope", [point, direction], [along], {"allow_free": True})
     # As functions: Python takes long over each operation, and they are called often.
@@ -105,8 +106,10 @@ def build_taylor_arcs(
     Returns:
         arc(x, c, mode): the solution from x at the fraction c of the step to its end.
     """
-    x, dx = ca.SX.sym("x", states), ca.SX.sym("dx", states)
-    w, dw = ca.SX.sym("w", inputs[0].shape[0]), ca.SX.sym("dw", inputs[0].shape[0])
+    x = ca.SX.sym("x", states)
+    dx = ca.SX.sym("dx", states)
+    w = ca.SX.sym("w", inputs[0].shape[0])
+    dw = ca.SX.sym("dw", inputs[0].shape[0])
     seen = ca.Function("seen", [x, dx], [ca.jtimes(output(x), x, dx)], {"allow_free": True})
 
     def arc(start: ca.SX, begin: Any, mode: Any) -> DenseStep:
@@ -120,7 +123,8 @@ def build_taylor_arcs(
             terms.append(h * rest / (k + 1) * follow(start, own[0], terms[k], own[k]))
         z = [output(start), *(seen(start, term) for term in terms[1:])]
         # State and z are the polynomials of c with these coefficients.
-        end, onward = _evaluate_polynomial(terms, 1.0), output(start + terms[1] / 2)
+        end = _evaluate_polynomial(terms, 1.0)
+        onward = output(start + terms[1] / 2)
         slopes = [k * term for k, term in enumerate(z)][1:]
         at, along, slope = (partial(_evaluate_polynomial, each) for each in (terms, z, slopes))
         return DenseStep(end, output(end), onward, at, along, slope)
@@ -262,8 +266,11 @@ def locate_side_changes(
 
     def follow(changes: int, turning: bool) -> _StepPath:
         """Follow the step with the given number of changes located in sequence."""
-        mode, now, end = first, whole, whole.end
-        begin, changed = ca.SX(0.0), ca.SX(0.0)
+        mode = first
+        now = whole
+        end = whole.end
+        begin = ca.SX(0.0)
+        changed = ca.SX(0.0)
         for _ in range(changes):
             crossing, c = _find_first_crossing(now, levels, mode.side, turning)
             split = ca.mmin(c)
@@ -290,10 +297,8 @@ def _can_change_side(arc: DenseStep, levels: Levels, side: ca.SX) -> ca.SX:
     It may if it is another at the end, or would be if z went on for half of the arc as it sets
     out.
     """
-    final, onward = (
-        _is_on_other_side(arc.final, levels, side),
-        _is_on_other_side(arc.onward, levels, side),
-    )
+    final = _is_on_other_side(arc.final, levels, side)
+    onward = _is_on_other_side(arc.onward, levels, side)
     return ca.sum1(ca.logic_or(final, onward)) > 0
 
 
@@ -327,8 +332,10 @@ def _find_first_crossing(
 
 def _build_output_path(arc: DenseStep, turning: bool) -> _OutputPath:
     """Return the outputs z along an arc. Without `turning`, z is assumed to be monotone."""
-    start, final = arc.output(0.0), arc.final
-    s0, s1 = arc.slope(0.0), arc.slope(1.0)
+    start = arc.output(0.0)
+    final = arc.final
+    s0 = arc.slope(0.0)
+    s1 = arc.slope(1.0)
     turns = s0 * s1 < 0 if turning else ca.SX.zeros(s0.shape)
     turn = ca.if_else(turns, _find_slope_zero(arc.slope, s0, s1), 1.0)
     return _OutputPath(start, final, s0, turns, turn, arc.output(turn))
@@ -337,10 +344,8 @@ def _build_output_path(arc: DenseStep, turning: bool) -> _OutputPath:
 def _find_crossing(z: ca.SX, levels: Levels, side: ca.SX) -> Crossing:
     """Return the change of an output from `side` to the next side on the way to z."""
     outermost = len(levels.above)
-    up, down = (
-        next_level(levels, side, ca.SX(1.0)),
-        next_level(levels, side, ca.SX(0.0)),
-    )
+    up = next_level(levels, side, ca.SX(1.0))
+    down = next_level(levels, side, ca.SX(0.0))
     rises = ca.logic_and(side < outermost, z > up)
     falls = ca.logic_and(side > -outermost, z < down)
     way = 1.0 * rises - 1.0 * falls
@@ -370,7 +375,10 @@ def _solve_crossing(arc: DenseStep, course: _OutputPath, crossing: Crossing) -> 
     """Return the fraction of an arc at which z reaches the level, by Newton's method from a
     guess.
     """
-    z0, z1, turn, turns = course.start, course.final, course.turn, course.turns
+    z0 = course.start
+    z1 = course.final
+    turn = course.turn
+    turns = course.turns
     # z moves through the level as it does at first: ahead of the turn.
     before = (course.slope > 0) == crossing.rising
     low = ca.if_else(ca.logic_and(turns, ca.logic_not(before)), turn, 0.0)
@@ -389,13 +397,16 @@ def _solve_crossing(arc: DenseStep, course: _OutputPath, crossing: Crossing) -> 
 
 def _find_slope_zero(slope: Callable[[Any], ca.SX], s0: ca.SX, s1: ca.SX) -> ca.SX:
     """Return the zero between 0 and 1 of a slope that changes its sign, by the secant method."""
-    before, after = ca.SX.zeros(s0.shape), s0
+    before = ca.SX.zeros(s0.shape)
+    after = s0
     c = s0 / (s0 - s1)
     for _ in range(NEWTON):
         now = slope(c)
         moved = c - now * (c - before) / (now - after)
         settled = now == after
-        before, after, c = c, now, ca.if_else(settled, c, _clamp_between(moved, 0.0, 1.0))
+        before = c
+        after = now
+        c = ca.if_else(settled, c, _clamp_between(moved, 0.0, 1.0))
     return c
 
 

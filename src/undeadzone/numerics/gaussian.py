@@ -91,9 +91,11 @@ def predict(
     moved, E = linearise(change, belief.mean)
     X = ca.SX.sym("X", belief.mean.shape[0])
     if bend is None:
-        G, (shift, excess) = ca.SX.eye(X.shape[0]), second_order_terms(belief, change(X), X)
+        G = ca.SX.eye(X.shape[0])
+        (shift, excess) = second_order_terms(belief, change(X), X)
     else:
-        G, (shift, excess) = bend(X).G, product_terms(belief.cov, bend(X), X)
+        G = bend(X).G
+        (shift, excess) = product_terms(belief.cov, bend(X), X)
         G = ca.vertcat(G, ca.SX(X.shape[0] - G.shape[0], G.shape[1]))
     mean = belief.mean + (moved + G @ shift)
     return Gaussian(mean, propagate_covariance(belief.cov, E, Q + G @ (lasting * excess) @ G.T))
@@ -106,7 +108,8 @@ def second_order_terms(belief: Gaussian, b: Any, X: Any) -> tuple[Any, Any]:
     rows = [row for row, bends in enumerate(ca.which_depends(b, X, 2, True)) if bends]
     hessians = ca.substitute([ca.hessian(b[row], X)[0] for row in rows], [X], [belief.mean])
     products = [H @ belief.cov for H in hessians]
-    shift, excess = ca.SX(b.shape[0], 1), ca.SX(b.shape[0], b.shape[0])
+    shift = ca.SX(b.shape[0], 1)
+    excess = ca.SX(b.shape[0], b.shape[0])
     for row, M in zip(rows, products, strict=True):
         shift[row] = ca.trace(M) / 2
         for column, other in zip(rows, products, strict=True):
@@ -118,7 +121,8 @@ def product_terms(P: Any, of: Products, X: Any) -> tuple[Any, Any]:
     """Return the second-order terms of Z (l r), which has no further derivatives, given the
     covariance P of X.
     """
-    left, right = ca.jacobian(of.left, X), ca.jacobian(of.right, X)
+    left = ca.jacobian(of.left, X)
+    right = ca.jacobian(of.right, X)
     across = left @ P @ right.T
     each = mirror_upper((left @ P @ left.T) * (right @ P @ right.T) + across * across.T)
     return of.Z @ ca.diag(across), of.Z @ each @ of.Z.T
@@ -198,9 +202,11 @@ def truncate_to_range(mean: Any, variance: Any, low: Any, high: Any) -> tuple[An
         the same, and that probability.
     """
     scale = ca.sqrt(0.5 / variance)
-    a, b = (low - mean) * scale, (high - mean) * scale
+    a = (low - mean) * scale
+    b = (high - mean) * scale
     twice = ca.erf(b) - ca.erf(a)  # the chance
-    at_a, at_b = ca.exp(-(a**2)), ca.exp(-(b**2))
+    at_a = ca.exp(-(a**2))
+    at_b = ca.exp(-(b**2))
     least = 2 * UNLIKELY
     share = (twice > least) * (2 / math.sqrt(math.pi) * scale / ca.fmax(twice, least))
     shift = (at_a - at_b) * share
@@ -213,7 +219,8 @@ def normal_cdf_and_hazard(alpha: Any) -> tuple[Any, Any]:
 
     Below -5 by the asymptotic series of the hazard, 1e-4 accurate there.
     """
-    here, inside = normal_density(alpha), _normal_cdf_limited(alpha)
+    here = normal_density(alpha)
+    inside = _normal_cdf_limited(alpha)
     far = ca.fmax(-alpha, DEEP)
     series = far + (1 - (2 - 10 / far**2) / far**2) / far
     ratio = ca.if_else(alpha > -DEEP, here / inside, series)
@@ -381,7 +388,8 @@ def covariance_loss(along: Any, shift: Any, certain: Any, between: Any) -> Any:
     held = sorted(set(rest.sparsity().row()))
     lost = along @ (ca.mtimes(certain - between, along.T) + ca.mtimes(between, rest.T))
     if held:
-        g, s = along[held, :], shift[held, :]
+        g = along[held, :]
+        s = shift[held, :]
         half = s @ (ca.mtimes(certain, g.T) - ca.mtimes((certain + between) / 2, s.T))
         lost[held, :] = lost[:, held].T
         lost[held, held] = half + half.T
@@ -455,7 +463,9 @@ def truncate_at_bounds(
     K = P @ H.T
     G = H @ K
     told = (_one_bound_moments if len(bounds) == 1 else _interval_moments)(bounds, G, R, limit)
-    trust, likely, between = ca.SX(1.0), 1.0, 0.0
+    trust = ca.SX(1.0)
+    likely = 1.0
+    between = 0.0
     if fake is not None:
         wrong = ca.exp(fake)
         trust = told.chance / (told.chance + wrong)

@@ -159,7 +159,8 @@ def deadzone_update(
     See Also:
         Online, Censored
     """
-    shape, belief = np.shape(mean), _require_belief(mean, cov)
+    shape = np.shape(mean)
+    belief = _require_belief(mean, cov)
     if not slope > 0:
         raise InputError(f"slope: must be positive, found {slope:g}")
     rms = float(np.hypot(noise / slope, noise_before))
@@ -236,7 +237,8 @@ def _require_doubts(**doubts: float) -> Floats:
 
 def _require_belief(mean: Array, cov: Array) -> Gauss:
     """Return mean (N) and covariance (N x N) as new arrays. Raises InputError, ShapeError."""
-    m, P = np.array(mean, float).ravel(), np.array(cov, float)
+    m = np.array(mean, float).ravel()
+    P = np.array(cov, float)
     if P.shape != (m.size, m.size):
         raise ShapeError(f"cov: expected {m.size} x {m.size}, as the mean, found {P.shape}")
     _require_finite("mean", m)
@@ -357,7 +359,8 @@ def _are_moments(pull: Floats, bend: Floats, G: Floats) -> bool:
         G: covariance along the edges (2 x 2).
     """
     i = 0 if G[0, 0] >= G[1, 1] else 1
-    most, least = G[i, i], G[1 - i, 1 - i]
+    most = G[i, i]
+    least = G[1 - i, 1 - i]
     area = most * least - G[0, 1] ** 2
     area = 0.0 if area < PARALLEL * most * least else area  # it may be rounding alone
     together = pull[i] * most + pull[1 - i] * G[0, 1]

@@ -56,13 +56,15 @@ def minimise_by_cmaes(
         mean = (start - low) / span
         sigma = spread
     search = CMA(mean=mean, sigma=sigma, seed=seed % 2**32, population_size=size)
-    best, least = mean, np.inf
+    best = mean
+    least = np.inf
     for _ in range(rounds):
         points = np.stack([search.ask() for _ in range(size)])
         inside = np.clip(points, 0.0, 1.0)
         values = np.nan_to_num(cost(low + inside * span), posinf=1e300)
         if values.min() < least:
-            best, least = inside[values.argmin()], float(values.min())
+            best = inside[values.argmin()]
+            least = float(values.min())
         outside = (1 + abs(least)) * ((points - inside) ** 2).sum(axis=1)
         penalised = (values + outside).tolist()
         search.tell(list(zip(points, penalised, strict=True)))
@@ -106,7 +108,8 @@ def find_pareto_front(
     near = _nearest_weights(weights)
     frame = _cost_range(values)
     chosen = scalar_costs(values, *frame, weights).argmin(axis=1)
-    points, values = points[chosen], values[chosen]
+    points = points[chosen]
+    values = values[chosen]
     for turn in range(rounds):
         children = _breed_children(rng, points, near, low, high)
         offered = costs(children)

@@ -147,7 +147,8 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
         Raises InputError, ShapeError.
         """
-        gears, Ts = model.gears, model.Ts
+        gears = model.gears
+        Ts = model.Ts
         if gears is None or Ts is None:
             raise InputError(
                 "observer.method: 'contact' is for an arm with gears in sampled time. Give "
@@ -242,19 +243,21 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
 
         Raises InputError, ShapeError.
         """
-        N, layout, Ts = gears.joint_count, Layout(gears.joint_count), drives[0].Ts
-        of, values = layout.slice_of, model.params
+        N = gears.joint_count
+        layout = Layout(gears.joint_count)
+        Ts = drives[0].Ts
+        of = layout.slice_of
+        values = model.params
 
         def gear_parameter(name: str) -> Floats:
             """Return a parameter of the gears in the model, per joint (N)."""
             return np.asarray(gears.gear_number(values, name), float).ravel()
 
-        mean, std, Q = (
-            np.zeros(layout.entry_count),
-            np.zeros(layout.entry_count),
-            np.zeros(layout.entry_count),
-        )
-        low, high = np.full(layout.entry_count, -1e300), np.full(layout.entry_count, 1e300)
+        mean = np.zeros(layout.entry_count)
+        std = np.zeros(layout.entry_count)
+        Q = np.zeros(layout.entry_count)
+        low = np.full(layout.entry_count, -1e300)
+        high = np.full(layout.entry_count, 1e300)
         ranges = _read_joint_ranges("observer.half", self.half, N)
         mass = float(values[model.names.index("payload")])
         weight = [mass, mass] if self.payload is None else self.payload
@@ -273,18 +276,17 @@ class Contact(Options, frozen=True, kw_only=True, tag="contact"):
             loads = require_nonnegative("observer.load", self.load, N, "one per joint")
         share = require_number("observer.friction", self.friction, least=0.0)
         for name in FRICTION:
-            mean[of(name)], std[of(name)], low[of(name)] = (
-                gear_parameter(name),
-                share * gear_parameter(name),
-                0.0,
-            )
+            mean[of(name)] = gear_parameter(name)
+            std[of(name)] = share * gear_parameter(name)
+            low[of(name)] = 0.0
         std[of("firmness")] = np.log(require_number("observer.contact", self.contact, least=1.0))
         high[of("firmness")] = 3 * std[of("firmness")]
         low[of("firmness")] = -high[of("firmness")]
         mean[of("centre")] = gear_parameter("centre")
         std[of("centre")] = require_nonnegative("observer.centre", self.centre, N, "one per joint")
         std[of("push")] = unknown
-        std[of("motor")], std[of("link")] = 0.02, ranges[:, 1]
+        std[of("motor")] = 0.02
+        std[of("link")] = ranges[:, 1]
         std[of("motor_speed")] = std[of("link_speed")] = 0.05
         Q[of("motor_speed")] = JERK * Ts
         Q[of("link_speed")] = Ts * LASTING * (loads / inertia) ** 2
@@ -419,7 +421,9 @@ def unknown_torques(model: System, gears: Geared, payload: float) -> tuple[Float
         gears: of the model.
         payload: as it is taken for [kg].
     """
-    N, links, names = gears.joint_count, gears.link_params(model.params).copy(), gears.arm.names
+    N = gears.joint_count
+    links = gears.link_params(model.params).copy()
+    names = gears.arm.names
     links[names.index("payload")] = payload
     turned = np.linspace(-np.pi, np.pi, 8, endpoint=False)
     rest = np.zeros(N)
@@ -446,7 +450,9 @@ def _step_contact_filter(
     setup: Setup, q: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the next state and the estimate for a sample: correct, estimate, predict."""
-    groups, drives, y = setup.groups, setup.drives, reading.y / q.slope
+    groups = setup.groups
+    drives = setup.drives
+    y = reading.y / q.slope
     layout = Layout(setup.gears.joint_count)
     parts = [group_numbers(q.modes, layout, group) for group in groups]
     readings = [y[group_readings(group, layout.size, y.numel())] for group in groups]
@@ -507,7 +513,8 @@ def _weigh_filters(
         odds: log odds before the sample, of each joint.
         each: evidence of the readings for each filter, of each joint.
     """
-    after, shares = [], []
+    after = []
+    shares = []
     for before, told in zip(odds, each, strict=True):
         logs = TRUSTED * ca.vertcat(*(one.log for one in told))
         now, share = update_weights(before, logs, FAINTEST)
@@ -585,9 +592,11 @@ def variance_of_starts(
         odds: log of their odds, of each group.
         mean: of all unknowns, as shown.
     """
-    total, shown = ca.SX.zeros(layout.size), mean[layout.slice_of("half")]
+    total = ca.SX.zeros(layout.size)
+    shown = mean[layout.slice_of("half")]
     for group, starts, log in zip(groups, each, odds, strict=True):
-        here, half = list(group), Layout(len(group)).slice_of("half")
+        here = list(group)
+        half = Layout(len(group)).slice_of("half")
         weights = normalise_weights(ca.vertsplit(ca.exp(DOUBTED * log)))
         for weight, one in zip(weights, starts, strict=True):
             off = one.whole.mean[half] - shown[here]
@@ -609,14 +618,20 @@ def _to_contact_estimate(
     strike. So variances of gaps are shown larger by the coupling over EVEN, at least by WIDENED, up
     to those of their ranges. Starts that found other gaps add theirs, and so do jumps of a gap.
     """
-    layout, mean = Layout(setup.gears.joint_count), told.whole.mean
-    N, of = layout.size, layout.slice_of
+    layout = Layout(setup.gears.joint_count)
+    mean = told.whole.mean
+    N = layout.size
+    of = layout.slice_of
     both = ca.SX.zeros(setup.model.p - N)  # of encoders at the motors too, which hide nothing
-    half, centre = mean[of("half")], mean[of("centre")]
-    right, left = ca.vertcat(half + centre, both), ca.vertcat(half - centre, both)
-    xi, unseen = mean[:N] - mean[N : 2 * N] + centre, 0.0
+    half = mean[of("half")]
+    centre = mean[of("centre")]
+    right = ca.vertcat(half + centre, both)
+    left = ca.vertcat(half - centre, both)
+    xi = mean[:N] - mean[N : 2 * N] + centre
+    unseen = 0.0
     if setup.gears.measured == "motor":  # a link that is not seen is never beyond a flank
-        xi, unseen = ca.fmax(ca.fmin(xi, half), -half), q.modes.slack
+        xi = ca.fmax(ca.fmin(xi, half), -half)
+        unseen = q.modes.slack
     link = mean[:N] + centre - xi
     x = ca.vertcat(mean[:N], link, mean[2 * N : 4 * N])
     var = partial(_row_variances, told.whole)

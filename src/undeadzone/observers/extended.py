@@ -154,8 +154,10 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
         )
         if not self.blind:
             return prior
-        n, none = model.n, np.zeros(2 * model.p)
-        mean, std = np.append(prior.mean[:n], none), np.append(prior.std[:n], none)
+        n = model.n
+        none = np.zeros(2 * model.p)
+        mean = np.append(prior.mean[:n], none)
+        std = np.append(prior.std[:n], none)
         return prior._replace(mean=mean, std=std, drift=none, asymmetry=None)
 
     def _build_augmentation(
@@ -218,7 +220,10 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
         InputError: for a model that is not `[q; q']` with q measured, and for a joint without
             disturbance.
     """
-    N, Ts, rate, flow = model.p, model.Ts, model.rate, model.flow
+    N = model.p
+    Ts = model.Ts
+    rate = model.rate
+    flow = model.flow
     if rate is None or flow is None or Ts is None or not is_mechanical(model):
         raise InputError(
             "observer.joints: separate joints need a nonlinear model of states [q; q'] that "
@@ -244,7 +249,8 @@ def build_separate_joints(model: System, colour: Colour, rms: Floats) -> Augment
 
 def joint_change(joints: Joints, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
     """Return (x+ - x, a+ - a) with accelerations constant over the step."""
-    N, Ts = joints.size, joints.Ts
+    N = joints.size
+    Ts = joints.Ts
     v = x[N:]
     a = joints.rate(q.model, x, u)[N:] + extra
     return ca.vertcat(Ts * v + Ts**2 / 2 * a, Ts * a), (q.augmentation.F - 1) * extra

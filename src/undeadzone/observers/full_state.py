@@ -35,9 +35,11 @@ class FullState(Options, frozen=True, kw_only=True, tag="full_state"):
                     "observer.method: 'full_state' needs the true state, which exists in a "
                     "simulation only. Choose an observer"
                 )
-            x, none = reading.x, ca.SX.zeros(model.p)
+            x = reading.x
+            none = ca.SX.zeros(model.p)
             z = model.output(p.model, x)
-            right, left = p.right, p.left
+            right = p.right
+            left = p.left
             if model.gears is not None:
                 right, left = model.gears.gap_widths(p.model)
             return s, build_estimate(x, z, right, left, reading, p.slope, sensor.kind, none)

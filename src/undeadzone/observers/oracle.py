@@ -29,6 +29,8 @@ class Oracle(Options, frozen=True, kw_only=True, tag="oracle"):
     def build(self, model: System, sensor: Zone) -> Observer:
         """Return the observer for a model, continuous or sampled."""
         widths = np.stack([sensor.right, sensor.left], axis=1)
-        gain, gamma = innovation_gain(self.L, model), np.zeros(model.p)
-        start, limit = np.zeros(model.n), np.full(model.p, np.inf)
+        gain = innovation_gain(self.L, model)
+        gamma = np.zeros(model.p)
+        start = np.zeros(model.n)
+        limit = np.full(model.p, np.inf)
         return build_branch_observer(model, sensor, gain, gamma, start, widths, limit, self.silence)

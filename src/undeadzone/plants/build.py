@@ -281,7 +281,9 @@ def _require_formulas(plant: Plant, key: str) -> None:
 
     There must be one of f per state, and no name may come twice.
     """
-    states, inputs, names = plant.states, plant.inputs or ["u"], list(plant.parameters)
+    states = plant.states
+    inputs = plant.inputs or ["u"]
+    names = list(plant.parameters)
     if not (isinstance(plant.f, list) and isinstance(plant.h, list) and states):
         raise InputError(f"{key}: formulas need lists f and h and the names in states (and inputs)")
     if len(plant.f) != len(states):

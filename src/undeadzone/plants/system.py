@@ -158,8 +158,10 @@ def linearise_plant(
         ShapeError: not one derivative per state.
         InputError: a derivative is not finite there.
     """
-    x, u = ca.SX.sym("x", x_eq.size), ca.SX.sym("u", u_eq.size)
-    dx, z = move(ca.SX(params), x, u), output(ca.SX(params), x)
+    x = ca.SX.sym("x", x_eq.size)
+    u = ca.SX.sym("u", u_eq.size)
+    dx = move(ca.SX(params), x, u)
+    z = output(ca.SX(params), x)
     if dx.shape != x.shape:
         shape = f"{dx.shape[0]} x {dx.shape[1]}"
         raise ShapeError(
@@ -234,7 +236,10 @@ def scale_states(system: System, units: Floats) -> System:
     """
     if system.nonlinear and (units == 1).all():
         return system
-    move, output, change, rate = system.move, system.output, system.change, system.rate
+    move = system.move
+    output = system.output
+    change = system.change
+    rate = system.rate
     assert change is not None
 
     params = system.params
@@ -380,7 +385,8 @@ def state_units(flow: Matrices, Ts: float | None = None) -> Floats:
         Ts: sample time [s] (None in continuous time).
     """
     rate = plant_pace(flow, Ts)
-    shown, seen = flow.C, np.abs(flow.C).max(axis=0)
+    shown = flow.C
+    seen = np.abs(flow.C).max(axis=0)
     for _ in range(1, flow.A.shape[0]):
         shown = shown @ flow.A / rate
         seen = np.maximum(seen, np.abs(shown).max(axis=0))

@@ -245,7 +245,8 @@ def _build_stage(run: Run, arms: list[Arm]) -> Stage:
     path = _tip_path(run)[:, :dimensions]
     axes.plot(*path.T, color=ink.REFERENCE, linewidth=4, alpha=0.4, label="path of the tip")
     empty: list[list[float]] = [[]] * dimensions
-    lines, trails = [], []
+    lines = []
+    trails = []
     for arm in arms:
         lines += axes.plot(*empty, color=arm.colour, marker="o", markersize=4, linewidth=3)
     for arm in arms:
@@ -264,8 +265,10 @@ def _build_stage(run: Run, arms: list[Arm]) -> Stage:
 
 def _apply_equal_limits(axes: Any, points: Floats) -> None:
     """Set equally scaled axes that contain all points, with their labels."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, reach = (low + high) / 2, 0.53 * float(np.ptp(points, axis=0).max())
+    low = points.min(axis=0)
+    high = points.max(axis=0)
+    middle = (low + high) / 2
+    reach = 0.53 * float(np.ptp(points, axis=0).max())
     for name, centre in zip("xyz", middle, strict=False):
         getattr(axes, f"set_{name}lim")(centre - reach, centre + reach)
         getattr(axes, f"set_{name}label")(f"{name} [m]")

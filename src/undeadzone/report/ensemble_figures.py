@@ -66,7 +66,8 @@ def plot_distributions(result: Ensemble) -> Figure:
     title = f"{result.info.title}: {_describe_runs(result)}"
     figure, panels = create_panels(rows, title, width=13.0, height=3.0)
     for name in names:
-        above, below = panels[f"above {name}"], panels[f"below {name}"]
+        above = panels[f"above {name}"]
+        below = panels[f"below {name}"]
         ordered = np.sort(result.sample(name))
         _draw_histogram(above, ordered)
         _draw_exceedance(below, ordered)
@@ -74,9 +75,11 @@ def plot_distributions(result: Ensemble) -> Figure:
         for axes in (above, below):
             axes.xaxis.set_minor_formatter(NullFormatter())
         below.set_xlim(above.get_xlim())
-        of_bins, of_runs = "", ""
+        of_bins = ""
+        of_runs = ""
         if name == names[0]:
-            of_bins, of_runs = "share of runs in each bin [%]", "share of runs beyond it"
+            of_bins = "share of runs in each bin [%]"
+            of_runs = "share of runs beyond it"
         quantity = describe_metric(name, result.info.duration)
         finish_panel(above, quantity[:1].upper() + quantity[1:], of_bins, "", legend=2)
         finish_panel(below, "", of_runs, axis_label(quantity, result.unit(name)), legend=0)
@@ -138,7 +141,8 @@ def _draw_histogram(axes: Axes, ordered: Floats) -> None:
     for name, (q, colour) in MARKS.items():
         place = ordered[int(np.ceil(q * ordered.size)) - 1]
         words = f"{name} {place:.3g}" if np.isfinite(place) else f"{name} never"
-        line, style = ([place] * 2, [0, float(share.max())]), "-" if q == 0.5 else DASHED
+        line = ([place] * 2, [0, float(share.max())])
+        style = "-" if q == 0.5 else DASHED
         axes.plot(*line, color=colour, linewidth=1.6, linestyle=style, label=words)
     axes.set_xlim(edges[0], edges[-1])
     axes.set_ylim(0, 1.05 * share.max())
@@ -180,7 +184,8 @@ def plot_bands(result: Ensemble) -> Figure | None:
     """
     if result.bands is None:
         return None
-    quantiles, t = result.bands.quantiles, result.bands.t
+    quantiles = result.bands.quantiles
+    t = result.bands.t
     errors = [name for name in quantiles if name.startswith("tracking[")]
     outputs = (len(quantiles) - len(errors)) // 2  # two widths each
     rows = [[name] * 2 for name in errors]
@@ -199,7 +204,9 @@ def plot_bands(result: Ensemble) -> Figure | None:
         else:
             _draw_band(axes, t, q)
             axes.axhline(0.0, color=ink.TRUTH, linewidth=0.7)
-            d, edge = quantity[:3], quantity[2:]  # d_r of d_right
+            # d_r of d_right
+            d = quantity[:3]
+            edge = quantity[2:]
             error = rf"$\hat {d} - {d}$"
             finish_panel(axes, f"Error of the {edge} width{of}", axis_label(error, unit))
     return figure
@@ -250,9 +257,11 @@ def plot_tornado(sensitivities: Sensitivities) -> Figure | None:
     if not sensitivities:
         return None
     names = list(sensitivities)[:ROWS]
-    title, height = f"What decides the {describe_metric(MAIN)}", 1.6 + 0.34 * len(names)
+    title = f"What decides the {describe_metric(MAIN)}"
+    height = 1.6 + 0.34 * len(names)
     figure, panels = create_panels([["rank", "share"]], title, height=height)
-    rank, share = panels["rank"], panels["share"]
+    rank = panels["rank"]
+    share = panels["share"]
     _draw_ranks(rank, [sensitivities[name]["partial"] for name in names])
     _draw_shares(share, [sensitivities[name] for name in names])
     _name_rows(share, [""] * len(names))
@@ -304,7 +313,8 @@ def _draw_bars(
     axes: Axes, shift: float, thick: float, indices: list[dict[str, float]], **style: Any
 ) -> None:
     """Draw a bar with its interval for each index."""
-    places, values = np.arange(len(indices)) + shift, [index["value"] for index in indices]
+    places = np.arange(len(indices)) + shift
+    values = [index["value"] for index in indices]
     below = [index["value"] - index["low"] for index in indices]
     above = [index["high"] - index["value"] for index in indices]
     whisker = {"elinewidth": 1.0, "ecolor": ink.TRUTH, "capsize": 2.0}
@@ -364,7 +374,8 @@ def _choose_scale(values: Floats) -> Scale:
 
 def _draw_over_entry(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns, scale: Scale) -> None:
     """Draw the metric y over an entry x: a dot for each run, their trend, and the marked runs."""
-    shown, diverged = runs.shown, runs.diverged
+    shown = runs.shown
+    diverged = runs.diverged
     alpha = min(0.6, 20 / np.sqrt(shown.size))
     axes.set_yscale(scale)
     dots: Any = {"markersize": 3, "markeredgewidth": 0, "rasterized": True}
@@ -372,7 +383,8 @@ def _draw_over_entry(axes: Axes, x: Floats, y: Floats, runs: MarkedRuns, scale: 
     _draw_trend(axes, x[shown], y[shown])
     _mark_runs(axes, x, y, runs)
     if diverged.size:
-        at_bottom, low = axes.get_xaxis_transform(), np.full(diverged.size, 0.02)
+        at_bottom = axes.get_xaxis_transform()
+        low = np.full(diverged.size, 0.02)
         axes.plot(x[diverged], low, "|", color=ink.PRINTED, transform=at_bottom, label="diverged")
     axes.margins(x=0.03)
 

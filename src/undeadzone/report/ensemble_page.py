@@ -106,7 +106,8 @@ def ensemble_page(
 
 def _ensemble_verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html:
     """Return the shares of settled and diverged runs, and the 99 % quantile of the errors."""
-    settled, diverged = summary["settled"], summary["diverged"]
+    settled = summary["settled"]
+    diverged = summary["diverged"]
     parts = [
         (f"{result.info.runs:,} runs", ""),
         (f"{_percent_with_interval(settled)} settle", _style_of_share(settled["value"])),
@@ -117,10 +118,8 @@ def _ensemble_verdict(result: Ensemble, summary: Mapping[str, Any]) -> html.Html
         most = f"{100 * diverged['high']:.2g}"
         parts.append((f"none diverged (at most {most} % do)", "yes"))
     if summary["metrics"]:
-        worst, name = (
-            summary["metrics"][MAIN]["p99"]["value"],
-            describe_metric(MAIN, result.info.duration),
-        )
+        worst = summary["metrics"][MAIN]["p99"]["value"]
+        name = describe_metric(MAIN, result.info.duration)
         limit = append_unit(f"{name} at most {worst:.4g}", result.unit(MAIN))
         parts.append((f"{limit} in 99 % of the runs that did not diverge", ""))
     return html.verdict_line(*parts)

@@ -73,9 +73,11 @@ def _draw_locus_panel(axes: Axes, dynamics: Dynamics, name: str) -> Any:
     if slow > 0 and np.ptp(poles.real) > 8 * slow:
         _enlarge_slow(axes, poles, silent, name, Ts, slow)
     if Ts is None:
-        x_label, y_label = "Re s [1/s]", "Im s [rad/s]"
+        x_label = "Re s [1/s]"
+        y_label = "Im s [rad/s]"
     else:
-        x_label, y_label = "Re (z − 1)/Ts [1/s]", "Im (z − 1)/Ts [1/s]"
+        x_label = "Re (z − 1)/Ts [1/s]"
+        y_label = "Im (z − 1)/Ts [1/s]"
     finish_panel(axes, f"{NAMES[name]} scaled", y_label, x_label, legend=3)
     return dots
 
@@ -169,7 +171,8 @@ def _draw_rates(axes: Axes, of: Assessment, gains: Gains, scaled: list[str]) -> 
 
 def _rate_at_scale(of: Assessment, gains: Gains, name: str, factor: float) -> float:
     """Return the rate [1/s] along the reference with a gain scaled."""
-    scaled, jump = gains._replace(**{name: factor * getattr(gains, name)}), of.problem.sensor.kind
+    scaled = gains._replace(**{name: factor * getattr(gains, name)})
+    jump = of.problem.sensor.kind
     return error_decay_rates(
         of.problem.model.linear, scaled.L, scaled.gamma, of.schedule, jump == "jump"
     ).rate
@@ -193,7 +196,8 @@ def plot_front(design: Design) -> Figure:
     figure, panels = create_panels([[price for price, _ in PRICES]], title, height=4.2)
     for price, other in PRICES:
         axes = panels[price]
-        x, rate = _front_scores(design, price), _front_scores(design, "rate")
+        x = _front_scores(design, price)
+        rate = _front_scores(design, "rate")
         colour = np.log10(_front_scores(design, other))
         dots = axes.scatter(x, rate, c=colour, s=26, cmap="viridis_r", linewidths=0)
         _mark_front_point(axes, design.front[0], price, "^", ink.TRUTH, "fastest")
@@ -253,17 +257,21 @@ def plot_ellipses(of: Assessment) -> Figure:
 
 def draw_width_region(axes: Axes, of: Assessment, i: int) -> None:
     """Draw the 95 % region of the widths of output i, with its title and labels."""
-    known, sensor, unit = of.known[i], of.problem.sensor, of.problem.scenario.units.output
+    known = of.known[i]
+    sensor = of.problem.sensor
+    unit = of.problem.scenario.units.output
     truth = np.array([sensor.right[i], sensor.left[i]])
     if known.right and known.left:
         _draw_ellipse(axes, known)
-        words, off = "Both can be known", " − truth"
+        words = "Both can be known"
+        off = " − truth"
         if not (sensor.noise[i] or sensor.noise_before[i]):
             words += " (no noise: readings are taken as all but exact)"
         axes.plot(0.0, 0.0, "+", color=ink.TRUTH, markersize=10, label="truth")
     else:
         _shade_strip(axes, known, truth, _width_lower_bounds(of, i, truth))
-        words, off = "; ".join(known.reasons), ""
+        words = "; ".join(known.reasons)
+        off = ""
         axes.plot(*truth, "+", color=ink.TRUTH, markersize=10, label="truth")
     if known.second is not None:
         other = np.array([known.second["right"], known.second["left"]])
@@ -282,7 +290,8 @@ def _width_lower_bounds(of: Assessment, i: int, truth: Floats) -> Floats:
 
     Censored samples imply it only for a stable model, whose output is known in the end.
     """
-    model, schedule = of.problem.model, of.schedule
+    model = of.problem.model
+    schedule = of.schedule
     if not largest_growth_rate(delta_form(model.linear, model.Ts).A, model.Ts) < 0:
         return np.zeros(2)
     return np.array([schedule.high[i], -schedule.low[i]]) - (schedule.levels[i] - truth)

@@ -150,7 +150,8 @@ def _answer_table(of: Assessment) -> html.Html:
     """Return gains, their rate, identifiability, and the strength of the feedback."""
     rows: list[tuple[str, Any]] = []
     if of.gains is not None:
-        L, speed = list_numbers(np.ravel(of.gains.L)), of.gains.rates
+        L = list_numbers(np.ravel(of.gains.L))
+        speed = of.gains.rates
         rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
         rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
     for i, known in enumerate(of.known[:2]):
@@ -167,7 +168,8 @@ def _answer_table(of: Assessment) -> html.Html:
 
 def _problem_section(of: Assessment, design: Design | None) -> html.Html:
     """Return the plant, the sensor, the reference and the aim."""
-    scenario, model = of.problem.scenario, of.problem.model
+    scenario = of.problem.scenario
+    model = of.problem.model
     unit = scenario.units.output
     counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
     sizes = ", ".join(count_noun(number, noun) for number, noun in counts)
@@ -229,7 +231,8 @@ def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
     parts = [_gain_table(gains)]
     near = gains.nearest
     if near is not None:
-        margin, rate = near.certificate.margin, near.rates.rate
+        margin = near.certificate.margin
+        rate = near.rates.rate
         words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
         parts.append(html.build_paragraph(words))
         parts.append(_gain_table(near))
@@ -332,35 +335,38 @@ def speed_section(gains: Gains) -> list[html.Html]:
     return parts
 
 
-def knowledge_section(of: Assessment) -> list[html.Html]:
-    """Return which widths an optimal estimator can identify, the accuracy, reasons and
-    remedies.
+def knowledge_section(assessment: Assessment) -> list[html.Html]:
+    """Return the section on the widths that an optimal estimator can identify.
+
+    It contains the accuracy of each width, reasons and remedies.
     """
-    unit, duration = of.problem.scenario.units.output, of.problem.scenario.simulation.duration
+    scenario = assessment.problem.scenario
+    unit = scenario.units.output
+    duration = scenario.simulation.duration
     rows = []
-    for i, known in enumerate(of.known):
-        rows.append((i, *(_describe_direction(known, name) for name in DIRECTIONS)))
+    for i, width in enumerate(assessment.known):
+        rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))
     question = (
         "Whether an optimal estimator can know it, and its "
         f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
     )
     head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
     parts = [html.build_paragraph(question), html.build_table(head, rows)]
-    for other in in_words_of_truths([known.second for known in of.known]):
+    for widths in in_words_of_truths([width.second for width in assessment.known]):
         parts.append(
-            html.build_paragraph(f"Readings would be the same, but for noise, with {other}.")
+            html.build_paragraph(f"Readings would be the same, but for noise, with {widths}.")
         )
-    for i, known in enumerate(of.known):
-        where = f"Output {i}: " if len(of.known) > 1 else ""
-        parts += [html.build_paragraph(f"{where}{reason}.") for reason in known.reasons]
-        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in known.cures]
+    for i, width in enumerate(assessment.known):
+        where = f"Output {i}: " if len(assessment.known) > 1 else ""
+        parts += [html.build_paragraph(f"{where}{reason}.") for reason in width.reasons]
+        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in width.cures]
     return parts
 
 
-def _describe_direction(known: Knowledge, name: str) -> html.Html:
-    """Return whether a direction is identifiable, with half of its interval if so."""
-    yes = f"± {HALF_95 * known.std[name]:.2g}" if name in known.std else "yes"
-    return html.build_tag("span", *html.choose_verdict(getattr(known, name), yes))
+def _describe_direction(width: Knowledge, name: str) -> html.Html:
+    """Return the half 95 % interval of a direction (right, width, ...), or that it is unknown."""
+    interval = f"± {HALF_95 * width.std[name]:.2g}" if name in width.std else "yes"
+    return html.build_tag("span", *html.choose_verdict(getattr(width, name), interval))
 
 
 def trade_section(design: Design) -> list[html.Html]:

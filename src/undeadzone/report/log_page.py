@@ -172,7 +172,8 @@ def output(axes: Axes, result: Estimation, i: int = 0, of: str = "") -> None:
     """Draw reading and estimates of output i over its estimated dead zone (of: its name)."""
     shown = _drawn_window(result)
     t = result.t[shown]
-    right, left = result.info.d_right[i], result.info.d_left[i]
+    right = result.info.d_right[i]
+    left = result.info.d_left[i]
     if result.info.sensor == "play":
         shade_gap(axes, t, result.y[shown, i], right, left)
     elif right > -left:
@@ -200,7 +201,8 @@ def _mark_missing(axes: Axes, result: Estimation, i: int) -> None:
 def _draw_log_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
     """Draw the estimated widths of output i, with 95 % intervals."""
     shown = _drawn_window(result)
-    t, columns = result.t[shown], slice(2 * i, 2 * i + 2)
+    t = result.t[shown]
+    columns = slice(2 * i, 2 * i + 2)
     widths = result.d_hat[shown, columns]
     std = None if result.d_std is None else result.d_std[shown, columns]
     draw_width_lines(axes, t, widths, std)
@@ -208,7 +210,8 @@ def _draw_log_widths(axes: Axes, result: Estimation, i: int, of: str) -> None:
         for column, colour in ((2 * i, ink.PRINTED), (2 * i + 1, ink.OTHER)):
             axes.plot(t, result.d_smooth[shown, column], color=colour, linestyle=DASHED)
     settled = widths[len(widths) // 10 :]  # the start would stretch the axis
-    low, high = float(np.nanmin(settled)), float(np.nanmax(settled))
+    low = float(np.nanmin(settled))
+    high = float(np.nanmax(settled))
     room = 0.3 * (high - low) + 1e-12
     if np.isfinite(room):
         axes.set_ylim(low - room, high + room)
@@ -221,7 +224,8 @@ def _draw_innovations(axes: Axes, result: Estimation, i: int, of: str) -> None:
     innovations).
     """
     shown = _drawn_window(result)
-    t, innovation = result.t[shown], result.innovation[shown, i]
+    t = result.t[shown]
+    innovation = result.innovation[shown, i]
     used = innovation != 0
     if result.innovation_std is None or result.B is None:
         axes.plot(t[used], innovation[used], ".", color=ink.ESTIMATE, markersize=2, rasterized=True)

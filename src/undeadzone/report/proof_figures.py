@@ -102,7 +102,8 @@ def _curve_frequencies(errors: Dynamics) -> Floats:
 
 def _response_under_weights(errors: Dynamics, W: Floats, w: Floats) -> np.ndarray:
     """Return W^(1/2) (1 + G - Ts S Gamma S'/2) W^(-1/2) at frequencies w <= inf [rad/s]."""
-    Ts, root = errors.Ts, np.sqrt(W)
+    Ts = errors.Ts
+    root = np.sqrt(W)
     at_infinity = np.eye(root.size) - errors.largest_gain_steps[0] / 2
     H = frequency_response(errors.A[0], errors.C * root[:, None], errors.L / root, at_infinity, Ts)
     return H.response_values(w if Ts is None else 2 / Ts * np.tan(w * Ts / 2))
@@ -216,9 +217,15 @@ def _draw_decay(axes: Axes, gains: Gains, tried: Attacks) -> None:
 def _draw_rise(axes: Axes, course: Trajectory, title: str) -> None:
     """Draw V along a trajectory on which V rises: in percent if little, else logarithmic."""
     if course.V.max() > 10:
-        level, value, scale, y_label = 1.0, course.V, "log", "V / V(0)"
+        level = 1.0
+        value = course.V
+        scale = "log"
+        y_label = "V / V(0)"
     else:
-        level, value, scale, y_label = 0.0, 100 * (course.V - 1), "linear", "rise of V [%]"
+        level = 0.0
+        value = 100 * (course.V - 1)
+        scale = "linear"
+        y_label = "rise of V [%]"
     axes.axhline(level, color=ink.TRUTH, linewidth=0.8)
     axes.plot(course.t, value, color=ink.PRINTED, linewidth=1.8)
     axes.set_yscale(scale)

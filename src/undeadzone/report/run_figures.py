@@ -43,7 +43,8 @@ def overview(run: Run) -> Figure:
     Below them stand the actuators whose widths are estimated, and the plays ahead of dead zones
     whose gaps are. Many outputs have a row each. A run that diverged is drawn up to that time.
     """
-    info, outputs = run.info, run.z.shape[1]
+    info = run.info
+    outputs = run.z.shape[1]
     actuators = 0 if run.b_hat is None else run.b_hat.shape[1] // 2
     gaps = 0 if run.c_hat is None else outputs
     wide = outputs > STACKED
@@ -149,7 +150,8 @@ def _draw_loop(axes: Axes, run: Run, i: int, of: str) -> None:
     axes.plot(run.z[last, i], run.y[last, i], color=ink.TRUTH, label="z")
     z_hat = run.z_hat[last, i]
     axes.plot(z_hat, run.y[last, i], color=ink.ESTIMATE, linestyle=DASHED, label="ẑ")
-    title, unit = f"Reading{of} over the output, last third", run.unit("z")
+    title = f"Reading{of} over the output, last third"
+    unit = run.unit("z")
     finish_panel(axes, title, axis_label("y", run.unit("y")), axis_label("z", unit))
 
 
@@ -166,10 +168,12 @@ def _draw_edges(
         true: of all of them.
         what: it is.
     """
-    columns, name = slice(2 * i, 2 * i + 2), f"{letter}_hat"
+    columns = slice(2 * i, 2 * i + 2)
+    name = f"{letter}_hat"
     for value, colour in zip(true[columns], (ink.PRINTED, ink.OTHER), strict=True):
         axes.axhline(value, color=colour, linewidth=3.0, alpha=0.3)
-    found, std = getattr(run, name), getattr(run, f"{letter}_std")
+    found = getattr(run, name)
+    std = getattr(run, f"{letter}_std")
     band = None if std is None else std[run.plot_window, columns]
     draw_width_lines(axes, run.t[run.plot_window], found[run.plot_window, columns], band)
     finish_panel(axes, f"{what}, truth pale", axis_label(letter, run.unit(name)))
@@ -244,16 +248,21 @@ def joint_rows(joints: int) -> list[list[str]]:
 
 def _draw_phase_plane(axes: Axes, run: Run, i: int, name: str) -> None:
     """Draw velocity over position of joint i, truth and estimate."""
-    states, joints = run.x.shape[1], len(run.info.joints)
-    position, velocity = states // 2 - joints + i, states - joints + i  # behind those of motors
-    q, q_rate = run.x[run.plot_window, position], run.x[run.plot_window, velocity]
+    states = run.x.shape[1]
+    joints = len(run.info.joints)
+    # behind those of motors
+    position = states // 2 - joints + i
+    velocity = states - joints + i
+    q = run.x[run.plot_window, position]
+    q_rate = run.x[run.plot_window, velocity]
     found = run.x_hat[run.plot_window, position], run.x_hat[run.plot_window, velocity]
     _shade_joint_zone(axes, run, i)
     axes.plot(q, q_rate, color=ink.TRUTH, linewidth=1.3, linestyle="-", label="truth")
     axes.plot(*found, color=ink.ESTIMATE, linewidth=0.9, linestyle=DASHED, label="estimate")
     axes.set_xlim(*_range_with_margin(q))
     axes.set_ylim(*_range_with_margin(q_rate))
-    upwards, to_the_right = run.unit(f"x[{velocity}]"), run.unit(f"x[{position}]")
+    upwards = run.unit(f"x[{velocity}]")
+    to_the_right = run.unit(f"x[{position}]")
     finish_panel(axes, name, axis_label("q'", upwards), axis_label("q", to_the_right), legend=0)
 
 

@@ -101,7 +101,8 @@ def create_panels(
 
 def _leave_room(figure: Figure, rows: list[list[str]]) -> None:
     """Place panels with fixed room around and between the panels."""
-    (width, height), (left, right, below, above, beside, between) = figure.get_size_inches(), ROOM
+    (width, height) = figure.get_size_inches()
+    (left, right, below, above, beside, between) = ROOM
     columns = len(rows[0])
     wide = (width - left - right - beside * (columns - 1)) / columns
     high = (height - below - above - between * (len(rows) - 1)) / len(rows)
@@ -229,7 +230,8 @@ def figure_to_bytes(figure: Figure, kind: str) -> bytes:
     """
     import matplotlib
 
-    buffer, dpi = io.BytesIO(), FINE if kind == "svg" else DPI
+    buffer = io.BytesIO()
+    dpi = FINE if kind == "svg" else DPI
     title = figure.get_suptitle().replace(r"\$", "$")  # as it is shown: `escape_formulas`
     about = {"Title": title} | ({"Date": None} if kind == "svg" else {})
     with matplotlib.rc_context({"svg.hashsalt": "undeadzone"}):
@@ -256,6 +258,7 @@ def draw_width_lines(axes: Axes, t: Floats, widths: Floats, std: Floats | None) 
         return
     limits = axes.get_ylim()
     for k, (_, colour) in enumerate(sides):
-        low, high = widths[:, k] - HALF_95 * std[:, k], widths[:, k] + HALF_95 * std[:, k]
+        low = widths[:, k] - HALF_95 * std[:, k]
+        high = widths[:, k] + HALF_95 * std[:, k]
         axes.fill_between(t, low, high, color=colour, alpha=0.18, linewidth=0)
     axes.set_ylim(*limits)

@@ -119,7 +119,8 @@ def _held_out_table(result: Tuned) -> html.Html:
 
 def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
     """Return the row of a scenario's held-out runs."""
-    before, after = held_out.before, held_out.after
+    before = held_out.before
+    after = held_out.after
     lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
     name = f"{title}: {count_noun(held_out.runs, 'held-out run')}"
     return (name, _interval_words(before.value), _interval_words(after.value), *lost)

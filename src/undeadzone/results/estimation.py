@@ -157,7 +157,8 @@ def blocks_from_log(info: LogInfo) -> list[Block]:
 
 def _log_output_rows(info: LogInfo) -> Rows:
     """Return a row for each output: widths and number of readings per branch."""
-    count, unit = len(info.d_right), info.units.output
+    count = len(info.d_right)
+    unit = info.units.output
     names = output_names(info.joints, count)
     what = "output" if names[0] == "0" else "joint"
     rows: list[Sequence[str]] = [
@@ -199,7 +200,8 @@ def log_actuator_rows(info: LogInfo) -> list[list[Row]]:
 
 def _describe_branches(info: LogInfo, i: int) -> str:
     """Return the number of readings of output i on each branch, as text."""
-    right, left = info.right[i], info.left[i]
+    right = info.right[i]
+    left = info.left[i]
     neither = "in the gap" if info.sensor == "gears" else "silent"
     text = f"{right} right, {left} left, {info.silent[i]} {neither}"
     if info.limited:

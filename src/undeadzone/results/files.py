@@ -115,7 +115,8 @@ class SignalResult:
             FileError: it cannot be written.
             InputError: the name ends otherwise.
         """
-        path, info = to_path(path), drop_computing_time(self.info)
+        path = to_path(path)
+        info = drop_computing_time(self.info)
         if path.suffix == ".npz":
             _write_npz(path, info, self.signals.arrays)
         elif path.suffix == ".csv":

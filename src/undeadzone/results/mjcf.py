@@ -95,10 +95,12 @@ def write_gears(joints: list[Joint], folder: Path) -> list[Path]:
         return []
     root = Element("mujoco")
     root.append(Comment(USE))
-    classes, tendons = SubElement(root, "default"), SubElement(root, "tendon")
+    classes = SubElement(root, "default")
+    tendons = SubElement(root, "tendon")
     for joint in joints:
         classes.append(Comment(f" {joint.name}: {joint.words} ".replace("--", "-")))
-        motor, gap = f"{joint.name}_motor", f"{joint.name}_gap"
+        motor = f"{joint.name}_motor"
+        gap = f"{joint.name}_gap"
         parts = _format_attributes(
             armature=joint.inertia, frictionloss=joint.friction, damping=joint.viscous
         )

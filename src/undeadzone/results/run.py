@@ -243,7 +243,9 @@ class Run(files.SignalResult):
 
     def summary(self) -> dict[str, Any]:
         """Return the numbers of the run, ready for JSON (lists for several outputs)."""
-        verdicts, listens, ends = self.info.identifiable, self.info.listens, self.signals.arrays
+        verdicts = self.info.identifiable
+        listens = self.info.listens
+        ends = self.signals.arrays
         numbers: dict[str, Any] = {
             "title": self.info.title,
             "method": self.info.method,
@@ -320,12 +322,16 @@ def _gap_intervals(run: Run) -> dict[str, Any]:
 
 def final_error_rows(run: Run) -> list[Row]:
     """Return the errors at the end of a run."""
-    last, unit = f"last {run.lasting:g} s", run.info.units.output
+    last = f"last {run.lasting:g} s"
+    unit = run.info.units.output
     rows = []
     for key, (name, title) in ERRORS.items():
-        value, of, note = getattr(run, key), unit, f" ({last})"
+        value = getattr(run, key)
+        of = unit
+        note = f" ({last})"
         if key == "rms_tip":
-            of, note = "m", f" from its path ({last})"
+            of = "m"
+            note = f" from its path ({last})"
         if value is not None:
             rows.append(Row(name, f"{title}, {last}", value, of, key=key, form=".4g", note=note))
     return rows
@@ -343,7 +349,8 @@ def final_parameter_rows(run: Run) -> list[Row]:
 
 def final_width_rows(run: Run) -> list[list[Row]]:
     """Return the widths of each output, of gears their gap and its centre."""
-    info, rows = run.info, final_side_rows(run)
+    info = run.info
+    rows = final_side_rows(run)
     if info.sensor != "gears":
         return rows
     deviations = None if run.width_std is None else run.width_std[-1].tolist()
@@ -376,7 +383,8 @@ def _last_widths(run: Run) -> dict[str, Any]:
 
 def blocks_from_run(run: Run) -> list[Block]:
     """Return the summary of a run: pairs, and for several outputs a table with their rows."""
-    info, single = run.info, len(run.outputs) == 1
+    info = run.info
+    single = len(run.outputs) == 1
     shown: dict[str, Any] = {
         "scenario": info.title,
         "observer": f"{info.method}, {info.time} time, step {info.step:g} s",
@@ -418,7 +426,8 @@ def blocks_from_run(run: Run) -> list[Block]:
 
 def _final_output_rows(run: Run) -> Rows:
     """Return a row for each output: errors, widths and identifiability."""
-    info, unit = run.info, run.info.units.output
+    info = run.info
+    unit = run.info.units.output
     sides = ("gap", "centre") if info.sensor == "gears" else ("d_right", "d_left")
     heads = [label_with_unit(name, unit) for name in ("rms z - r", "rms z - z^", *sides)]
     what = "joint" if info.joints == run.outputs else "output"
@@ -447,7 +456,8 @@ def _describe_verdict(verdict: Mapping[str, Any]) -> str:
 def _describe_proof(run: Run) -> dict[str, Any]:
     """Return the certificate and the integration error of a run, as text by name."""
     shown: dict[str, Any] = {}
-    certified, rise = run.info.certified, run.largest_rise_of_V
+    certified = run.info.certified
+    rise = run.largest_rise_of_V
     if certified is False:
         shown["certificate"] = "none found for these gains; undeadzone check says why"
     elif certified:

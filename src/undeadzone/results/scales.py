@@ -37,7 +37,8 @@ def plant_scales(problem: Problem) -> Scales:
     with which the outputs show about theirs, and the inputs have the scale that makes such states.
     """
     t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    sensor, plant = problem.sensor, problem.plant.linear
+    sensor = problem.sensor
+    plant = problem.plant.linear
     signals = [sensor.right, sensor.left, problem.reference.output_at(t)]
     if not problem.plant.nonlinear:
         signals.append(plant.C @ problem.x0)

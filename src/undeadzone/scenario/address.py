@@ -159,7 +159,8 @@ def with_numbers(scenario: Any, values: Mapping[str, float]) -> Any:
 def _with_number(parent: Any, address: str, value: float) -> Any:
     """Return a struct or dictionary with another number at an address in it."""
     head, _, rest = address.partition(".")
-    name, index = stem(head), index_of(head)
+    name = stem(head)
+    index = index_of(head)
     old = child(parent, name)
     new: Any = float(value)
     if rest:

@@ -94,7 +94,8 @@ def group_coupled_joints(options: Any, system: System, postures: Floats) -> Any:
         if found.ratio > COUPLED:
             partners[joint].add(found.partner)
             partners[found.partner].add(joint)
-    names, pairs = gears.arm.chain.joints, []
+    names = gears.arm.chain.joints
+    pairs = []
     for joint, others in partners.items():
         for other in others:
             if joint < other and partners[other] == {joint} and others == {other}:

@@ -98,7 +98,8 @@ class CheckedDistribution(NamedTuple):
         """Return the values below which the shares u, between 0 and 1, of the distribution lie."""
         from scipy.special import ndtr, ndtri
 
-        first, second = self.first, self.second
+        first = self.first
+        second = self.second
         if self.kind == "uniform":
             return first + u * (second - first)
         if self.kind == "log_normal":

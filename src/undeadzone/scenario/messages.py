@@ -139,7 +139,8 @@ def require_words(key: str, options: Any, kind: type[msgspec.Struct]) -> None:
     """
     require_kind(key, options, kind)
     for field in msgspec.structs.fields(kind):
-        words, value = typing.get_args(field.type), getattr(options, field.name)
+        words = typing.get_args(field.type)
+        value = getattr(options, field.name)
         if typing.get_origin(field.type) is typing.Literal and value not in words:
             raise InputError(_unknown_choice(f"{key}.{field.name}", value, list(words)))
 
@@ -260,7 +261,8 @@ def _tags(root: type[msgspec.Struct], key: str) -> list[str]:
 
 def _chosen_variants(root: type[msgspec.Struct], key: str, data: dict[str, Any]) -> _Structs:
     """Return the variant at a dotted key that the data choose, or all that may stand there."""
-    table, structs = _walk(key, data), _at(root, key)
+    table = _walk(key, data)
+    structs = _at(root, key)
     if not isinstance(table, dict):
         return structs
     chosen = [table.get(chooser) for chooser in CHOOSERS]

@@ -22,24 +22,25 @@ SMOOTH = 1.3  # ratio of decelerations over one and two steps beyond which r has
 def overrun_numbers(
     sensor: Zone, reference: Exosystem, tracked: list[int], duration: float, step: float
 ) -> list[float | None] | None:
-    """Return J a / f of each output, or None if unknown, and for all if no inertia is given.
+    """Return the overrun number J a / f of each output (p) [1].
 
-    It cannot of an output that is not tracked, and of a reference with corners.
+    An entry is None if its output is not tracked, or if its reference has corners, at which a is
+    unbounded. The result is None if no sensor has a load with inertia.
 
     Args:
-        sensor: the sensor.
-        reference: of the tracked outputs.
-        tracked: their numbers.
-        duration: over which they follow it [s].
+        sensor: the sensor, with inertia J and friction f of its loads.
+        reference: references of the tracked outputs.
+        tracked: indices of the tracked outputs.
+        duration: duration of the run [s].
         step: time between samples [s].
     """
     if not sensor.inertia.any():
         return None
     numbers: list[float | None] = [None] * sensor.inertia.size
-    along = decelerations(reference, duration, step)
-    for i, most in zip(tracked, along, strict=True):
-        if np.isfinite(most):
-            numbers[i] = float(sensor.inertia[i] * most / sensor.friction[i])
+    largest = decelerations(reference, duration, step)
+    for i, deceleration in zip(tracked, largest, strict=True):
+        if np.isfinite(deceleration):
+            numbers[i] = float(sensor.inertia[i] * deceleration / sensor.friction[i])
     return numbers
 
 
@@ -48,36 +49,45 @@ def decelerations(reference: Exosystem, duration: float, step: float) -> Floats:
 
     Args:
         reference: the signals.
-        duration: over which they are looked at [s].
-        step: over which they are differenced [s].
+        duration: end of the time from 0 that is sampled [s].
+        step: step of the finite differences [s].
     """
     r = reference.output_at(np.arange(0.0, duration + step / 2, step))
-    fine, coarse = _largest(r, step), _largest(r[::2], 2 * step)
+    # Differences over one and two steps agree for a smooth signal and differ by 2 at a corner.
+    fine = _largest_deceleration(r, step)
+    coarse = _largest_deceleration(r[::2], 2 * step)
     return np.where(fine <= SMOOTH * coarse, fine, np.nan)
 
 
-def _largest(r: Floats, step: float) -> Floats:
-    """Return the largest deceleration of each column of samples."""
-    rate, bend = np.diff(r, axis=0) / step, np.diff(r, 2, axis=0) / step**2
-    slowing = np.maximum(-bend * np.sign(rate[:-1]), -bend * np.sign(rate[1:]))
-    return np.asarray(slowing.max(axis=0, initial=0.0))
+def _largest_deceleration(r: Floats, step: float) -> Floats:
+    """Return the largest deceleration of each column of samples r (N x p) taken every step [s]."""
+    speed = np.diff(r, axis=0) / step
+    acceleration = np.diff(r, 2, axis=0) / step**2
+    before = np.sign(speed[:-1])
+    after = np.sign(speed[1:])
+    deceleration = np.maximum(-acceleration * before, -acceleration * after)
+    return np.asarray(deceleration.max(axis=0, initial=0.0))
 
 
 def overrun_along(sensor: Zone, flow: Matrices, x: Floats, u: Floats) -> Floats:
-    """Return J a / f of each output at instants of which state and input are known (N x p).
+    """Return the overrun number J a / f of each output at each sample of a run (N x p) [1].
 
     Args:
-        sensor: the sensor, with a load that has friction.
+        sensor: the sensor, with inertia J and friction f of its loads; f > 0 if J > 0.
         flow: the plant's matrices in continuous time.
         x: states (N x n).
         u: inputs (N x m).
     """
-    moving = x @ flow.A.T + u @ flow.B.T
-    speed, bend = moving @ flow.C.T, moving @ (flow.C @ flow.A).T
-    slowing = np.maximum(-bend * np.sign(speed), 0.0)
+    x_rate = x @ flow.A.T + u @ flow.B.T
+    # z' = C x' and, with u constant between samples, z'' = C A x'.
+    speed = x_rate @ flow.C.T
+    acceleration = x_rate @ (flow.C @ flow.A).T
+    deceleration = np.maximum(-acceleration * np.sign(speed), 0.0)
     loaded = sensor.inertia > 0
     return np.asarray(
-        slowing * np.where(loaded, sensor.inertia, 0.0) / np.where(loaded, sensor.friction, 1.0)
+        deceleration
+        * np.where(loaded, sensor.inertia, 0.0)
+        / np.where(loaded, sensor.friction, 1.0)
     )
 
 

@@ -109,7 +109,8 @@ def resolve_scenario(scenario: Scenario) -> Problem:
     disturbance = _disturbance(scenario, true.m)
     if disturbance is not None:
         require_resolved("disturbance", disturbance, step)
-    plant, model = true, flow
+    plant = true
+    model = flow
     if scenario.simulation.time == "sampled":
         substeps = scenario.simulation.substeps
         if not 1 <= substeps <= 1000:
@@ -320,7 +321,8 @@ def plant_of_model(scenario: Scenario) -> Plant:
 
     Raises InputError.
     """
-    model, plant = scenario.model, scenario.plant
+    model = scenario.model
+    plant = scenario.plant
     if model is None:
         return plant
     if model.delay is not None:
@@ -423,7 +425,8 @@ def flat_path(scenario: Scenario, model: System, start: Floats, step: float) -> 
     Raises:
         InputError: or a subclass: TrackingError if the tip or the motors cannot follow.
     """
-    reference, duration = scenario.reference, scenario.simulation.duration
+    reference = scenario.reference
+    duration = scenario.simulation.duration
     body = model.arm
     assert body is not None
     t = np.append(np.arange(0.0, duration, max(step, CHECKED)), duration)

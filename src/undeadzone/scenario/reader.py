@@ -107,7 +107,8 @@ def _complete_tables(data: dict[str, Any]) -> dict[str, Any]:
     """Return the tables with the entries that logs do not need. Raises InputError."""
     for name, table in _STAND_INS.items():
         data.setdefault(name, table)
-    sensor, observer = data.setdefault("sensor", {}), data.get("observer")
+    sensor = data.setdefault("sensor", {})
+    observer = data.get("observer")
     method = observer.get("method") if isinstance(observer, dict) else None
     if isinstance(sensor, dict):
         for width in ("right", "left"):

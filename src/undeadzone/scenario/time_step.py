@@ -92,7 +92,9 @@ def sample_within_limits(key: str, system: System, step: float, substeps: int) -
         StepError: the sample time is too long for it.
     """
     poles = np.linalg.eigvals(system.linear.A)
-    oscillation, growth = float(np.abs(poles.imag).max()), float(poles.real.max())  # [1/s]
+    # [1/s]
+    oscillation = float(np.abs(poles.imag).max())
+    growth = float(poles.real.max())
     fastest = float(np.abs(poles).max())
     too_coarse = f"simulation.step: {step:g} s is too coarse"
     if oscillation * step >= np.pi:
@@ -138,7 +140,8 @@ def require_bounded_error(model: System, observer: Observer, step: float) -> Non
         StructureError: the model is unstable, and A - L C too.
         StepError: gamma is too large for the sample time.
     """
-    gamma, L = _largest_gamma(observer), observer.traits.L
+    gamma = _largest_gamma(observer)
+    L = observer.traits.L
     if model.Ts is not None and gamma >= 2:
         raise StepError(
             f"simulation.step: {step:g} s is too coarse for observer.gamma: gamma * step = "
@@ -165,7 +168,9 @@ def require_fine_step(
     step: float,
 ) -> None:
     """Raise StepError where RK4 would be unstable or useless on some linear part of the loop."""
-    gamma, L, K = _largest_gamma(observer), observer.traits.L, controller.K
+    gamma = _largest_gamma(observer)
+    L = observer.traits.L
+    K = controller.K
     A, B, C = model.linear
     parts = {"the plant": plant.linear.A}
     if L is not None:

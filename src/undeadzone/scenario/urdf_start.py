@@ -23,7 +23,9 @@ SHARE = 0.8  # of the way to a limit, and of the greatest speed
 PERIOD = 4.0  # [s] of the motion
 FASTEST = 2.5  # more than the greatest speed of that motion per swing [1/s]
 PLAY = 6.0  # swings to one side in a width
-GAP, WIDER = 0.2, 0.6  # of a width: guess of half an unmeasured gap, and its upper bound
+# of a width: guess of half an unmeasured gap, and its upper bound
+GAP = 0.2
+WIDER = 0.6
 FRICTION = 0.02  # of a motor's torque, of Coulomb friction that nobody measured
 FRICTION_SHARE = 0.1  # of the largest torque of the motion, above which it is no guess
 STEP = 0.001  # [s] of a sample of an arm with gears

@@ -267,7 +267,8 @@ def _tones_exosystem(
     States: two per sine, and 1 for an offset.
     """
     constant = _require_per_channel(f"{key}.offset", offset, channels)
-    omegas, gains = [], []
+    omegas = []
+    gains = []
     for name, tone in zip(keys, tones, strict=True):
         amplitude = _require_per_channel(f"{name}.amplitude", tone.amplitude, channels)
         phase = _require_per_channel(f"{name}.phase", tone.phase, channels)
@@ -279,7 +280,8 @@ def _tones_exosystem(
     rates = np.array(omegas)
     S = np.zeros((len(gains), len(gains)))
     waves = 2 * np.arange(rates.size)  # first index of the two states of each sine
-    S[waves, waves + 1], S[waves + 1, waves] = rates, -rates
+    S[waves, waves + 1] = rates
+    S[waves + 1, waves] = -rates
 
     def state(t: Floats) -> Floats:
         """Return the states at times t [s] (N x k)."""

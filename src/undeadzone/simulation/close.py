@@ -71,7 +71,8 @@ class Wiring(NamedTuple):
 
     def ahead_of_zone(self, s: State, w: Exogenous) -> ca.SX:
         """Return the input of the dead zone: z with noise, or the level of a play (p)."""
-        z, sensor = self.plant.read(self.p.plant, s.plant), self.p.sensor
+        z = self.plant.read(self.p.plant, s.plant)
+        sensor = self.p.sensor
         if sensor.gap_right.numel():
             return apply_backlash(ca, z, s.sensor, sensor.gap_right, sensor.gap_left)
         return z + w.before
@@ -179,7 +180,9 @@ class Wiring(NamedTuple):
         self, z: ca.SX, level: ca.SX, s: State, w: Exogenous, mode: Mode
     ) -> Reading:
         """Return the reading for `ahead_of_zone` (p) on a given branch (level: of a play)."""
-        sensor, limits, read = self.p.sensor, self.p.sensor.limits, mode.side
+        sensor = self.p.sensor
+        limits = self.p.sensor.limits
+        read = mode.side
         if self.kind == "play":
             y = sensor.slope * level + w.after
         else:
@@ -231,8 +234,11 @@ def close(problem: Problem) -> loop.Loop:
     Raises:
         InputError: a Taylor series was chosen, and the loop is not linear on its branches.
     """
-    plant, simulation = problem.plant, problem.scenario.simulation
-    params, state, instant = loop_numbers(problem), _state(problem), _instant(problem)
+    plant = problem.plant
+    simulation = problem.scenario.simulation
+    params = loop_numbers(problem)
+    state = _state(problem)
+    instant = _instant(problem)
     p_column, p = tree.create_symbols(params, "p")
     s_column, s = tree.create_symbols(state, "s")
     own = problem.observer, problem.controller
@@ -243,7 +249,8 @@ def close(problem: Problem) -> loop.Loop:
     moved, outputs = wiring.move(s, w, wiring.mode(s, w))
     inputs = [s_column, ca.vertcat(*columns), p_column]
     out = tree.stack_leaves(outputs)
-    step, attempts = _Step(wiring, state, instant, s_column, columns), []
+    step = _Step(wiring, state, instant, s_column, columns)
+    attempts = []
     if plant.Ts is not None:
         following = tree.stack_leaves(moved)
     elif simulation.switching != "located":
@@ -261,8 +268,11 @@ def close(problem: Problem) -> loop.Loop:
 
 def loop_numbers(problem: Problem) -> loop.Params:
     """Return the numbers of a loop."""
-    plant, sensor = problem.plant, problem.sensor
-    none, ahead, undoing = np.empty(0), sensor.play, problem.compensator
+    plant = problem.plant
+    sensor = problem.sensor
+    none = np.empty(0)
+    ahead = sensor.play
+    undoing = problem.compensator
     zone = loop.SensorParams(
         sensor.right,
         sensor.left,
@@ -288,8 +298,12 @@ def loop_numbers(problem: Problem) -> loop.Params:
 
 def _state(problem: Problem) -> loop.State:
     """Return the state of a loop at its start, but for that of the plant, which is 0."""
-    plant, sensor, drive = problem.plant, problem.sensor, problem.actuator
-    observer, controller, undoing = problem.observer, problem.controller, problem.compensator
+    plant = problem.plant
+    sensor = problem.sensor
+    drive = problem.actuator
+    observer = problem.observer
+    controller = problem.controller
+    undoing = problem.compensator
     return loop.State(
         plant=np.zeros(plant.n),
         observer=observer.init(observer.params),
@@ -408,7 +422,8 @@ def _located_attempts(step: _Step, order: int) -> list[dense_output.StepAttempt]
     Raises:
         InputError: a Taylor series was chosen, and the loop is not linear on its branches.
     """
-    wiring, like = step.wiring, step.like
+    wiring = step.wiring
+    like = step.like
     noise = wiring.exogenous(step.instant, step.columns[0])
     right, left = wiring.widths(noise)
     arc = _dense_step(step, order)
@@ -449,10 +464,14 @@ def branch_after_crossing(
 
 def _dense_step(step: _Step, order: int) -> Callable[[ca.SX, Any, Any], dense_output.DenseStep]:
     """Return a step on a fixed branch that can be evaluated inside: RK4, or a Taylor series."""
-    wiring, size, h = step.wiring, step.start.shape[0], step.wiring.p.h
-    x, w = ca.SX.sym("x", size), ca.SX.sym("w", step.columns[0].shape[0])
+    wiring = step.wiring
+    size = step.start.shape[0]
+    h = step.wiring.p.h
+    x = ca.SX.sym("x", size)
+    w = ca.SX.sym("w", step.columns[0].shape[0])
     branch_taken = Mode(*(ca.SX.sym(name, wiring.plant.p) for name in Mode._fields))
-    s, inputs = tree.unpack_column(step.like, x), wiring.exogenous(step.instant, w)
+    s = tree.unpack_column(step.like, x)
+    inputs = wiring.exogenous(step.instant, w)
     derivative = tree.stack_leaves(wiring.move(s, inputs, branch_taken)[0])
     evaluate = ca.Function("rate", [x, w, *branch_taken], [derivative], {"allow_free": True})
 

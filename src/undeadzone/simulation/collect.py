@@ -63,7 +63,8 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
         return withdrawn(problem, f"no verdict was derived for a play and a dead zone behind {why}")
     if problem.plant.nonlinear:
         return with_false_claims(problem, _verdicts_along(problem, signal))
-    step, arrived = problem.scenario.simulation.step, np.isfinite(signal.y)
+    step = problem.scenario.simulation.step
+    arrived = np.isfinite(signal.y)
     schedule = schedule_of_record(signal.z, problem.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
         found = _both_ends(problem, signal, schedule)
@@ -76,10 +77,14 @@ def _verdicts_on_gaps(problem: Problem, x: Floats) -> list[WidthIdentifiability]
     """Return the identifiability of each joint's gears. Encoders at motors add nothing to it."""
     from undeadzone.analysis.identifiability.flanks import Listener, gap_identifiability
 
-    plant, path, step = problem.plant, problem.path, problem.scenario.simulation.step
+    plant = problem.plant
+    path = problem.path
+    step = problem.scenario.simulation.step
     assert plant.gears is not None
     assert path is not None
-    gears, traits, N = plant.gears, problem.observer.traits, plant.gears.joint_count
+    gears = plant.gears
+    traits = problem.observer.traits
+    N = plant.gears.joint_count
     t = np.arange(len(x)) * step
     along = np.stack([path.output_at(t, order) for order in range(3)], axis=1)
     unknown = traits.unknown
@@ -105,7 +110,8 @@ def withhold_gaps(
         verdicts: of each output.
         estimate: a row per sample.
     """
-    ranges, gears = problem.observer.traits.halves, problem.plant.gears
+    ranges = problem.observer.traits.halves
+    gears = problem.plant.gears
     lost = np.array([not verdict.width for verdict in verdicts])
     if gears is None or ranges is None or not lost.any():
         return estimate
@@ -113,7 +119,8 @@ def withhold_gaps(
     for name in ("right", "left", "right_std", "left_std", "width_std"):
         signal = getattr(estimate, name)
         changed[name] = np.where(lost, signal[0], signal)
-    N, x_std = gears.joint_count, estimate.x_std.copy()
+    N = gears.joint_count
+    x_std = estimate.x_std.copy()
     widest = np.where(lost[:N], ranges[:N, 1], 0.0) / np.sqrt(3)
     x_std[:, N : 2 * N] = np.maximum(x_std[:, N : 2 * N], widest)
     return estimate._replace(**changed, x_std=x_std)
@@ -139,7 +146,8 @@ def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     """Return the identifiability along a run of a nonlinear plant, given the prior of its start."""
     from undeadzone.analysis.identifiability.nonlinear import width_identifiability_along
 
-    scenario, traits = problem.scenario, problem.observer.traits
+    scenario = problem.scenario
+    traits = problem.observer.traits
     simulation = scenario.simulation
     bias = unknown_constants(scenario.disturbance, problem.plant.m, simulation.duration)
 
@@ -256,7 +264,8 @@ def collect(problem: Problem, signal: Outputs, error: IntegrationError | None, b
 
 def _true_actuator(problem: Problem) -> list[float]:
     """Return true [right, left] of each actuator, or nothing if they are known or absent."""
-    drive, belief = problem.actuator, problem.belief
+    drive = problem.actuator
+    belief = problem.belief
     if drive is None or belief is None or belief.ranges is None:
         return []
     return _in_turn(drive.right, drive.left)
@@ -307,7 +316,9 @@ def _info(
     began: float,
 ) -> Info:
     """Return the facts about a run besides its signals."""
-    scenario, plant, traits = problem.scenario, problem.plant, problem.observer.traits
+    scenario = problem.scenario
+    plant = problem.plant
+    traits = problem.observer.traits
     scales = plant_scales(problem)
     return Info(
         title=scenario.title,

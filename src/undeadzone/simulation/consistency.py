@@ -213,7 +213,9 @@ def _graph() -> ca.Function:
     """Return the recursion of the sums as a graph: next, ratio = step(sums, `[nu; counted]`,
     rates).
     """
-    sums, row, rates = ca.SX.sym("s", 3), ca.SX.sym("w", 2), ca.SX.sym("p", 2)
+    sums = ca.SX.sym("s", 3)
+    row = ca.SX.sym("w", 2)
+    rates = ca.SX.sym("p", 2)
     after = accumulate_innovations(Sums(*ca.vertsplit(sums)), row[0], row[1], rates[0], rates[1])
     return ca.Function("sums", [sums, row, rates], [ca.vertcat(*after), after.ratio])
 
@@ -255,9 +257,11 @@ def verdict_of(
         reasons += _reasons(test)
     consistent: bool | None = not reasons
     if consistent and not tests:
-        consistent, reasons = None, ["the observer gives no innovation_std"]
+        consistent = None
+        reasons = ["the observer gives no innovation_std"]
     elif consistent and used < FEWEST:
-        consistent, reasons = None, [f"only {used} readings corrected the estimate"]
+        consistent = None
+        reasons = [f"only {used} readings corrected the estimate"]
     squares = [test.square for test in tests if test.square is not None]
     return Verdict(
         consistent,

@@ -99,7 +99,8 @@ def estimate(
     if frame_or_path is None:
         if y is None or u is None:
             raise InputError("estimate: expected a file, a DataFrame, or arrays y and u")
-        step, model = scenario.simulation.step, follower.model
+        step = scenario.simulation.step
+        model = follower.model
         samples = samples_of_arrays(t, y, u, model.p, model.m, step)
         log = _Log("arrays", place_on_steps(samples, t is not None, step, "arrays"))
     elif t is not None or y is not None or u is not None:
@@ -153,13 +154,15 @@ def _read_any_log(
     if not is_path and not (hasattr(log, "columns") and hasattr(log, "index")):
         raise InputError(f"estimate: expected a path or a DataFrame, found {type(log).__name__}")
     source = str(log) if is_path else "DataFrame"
-    p, m = follower.model.p, follower.model.m
+    p = follower.model.p
+    m = follower.model.m
     layout: Layout | None
     faults: Faults | None = None
     if is_path and Path(log).suffix.lower() not in BINARY:
         reader = LogReader(source, p, m, chosen, strict)
         samples = samples_of_text(reader, Path(log), LARGEST_RUN, LARGEST_LOG)
-        layout, faults = reader.layout, reader.faults
+        layout = reader.layout
+        faults = reader.faults
     else:
         samples, layout = samples_of(Path(log) if is_path else log, p, m, chosen, source)
     if layout is not None:
@@ -233,7 +236,8 @@ def smooth(
     """
     graphs = _graphs(model, observer, sensor)
     w = np.hstack([y, u])
-    starts, numbers = [graphs.filter.start], graphs.filter.numbers
+    starts = [graphs.filter.start]
+    numbers = graphs.filter.numbers
     for first in range(0, len(w), BLOCK):
         _, state = interpret.run_interpreted(
             graphs.step, starts[-1], w[first : first + BLOCK], numbers
@@ -257,7 +261,8 @@ def smooth(
 def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     """Return the functions of a filter along a log."""
     known = observer_graph(model, observer, sensor)
-    smoothing, inputs = observer.smoothing, [known.s, known.w, known.p]
+    smoothing = observer.smoothing
+    inputs = [known.s, known.w, known.p]
     following, given = known.step(*inputs)
     every = smoothing.moments(known.params, known.state, known.used, known.reading)
     like = tree.map_leaves(lambda leaf: np.zeros(ca.SX(leaf).shape), every)
@@ -273,10 +278,8 @@ def _graphs(model: System, observer: Observer, sensor: Zone) -> _Graphs:
     )
     shown: Estimate = smoothing.shown(known.params, seen, more, share, kept)
     out = tuple(getattr(shown, name) for name in SHOWN)
-    where, of_estimate = (
-        tree.leaf_slices((init, np.zeros(model.m)))[0],
-        tree.leaf_slices(known.out).estimate,
-    )
+    where = tree.leaf_slices((init, np.zeros(model.m)))[0]
+    of_estimate = tree.leaf_slices(known.out).estimate
     return _Graphs(
         ca.Function("watched", inputs, [following, ca.vertcat(given, known.s)]),
         interpret.build_stateless_step(
@@ -310,7 +313,9 @@ def _block(graphs: _Graphs, start: Floats, w: Floats, ahead: _Ahead) -> tuple[Fl
     states = np.vstack([before_each[1:], final])  # after each sample
     moments = interpret.map_rows(graphs.moments, np.hstack([before_each, w]), numbers)
     every = _arrays(graphs.like, moments)
-    beliefs, wide, before = [], [], []
+    beliefs = []
+    wide = []
+    before = []
     for one, later in zip(every, ahead.later, strict=True):
         mean, cov, first = smooth_backward(one, later[0])
         beliefs += [mean, np.swapaxes(cov, 1, 2).reshape(len(w), -1)]
@@ -409,7 +414,8 @@ def _records(graphs: _Graphs, states: Floats, worst: Any) -> tuple[Floats, Any]:
 
 def _arrange_smoothed(model: System, shown: Floats) -> dict[str, Floats]:
     """Return the smoothed signals by name, right and left of each output in turn."""
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     ends = np.cumsum([n, p, p, p, n, p])
     x, z, right, left, x_std, right_std, left_std = np.split(shown, ends, axis=1)
     d = np.stack([right, left], axis=2).reshape(len(shown), -1)

@@ -55,7 +55,8 @@ def exogenous(
             place).
         seed: of the random numbers (None: the scenario's).
     """
-    simulation, plant = problem.scenario.simulation, problem.plant
+    simulation = problem.scenario.simulation
+    plant = problem.plant
     rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
     held = np.zeros((rows.size, HELD * plant.p))
@@ -142,7 +143,8 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
 
 def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
     """Return the values held within a step, a row each: the last entries of `loop.Exogenous`."""
-    sensor, p = problem.sensor, problem.plant.p
+    sensor = problem.sensor
+    p = problem.plant.p
 
     def normal(stream: int, size: Floats, channels: int) -> Floats:
         shape = problem.steps + 1, channels
@@ -222,7 +224,8 @@ def targets(problem: Problem, t: Floats) -> Target:
         problem: the problem to simulate.
         t: times (N) [s].
     """
-    target, plan = _targets_at(problem, t), problem.controller.plan
+    target = _targets_at(problem, t)
+    plan = problem.controller.plan
     if problem.model.nonlinear and problem.model.Ts is not None:
         target = target._replace(u_ff=_targets_at(problem, t + problem.model.Ts / 2).u_ff)
     planned = np.empty((t.size, 0)) if plan is None else plan.along(plan.params, target)
@@ -235,6 +238,7 @@ def _targets_at(problem: Problem, t: Floats) -> Target:
         return linear_targets(problem.model, problem.reference, problem.tracked, t)
     if problem.path is not None:
         return flat_targets(problem.flow, problem.path, problem.tracked, t)
-    n, x_eq = problem.model.n, problem.scenario.plant.x_eq
+    n = problem.model.n
+    x_eq = problem.scenario.plant.x_eq
     start = require_vector("plant.x_eq", np.zeros(n) if x_eq is None else x_eq, n)
     return invert_targets(problem.flow, problem.reference, problem.tracked, t, start)

@@ -58,9 +58,11 @@ def feedback_shares(
         start = prepare(problem)
     if run is None:
         signal, _ = signals_of(problem, start, progress)
-        z, z_hat = signal.z, signal.estimate.z
+        z = signal.z
+        z_hat = signal.estimate.z
     else:
-        z, z_hat = run.z, run.z_hat
+        z = run.z
+        z_hat = run.z_hat
     other = problem._replace(plant=_larger(problem.plant))
     larger, _ = signals_of(other, _perturbed_start(start, other), progress)
     half = slice(len(z) // 2, None)

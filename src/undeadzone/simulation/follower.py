@@ -65,7 +65,8 @@ class Follower:
     )
 
     def __init__(self, scenario: Scenario, live: bool = False) -> None:
-        simulation, plant = scenario.simulation, plant_of_model(scenario)
+        simulation = scenario.simulation
+        plant = plant_of_model(scenario)
         step = require_number("simulation.step", simulation.step, above=0.0)
         parts = (scenario.observer, plant, sensor_of_model(scenario), step, simulation.substeps)
         actuator = describe_actuator(scenario)
@@ -178,7 +179,8 @@ class Follower:
 
     def _make_tests(self, estimate: Estimate) -> None:
         """The tests that estimates like this one allow."""
-        quarter, step = time_scale(self.model.continuous), self._scenario.simulation.step
+        quarter = time_scale(self.model.continuous)
+        step = self._scenario.simulation.step
         outputs = estimate.innovation_std.shape[-1]
         self._tests = [Consistency(step, quarter) for _ in range(outputs)]
         self._own = Own() if estimate.claims.shape[-1] else None
@@ -206,7 +208,8 @@ class Follower:
         if self._last is None:
             seen = f" that can be read; {faults.why}" if faults.why else ""
             raise FileError(f"{source}: no samples{seen}. Give lines of times, readings and inputs")
-        last, scenario = self._last, self._scenario
+        last = self._last
+        scenario = self._scenario
         given = last.right_std.size > 0
         stds = np.concatenate([last.right_std, last.left_std]) if given else None
         widths = np.concatenate([last.right, last.left])
@@ -219,7 +222,8 @@ class Follower:
         if verdict.consistent is False and grid.gaps:
             reason = "the inputs in its gaps are not known, and were taken as constant"
             verdict = verdict._replace(reasons=[*verdict.reasons, reason])
-        p, last_row = self.model.p, Estimate(*[field[None] for field in last])
+        p = self.model.p
+        last_row = Estimate(*[field[None] for field in last])
         right, left, silent, limited = self._counts.tolist()
         return LogInfo(
             title=scenario.title,
@@ -274,7 +278,8 @@ class Follower:
 
     def _repeated_readings(self) -> list[str]:
         """Return remarks on noisy readings that repeat the previous one."""
-        zone, remarks = self.zone, []
+        zone = self.zone
+        remarks = []
         noisy = ((zone.noise > 0) | (zone.noise_before > 0)) & (zone.quantum == 0)
         active = self._counts[:2].sum(axis=0)
         # Readings at an end of their range repeat as well, and have a remark of their own.
@@ -337,10 +342,12 @@ class LiveLog:
         chosen: Mapping[str, str],
         strict: bool,
     ) -> None:
-        p, m = follower.model.p, follower.model.m
+        p = follower.model.p
+        m = follower.model.m
         self.clock = Clock(scenario.simulation.step, source, strict)
         self.reader = LogReader(source, p, m, chosen, live=True)
-        self._source, self._units = source, scenario.units
+        self._source = source
+        self._units = scenario.units
 
     def pieces(self, data: bytes, last: bool) -> Iterator[Piece]:
         """Yield the samples in the lines that are whole now, so far as they can be judged.

@@ -58,7 +58,8 @@ def linear_verdicts(
         schedule: of the sides.
         arrive: share of each output's readings that arrive (p).
     """
-    linear, sensor = problem.model.linear, problem.sensor
+    linear = problem.model.linear
+    sensor = problem.sensor
     bias = constant_inputs(problem, linear.B)
     if sensor.kind == "jump":
         return width_identifiability(linear, schedule, bias, jump=True)
@@ -76,7 +77,9 @@ def _with_deviations(
     problem: Problem, schedule: Schedule, readings: ReadingConditions
 ) -> list[WidthIdentifiability]:
     """Return verdicts with the deviations of the widths, from the readings and the prior."""
-    linear, bias, told = problem.model.linear, readings.bias, readings.told
+    linear = problem.model.linear
+    bias = readings.bias
+    told = readings.told
     expected = optimal_deviations(linear, schedule, readings)
     judged = []
     for i, verdict in enumerate(width_identifiability(linear, schedule, bias, told=told)):
@@ -89,7 +92,8 @@ def _second(
     problem: Problem, expected: Deviations, readings: ReadingConditions, i: int
 ) -> dict[str, Any] | None:
     """Return another truth of output i with the same readings."""
-    linear, size = problem.model.linear, expected.hidden.scale.size
+    linear = problem.model.linear
+    size = expected.hidden.scale.size
     n = linear.A.shape[0]
     widths = np.array([problem.sensor.right[i], problem.sensor.left[i]])
     enters = np.zeros((n, size))  # of each unknown into x'
@@ -104,7 +108,8 @@ def _second(
 
 def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[WidthIdentifiability]:
     """Return the identifiability behind a play and a dead zone (arguments of `linear_verdicts`)."""
-    judged, play = [], problem.sensor.play
+    judged = []
+    play = problem.sensor.play
     assert play is not None
     readings = readings_of(problem, schedule, arrive)
     for i, told in enumerate(gap_and_width_information(problem.model.linear, schedule, readings)):
@@ -121,8 +126,10 @@ def _of_both(problem: Problem, schedule: Schedule, arrive: Floats) -> list[Width
 
 def readings_of(problem: Problem, schedule: Schedule, arrive: Floats) -> ReadingConditions:
     """Return the readings and the prior on the widths (arguments of `linear_verdicts`)."""
-    simulation, disturbance = problem.scenario.simulation, problem.scenario.disturbance
-    traits, model = problem.observer.traits, problem.model
+    simulation = problem.scenario.simulation
+    disturbance = problem.scenario.disturbance
+    traits = problem.observer.traits
+    model = problem.model
     least = EXACT * float(schedule.levels.max(initial=0.0)) or EXACT
     told = prior_rows(model.n, model.p, traits.start_std, traits.centre_std, least)
     return ReadingConditions(
@@ -166,7 +173,8 @@ def as_far_as_known(
     """
     sensor = problem.sensor
     swing = float(schedule.high[i] - schedule.low[i])
-    right, left = sensor.right[i], sensor.left[i]
+    right = sensor.right[i]
+    left = sensor.left[i]
     negligible = NEGLIGIBLE * swing
     most = largest_deviations(right, left, swing, negligible)
     known: dict[str, Any] = {
@@ -192,7 +200,8 @@ def widths_with_unknown_actuator(
         signal: the outputs of the loop (a row per sample).
         schedule: of the sensor's sides along it.
     """
-    linear, belief = problem.model.linear, problem.belief
+    linear = problem.model.linear
+    belief = problem.belief
     assert belief is not None
     drive = belief.drive if problem.actuator is None else problem.actuator
     visible = (np.abs(signal.side) == 1).any(axis=1) & np.isfinite(signal.y).all(axis=1)
@@ -271,7 +280,8 @@ def _with_false_gaps(
     problem: Problem, verdict: WidthIdentifiability, i: int
 ) -> WidthIdentifiability:
     """Return the verdict on output i. No width is known beside a wrong gap of [model]."""
-    play, model = problem.sensor.play, problem.scenario.model
+    play = problem.sensor.play
+    model = problem.scenario.model
     if play is None or model is None or model.play is None:
         return verdict
     true = np.stack([play.right, play.left])
@@ -283,7 +293,8 @@ def _with_false_gaps(
 
 def _with_false_actuator(problem: Problem, verdict: WidthIdentifiability) -> WidthIdentifiability:
     """Return the verdict on an output, whose widths a wrong actuator of [model] hides."""
-    actuator, belief = problem.actuator, problem.belief
+    actuator = problem.actuator
+    belief = problem.belief
     if actuator is None or belief is None:
         return verdict
     true = np.stack([actuator.right, actuator.left])
@@ -343,7 +354,8 @@ def _cure(where: str, z: Floats, offset: float, right: float, left: float) -> li
     """
     if not np.isfinite(z).all():
         return []
-    least, most = float(z.min()), float(z.max())
+    least = float(z.min())
+    most = float(z.max())
     if least < -left and most > right:
         return []
     lowest = least + offset + left * (1 + MARGIN)

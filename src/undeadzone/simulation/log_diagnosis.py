@@ -29,8 +29,11 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
         scenario: whose observer followed it.
         found: estimation from the log.
     """
-    t, y, u = found.t[:SAMPLES], found.y[:SAMPLES], found.u[:SAMPLES]
-    best, words = BETTER * _unexplained_share(found.innovation[:SAMPLES], y), None
+    t = found.t[:SAMPLES]
+    y = found.y[:SAMPLES]
+    u = found.u[:SAMPLES]
+    best = BETTER * _unexplained_share(found.innovation[:SAMPLES], y)
+    words = None
     follower = Follower(scenario)
     for name, readings, inputs in _misreadings(y, u, follower.model.delay):
         follower.begin()
@@ -38,7 +41,8 @@ def what_would_fit(scenario: Scenario, found: Estimation) -> str | None:
         tried, *_ = follower.follow(samples)
         missed = _unexplained_share(tried.innovation, readings)
         if missed < best and follower.info("log", None, Placed(samples)).consistent:
-            best, words = missed, name
+            best = missed
+            words = name
     return words
 
 

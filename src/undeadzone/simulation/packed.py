@@ -26,7 +26,8 @@ def pack_problem(problem: Problem, loop: Loop) -> tuple[Floats, Floats]:
     Raises:
         InputError: the observer is not a graph.
     """
-    observer, controller = require_graph(problem.observer), problem.controller
+    observer = require_graph(problem.observer)
+    controller = problem.controller
     state = loop.state._replace(
         plant=problem.x0,
         observer=observer.init(observer.params),
@@ -52,13 +53,17 @@ def graph(problem: Problem) -> str:
     Raises:
         InputError: there is no graph.
     """
-    observer, controller, model = require_graph(problem.observer), problem.controller, problem.model
+    observer = require_graph(problem.observer)
+    controller = problem.controller
+    model = problem.model
     p_column, p = tree.create_symbols((observer.params, controller.params), "p")
     like = observer.init(observer.params), controller.init(controller.params)
     s_column, s = tree.create_symbols(like, "s")
     t_column, target = tree.create_symbols(no_target(problem), "t")
-    u, y = ca.SX.sym("u", model.m), ca.SX.sym("y", model.p)
-    side, x = ca.SX.sym("side", model.p), ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
+    y = ca.SX.sym("y", model.p)
+    side = ca.SX.sym("side", model.p)
+    x = ca.SX.sym("x", model.n)
     following, estimate = observer.step(p[0], s[0], u, Reading(y, side, x))
     results = (
         following,

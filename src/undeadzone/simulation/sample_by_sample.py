@@ -49,7 +49,8 @@ def run_sample_by_sample(
     stepper = Stepper(loop.step, initial, tree.pack_tree(loop.params))
     where: Outputs = tree.leaf_slices(loop.outputs)
     r = tree.leaf_slices(loop.instant).target.r
-    n, m = problem.plant.n, problem.plant.m
+    n = problem.plant.n
+    m = problem.plant.m
     estimated = slice(n, n + tree.count_numbers(loop.state.observer))
     driving = slice(estimated.stop, estimated.stop + tree.count_numbers(loop.state.controller))
     outputs = np.empty((exogenous.shape[0], tree.count_numbers(loop.outputs)))

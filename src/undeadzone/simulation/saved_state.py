@@ -85,7 +85,8 @@ def _stored_arrays(parts: Mapping[str, Any]) -> Iterator[tuple[Any, str, str]]:
     """Yield (owner, attribute, dotted name in the file) of all numbers that objects hold."""
     for above, part in parts.items():
         for name in part.KEPT:
-            value, key = getattr(part, name), f"{above}.{name}"
+            value = getattr(part, name)
+            key = f"{above}.{name}"
             inner = _inner(key, value)
             if not inner and value is not None:
                 yield part, name, key

@@ -283,7 +283,8 @@ def _difference(coarse: Outputs, fine: Outputs) -> IntegrationError:
     of_z = np.abs(coarse.z - fine.z).max()
     gaps = {}
     for name in ("x", "z", "right", "left"):
-        one, other = getattr(coarse.estimate, name), getattr(fine.estimate, name)
+        one = getattr(coarse.estimate, name)
+        other = getattr(fine.estimate, name)
         gaps[name] = np.abs(one - other).max()
     largest = [of_x, gaps["x"], gaps["right"], gaps["left"]]
     outputs = [of_z, gaps["z"], gaps["right"], gaps["left"]]
@@ -350,7 +351,8 @@ def labels(first: Any, second: Any) -> tuple[str, str]:
     These are their methods, and, if the methods are the same, one option that differs, a switch if
     possible.
     """
-    one, other = to_tables(first), to_tables(second)
+    one = to_tables(first)
+    other = to_tables(second)
     differing = [name for name in {**one, **other} if one.get(name) != other.get(name)]
     if "method" in differing or not differing:
         return _in_words(one, "method"), _in_words(other, "method")
@@ -361,7 +363,8 @@ def labels(first: Any, second: Any) -> tuple[str, str]:
 
 def _in_words(options: dict[str, Any], name: str) -> str:
     """Return a method, and one of its options, in words."""
-    method, value = str(options["method"]), options.get(name)
+    method = str(options["method"])
+    value = options.get(name)
     if name == "method" or value in (None, False, {}):
         return method
     if value is True:

@@ -14,7 +14,9 @@ from undeadzone.util.arrays import Floats
 
 # Added to the seed, which is below 2^63: these numbers differ from those of the noise.
 STREAM: Final = 1 << 64
-NUMBERS, KEYS = 0, 1  # kinds of random words of a column
+# kinds of random words of a column
+NUMBERS = 0
+KEYS = 1
 ROUNDS: Final = 10  # of the cipher that permutes runs
 BITS: Final = 32  # of a Sobol point
 
@@ -89,7 +91,8 @@ def permute_indices(index: Any, size: int, keys: Any) -> Any:
 def _feistel_cipher(value: Any, half: Any, keys: Any) -> Any:
     """Return a permutation of the numbers of 2 `half` bits, by rounds that mix both halves."""
     mask = (np.uint64(1) << half) - np.uint64(1)
-    left, right = value >> half, value & mask
+    left = value >> half
+    right = value & mask
     for key in keys:
         left, right = right, left ^ (_mix_bits(right ^ key) & mask)
     return left << half | right
@@ -141,7 +144,8 @@ def _saltelli_points(seed: int, first: int, count: int, entries: int, runs: int)
     each = runs // matrices
     parts = []
     for matrix in range(first // each, -(-(first + count) // each)):
-        start, stop = max(first, matrix * each), min(first + count, (matrix + 1) * each)
+        start = max(first, matrix * each)
+        stop = min(first + count, (matrix + 1) * each)
         both = _sobol_points(seed, start - matrix * each, stop - start, 2 * entries)
         columns = np.arange(entries) + entries * (matrix == 1)
         if matrix >= 2:

@@ -142,7 +142,9 @@ def estimate_sobol_indices(blocks: Floats) -> Floats:
         [first, total] (2 x entries), or 0 if nothing varies.
     """
     blocks = blocks - blocks[:2].mean()
-    f_A, f_B, f_AB = blocks[0], blocks[1], blocks[2:]
+    f_A = blocks[0]
+    f_B = blocks[1]
+    f_AB = blocks[2:]
     variance = blocks[:2].var()
     first = (f_B * (f_AB - f_A)).mean(axis=1)
     total = ((f_A - f_AB) ** 2).mean(axis=1) / 2
@@ -207,8 +209,10 @@ def _variance_share(x: Floats, y: Floats) -> float:
     count = int(np.ceil(n**0.4))
     starts = np.arange(count) * n // count
     sizes = np.diff(starts, append=n)
-    dx, dy = _subtract_bin_means(x, starts, sizes), _subtract_bin_means(y, starts, sizes)
-    xx, xy = np.add.reduceat(dx * dx, starts), np.add.reduceat(dx * dy, starts)
+    dx = _subtract_bin_means(x, starts, sizes)
+    dy = _subtract_bin_means(y, starts, sizes)
+    xx = np.add.reduceat(dx * dx, starts)
+    xy = np.add.reduceat(dx * dy, starts)
     sloped = xx > 0
     freedom = n - count - int(sloped.sum())
     within = float((dy * dy).sum() - (xy[sloped] ** 2 / xx[sloped]).sum()) / freedom

@@ -154,7 +154,8 @@ def attack_gains(assessment: Assessment, seed: int = 0) -> Attacks | None:
     gains = assessment.gains
     if gains is None or not np.linalg.eigvalsh(gains.V.P)[0] > 0:
         return None
-    dynamics, V = gains.dynamics, gains.V
+    dynamics = gains.dynamics
+    V = gains.V
     attempt = falsify(dynamics, V, seed=seed)
     cycle = None if gains.certificate.certified else diverge(dynamics, seed, TRIES)
     duration = assessment.problem.scenario.simulation.duration
@@ -168,7 +169,8 @@ def attack_gains(assessment: Assessment, seed: int = 0) -> Attacks | None:
             trajectory_along_modes("attack", dynamics, V, attempt.start, [attempt.mode], interval)
         )
     if cycle is not None and cycle.factor > GROWS:
-        start, modes = most_growing_error(dynamics, cycle), PERIODS * [*cycle.modes]
+        start = most_growing_error(dynamics, cycle)
+        modes = PERIODS * [*cycle.modes]
         drawn.append(
             trajectory_along_modes("cycle", dynamics, V, start, modes, cycle.seconds / POINTS)
         )
@@ -179,14 +181,18 @@ def _assess_gains(problem: Problem, schedule: Schedule, L: Floats, gamma: Floats
     """Return the certificate and rates of gains L (n x p), gamma (p) [1/s] on a schedule of
     branches.
     """
-    linear, Ts, jump = problem.model.linear, problem.model.Ts, problem.sensor.kind == "jump"
+    linear = problem.model.linear
+    Ts = problem.model.Ts
+    jump = problem.sensor.kind == "jump"
     certificate = certify(linear, L, gamma, Ts)
-    dynamics, V = certificate.dynamics, certificate.V
+    dynamics = certificate.dynamics
+    V = certificate.V
     if jump:
         dynamics = dynamics._replace(gamma=0 * dynamics.gamma)
         V = V._replace(gamma=0 * V.gamma)
     speed = error_decay_rates(linear, L, gamma, schedule, jump)
-    settled, near = None, None
+    settled = None
+    near = None
     if certificate.certified:
         settled = worst_settling_time(dynamics, V, schedule)
     else:
@@ -231,7 +237,8 @@ def simulate_trial_run(problem: Problem) -> Run | None:
 
 def plan_branches(problem: Problem, run: Run | None) -> Schedule:
     """Return the branches along a run, or along the reference without a run."""
-    model, sensor = problem.model, problem.sensor
+    model = problem.model
+    sensor = problem.sensor
     if run is not None:
         return schedule_of_record(run.z, sensor, run.info.step, model.Ts, np.isfinite(run.y))
     simulation = problem.scenario.simulation
@@ -257,7 +264,8 @@ def assess_identifiability(
     """
     if run is not None and (problem.model.nonlinear or actuator_unknown(problem)):
         return _identifiability_from_run(run)
-    linear, jump = problem.model.linear, problem.sensor.kind == "jump"
+    linear = problem.model.linear
+    jump = problem.sensor.kind == "jump"
     if problem.sensor.play is None:
         remedies = find_remedies(linear, schedule, constant_inputs(problem, linear.B), jump)
     else:
@@ -288,7 +296,8 @@ def _identifiability_from_run(run: Run) -> list[Knowledge]:
 
 def find_joint_remedies(problem: Problem, schedule: Schedule) -> list[Remedy]:
     """Return remedies that make a backlash and a dead zone identifiable together."""
-    model, remedies = problem.model, []
+    model = problem.model
+    remedies = []
     visited = schedule.branch_visits(model.n + 2 * model.p)
     for i in range(problem.model.p):
         if not visited[i].all():
@@ -306,7 +315,8 @@ def find_determined_states(problem: Problem, schedule: Schedule) -> list[bool]:
     """Return a mask of the states that the readings along a schedule determine (n), empty if
     nonlinear.
     """
-    model, jump = problem.model, problem.sensor.kind == "jump"
+    model = problem.model
+    jump = problem.sensor.kind == "jump"
     if model.nonlinear:
         return []
     if problem.sensor.play is not None:

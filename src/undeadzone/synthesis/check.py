@@ -220,7 +220,8 @@ def check(scenario: Scenario) -> Check:
 
 def check_assessment(assessment: Assessment) -> Check:
     """Return the check of an assessment."""
-    problem, known = assessment.problem, assessment.known
+    problem = assessment.problem
+    known = assessment.known
     proved, reasons = _prove_gains(assessment)
     near = None if assessment.gains is None else assessment.gains.nearest
     cures: list[str] = []
@@ -254,7 +255,8 @@ def _to_certified_neighbour(gains: Gains) -> CertifiedNeighbour:
 
 def _prove_gains(assessment: Assessment) -> tuple[dict[str, Any], list[str]]:
     """Return the proved properties of an assessment's gains, and the reasons of a refusal."""
-    problem, gains = assessment.problem, assessment.gains
+    problem = assessment.problem
+    gains = assessment.gains
     constant = constant_gains(problem.observer, problem.model)
     if constant is None:
         return {}, ["no certificate and no rate: the observer has no constant gains L, gamma"]
@@ -272,7 +274,8 @@ def _prove_on_linear_model(problem: Problem, gains: Gains) -> tuple[dict[str, An
     """Return the proved properties of constant gains on a linear model, and the reasons of a
     refusal.
     """
-    proof, speed = gains.certificate, gains.rates
+    proof = gains.certificate
+    speed = gains.rates
     reasons = []
     if not proof.certified:
         reasons.append(f"{REFUSED}{proof.reason}")
@@ -353,7 +356,8 @@ def _exit_time(run: Run | None, ranges: Box) -> float | None:
 
 def describe_check(found: Check) -> list[Block]:
     """Return the check of a scenario's gains as pairs, and for several outputs as a table."""
-    scenario, names = found.scenario, found.outputs
+    scenario = found.scenario
+    names = found.outputs
     shown: dict[str, Any] = {
         "scenario": scenario.title,
         "observer": f"{scenario.observer.__struct_config__.tag}, {scenario.simulation.time} time",
@@ -435,7 +439,8 @@ def _describe_certificate(found: Check) -> dict[str, str]:
 
 def _describe_bounds(found: Check) -> dict[str, str]:
     """Return certified gains near to uncertified gains, and L2 bounds of certified gains."""
-    shown, near = {}, found.nearest
+    shown = {}
+    near = found.nearest
     if near is not None:
         gains = f"L = {format_gains(near.L.tolist())}, gamma = {format_gains(near.gamma.tolist())}"
         shown["nearest certified"] = f"{gains}: margin {near.margin:.3g}, rate {near.rate:.4g} 1/s"

@@ -128,12 +128,15 @@ def search_seeded(task: Task, weights: Weights, seed: int, tick: Tick) -> tuple[
         The task with the limit it ended at, and the point (d), see `to_certified_gains`.
     """
     low, high = search_box(task)
-    cost, size = _build_trade_cost(task, weights), search_population(task)
-    best, least = low, np.inf
+    cost = _build_trade_cost(task, weights)
+    size = search_population(task)
+    best = low
+    least = np.inf
     for start in range(STARTS):
         point, value = minimise_by_cmaes(cost, low, high, seed * STARTS + start, size, SHORT)
         if start == 0 or value < least:
-            best, least = point, value
+            best = point
+            least = value
         tick(1)
     best = _choose_cheaper(
         cost, best, minimise_by_cmaes(cost, low, high, seed, size, LONG, best)[0]
@@ -238,7 +241,8 @@ def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) 
         task, *to_certified_gains(task, quickest[None]), mismatch=False, gains=False
     )
     limit = float(quick.rate[0]) * FLOOR
-    traded, advance = partial(_pareto_costs, task, limit=limit), partial(tick, 1)
+    traded = partial(_pareto_costs, task, limit=limit)
+    advance = partial(tick, 1)
     points, costs = find_pareto_front(
         traded, *search_box(task), seed, quickest[None], rounds=ROUNDS, tick=advance
     )
@@ -250,11 +254,13 @@ def find_balanced(task: Task, present: Candidate | None, seed: int, tick: Tick) 
         points = np.vstack([points, near])
         costs = np.vstack([costs, traded(near[None])])
         admitted = np.isfinite(costs).all(axis=1)
-        points, costs = points[admitted], costs[admitted]
+        points = points[admitted]
+        costs = costs[admitted]
     bar = next(bar for bar in bars if (costs < bar).all(axis=1).any())
     mismatch = score_gains(task, *to_certified_gains(task, points), gains=False).mismatch
     every = np.hstack([np.log(mismatch)[:, None], costs])
-    least, greatest = every.min(axis=0), every.max(axis=0)
+    least = every.min(axis=0)
+    greatest = every.max(axis=0)
     loss_in = partial(_build_knee_loss, limit=limit, least=least, greatest=greatest, bar=bar)
     start = points[np.argmin(loss_in(task)(points))]
     best, certificate = polish_and_prove(task, start, loss_in)
@@ -316,7 +322,8 @@ def _search_near_present(
         """Return the largest excess of points over the level (b)."""
         return np.asarray((_pareto_costs(task, points, limit) - level).max(axis=1))
 
-    size, start = search_population(task), to_search_point(task, present)
+    size = search_population(task)
+    start = to_search_point(task, present)
     return minimise_by_cmaes(worst, *search_box(task), seed, size, LONG, start, NEAR)[0]
 
 

@@ -94,15 +94,14 @@ def build_task(problem: Problem, margin: float) -> Task:
     Raises:
         InputError: there is nothing to plan on.
     """
-    model, Ts = problem.model, problem.model.Ts
+    model = problem.model
+    Ts = problem.model.Ts
     margin = require_number("margin", margin)
     if not 0 < margin < 1:
         raise InputError(f"margin: must lie between 0 and 1, found {margin:g}")
     units = 1 / state_response_sizes(delta_form(model.linear, Ts).A.T, model.linear.C.T)
-    linear, flow = (
-        _balance_matrices(model.linear, units),
-        _balance_matrices(problem.flow.linear, units),
-    )
+    linear = _balance_matrices(model.linear, units)
+    flow = _balance_matrices(problem.flow.linear, units)
     horizon = problem.scenario.simulation.duration
     whole = plan_schedule(model, problem.reference, problem.tracked, problem.sensor, horizon)
     schedule = merge_equal_neighbours(whole)
@@ -170,7 +169,9 @@ def _build_storage_inputs(
         flow: the balanced model in continuous time.
         units: of the states (n).
     """
-    n, p, Ts = problem.model.n, problem.model.p, problem.model.Ts
+    n = problem.model.n
+    p = problem.model.p
+    Ts = problem.model.Ts
     Pi, Gamma = steady_state(problem.model, problem.reference, problem.tracked)
     target = np.vstack([Pi / units[:, None], Gamma])  # [x_ref; u_ff] = target w
     A, B, _ = flow
@@ -248,7 +249,8 @@ def score_gains(
         mismatch: whether to score model errors.
         gains: whether to score disturbance and noise.
     """
-    n, p = task.n, task.p
+    n = task.n
+    p = task.p
     Gamma = np.repeat(gamma, 2, axis=1)[:, :, None] * np.eye(2 * p)
     F, G = floquet.error_matrices(task.A, task.linear.C, L, Gamma, task.schedule.sides)
     rate = (
@@ -364,7 +366,8 @@ def to_certified_gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
     Returns:
         L, balanced (b, n, p), and gamma (b, p).
     """
-    n, p = task.n, task.p
+    n = task.n
+    p = task.p
     L = task.pole_sizes.min() * np.sinh(points[:, : n * p].reshape(-1, n, p))
     gamma = np.exp(points[:, n * p : n * p + p])
     W = np.exp(np.hstack([np.zeros((len(points), 1)), points[:, n * p + p :]]))  # storage weights
@@ -373,7 +376,8 @@ def to_certified_gains(task: Task, points: Floats) -> tuple[Floats, Floats]:
 
 def to_search_point(task: Task, gains: Candidate) -> Floats:
     """Return the point whose `to_certified_gains` are these gains, as near as the box allows."""
-    L, gamma = gains.L / task.units[:, None], np.maximum(gains.gamma, 1e-300)
+    L = gains.L / task.units[:, None]
+    gamma = np.maximum(gains.gamma, 1e-300)
     shares = np.arcsinh(L / task.pole_sizes.min()).ravel()
     point = np.concatenate([shares, np.log(gamma), np.zeros(task.p - 1)])
     return np.clip(point, *search_box(task))
@@ -384,7 +388,8 @@ def search_box(task: Task) -> tuple[Floats, Floats]:
 
     Steps of simulation and sampling bound the gains too.
     """
-    slow, quick = float(task.pole_sizes.min()), float(task.pole_sizes.max())
+    slow = float(task.pole_sizes.min())
+    quick = float(task.pole_sizes.max())
     step = task.step if task.Ts is None else task.Ts
     reach = float(np.arcsinh(min(REACH * quick, task.room / step) / slow))
     least, greatest = np.log([SPEED[0] * slow, min(SPEED[1] * quick, task.room / step)])
@@ -398,7 +403,8 @@ def list_gains_at_limit(task: Task, point: Floats) -> str:
     """
     _, greatest = search_box(task)
     size = task.n * task.p
-    quick, step = float(task.pole_sizes.max()), task.step if task.Ts is None else task.Ts
+    quick = float(task.pole_sizes.max())
+    step = task.step if task.Ts is None else task.Ts
     at_bound = np.abs(point) > greatest - NEAR_BOUND * np.abs(greatest)
     names = []
     if at_bound[:size].any() and REACH * quick > task.room / step:

@@ -80,7 +80,8 @@ class TestRuns(NamedTuple):
         """Return the same candidates on the first `runs` runs of a seed, or on one if all
         runs are equal.
         """
-        binding, own = self.batch.binding._replace(seed=seed), self.batch.own._replace(seed=seed)
+        binding = self.batch.binding._replace(seed=seed)
+        own = self.batch.own._replace(seed=seed)
         count = runs if binding.columns or own.entries else 1
         values = binding.draw_columns(0, count, runs)
         batch = self.batch._replace(binding=binding, own=own)
@@ -99,7 +100,8 @@ class TestRuns(NamedTuple):
         columns = len(self.batch.layout.columns) - self.values.shape[1]
         rows = np.empty((len(candidates), self.runs.size, columns))
         for other, chosen in groups.items():
-            group, runs = [candidates[k] for k in chosen], self
+            group = [candidates[k] for k in chosen]
+            runs = self
             if other is not None:
                 seed = self.batch.binding.seed
                 runs = prepare_test_runs(group[0].scenario, group, self.runs.size, seed)
@@ -110,7 +112,8 @@ class TestRuns(NamedTuple):
 
     def _find_other_graph(self, candidate: Problem) -> str | None:
         """Return None for a candidate that the kernel can compute, else its graph."""
-        form, binding = graph(candidate), self.batch.binding
+        form = graph(candidate)
+        binding = self.batch.binding
         if form == self.graph:
             shared = np.delete(np.arange(binding.params.size), binding.indices)
             _, params = pack_problem(candidate, self.batch.loop)
@@ -152,7 +155,8 @@ def prepare_test_runs(
     vary = msgspec.structs.replace(vary, runs=runs, seed=seed, sampling=sampling)
     scenario = msgspec.structs.replace(scenario, ensemble=vary)
     problem = resolve_scenario(scenario)
-    form, loop = graph(problem), close_problem(problem)
+    form = graph(problem)
+    loop = close_problem(problem)
     alike = [pack_problem(probe, loop)[1] for probe in probes if graph(probe) == form]
     slots = set(changed_params(loop, alike).tolist())
     for column in bind_ensemble(problem, loop).columns:
@@ -233,7 +237,8 @@ def metrics_from_outputs(problem: Problem, out: Outputs) -> Floats:
     if poses:
         tally = tally._replace(tip=one_number(((poses["tip"] - poses["tip_r"])[tail] ** 2).sum()))
     states = np.hstack([out.x, out.estimate.x, out.estimate.right, out.estimate.left])[-1:]
-    scales, length = plant_scales(problem), t.size - tail.start
+    scales = plant_scales(problem)
+    length = t.size - tail.start
     return metrics.metric_rows(tally, states, scales, t.size, length, len(problem.tracked))
 
 
@@ -390,13 +395,15 @@ def metric_losses(metric: str, runs: TestRuns | OneByOne, rows: Floats) -> Float
         runs: on which the rows were computed
         rows: of metrics (... x columns)
     """
-    problem, sensor = runs.first_problem, runs.first_problem.sensor
+    problem = runs.first_problem
+    sensor = runs.first_problem.sensor
     names = metrics.metric_names(problem.plant, sensor.kind)
     columns = {name: rows[..., i] for i, name in enumerate(names)}
     if metric in columns:
         size = columns[metric]
     else:
-        widths, geared = interleave_widths(sensor), sensor.kind == "gears"
+        widths = interleave_widths(sensor)
+        geared = sensor.kind == "gears"
         size = np.abs(width_error(metric, columns, widths, runs.values_by_name, geared))
     rate = _divergence_rate(columns, problem.scenario.simulation.step)
     return np.where(

@@ -137,9 +137,13 @@ def _build_parameter(address: str, name: str, bounds: Range, number: Number) -> 
             f"{place}.between: a logarithmic scale needs positive bounds, found {low:g}. "
             "Leave out log or raise it"
         )
-    start, whose, advice = bounds.start, "start", "widen between"
+    start = bounds.start
+    whose = "start"
+    advice = "widen between"
     if start is None:
-        start, whose, advice = number.value, f"the scenario's {name}", f"{advice}, or give start"
+        start = number.value
+        whose = f"the scenario's {name}"
+        advice = f"{advice}, or give start"
     if start is None:
         start = float(np.sqrt(low * high) if bounds.log else (low + high) / 2)
     if not low <= start <= high:
@@ -169,7 +173,8 @@ def fill_default_gains(scenario: Scenario, what: Tune) -> Scenario:
     L = gains[0].ravel() if problem.model.p == 1 else gains[0]
     observer = msgspec.structs.replace(observer, L=L)
     scenario = msgspec.structs.replace(scenario, observer=observer)
-    known, moved = find_option_numbers(scenario), {}
+    known = find_option_numbers(scenario)
+    moved = {}
     for address in of_gains:
         low, high = what.entries[address].between
         for name in numbers_of_address(address, known):

@@ -280,7 +280,8 @@ def validate_best(
         candidates: those simulated, in order
         seed: of the runs tuned on
     """
-    best, name = choose_best(candidates, on.what.margin), on.what.statistic
+    best = choose_best(candidates, on.what.margin)
+    name = on.what.statistic
     scenarios = tuple(
         on.candidate_scenario(k, np.array(best.values)) for k in range(len(on.scenarios))
     )

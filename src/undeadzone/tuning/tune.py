@@ -1,6 +1,7 @@
-"""Search of the numbers of observer and controller that minimise a metric over many runs.
+"""Search for the parameters of observer and controller that minimise a metric over many runs.
 
-The search takes the whole box first, then goes down the slope, then around the best.
+The search has three stages: global in the box of allowed values, along the gradient, and local
+around the best candidate. Points are shares of the allowed ranges, from 0 to 1.
 """
 
 from __future__ import annotations
@@ -36,15 +37,15 @@ from undeadzone.util.answers import MemoryAnswers, open_answers
 from undeadzone.util.arrays import Floats, require_number, require_seed, require_series
 from undeadzone.util.progress import notebook_progress
 
-PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range that are not accidental
-# To either side, as a share of a range: wide enough that a reading which changes its side makes no
-# jump of the slope.
+PLACES: Final = (0.0, 0.3, 0.7, 1.0)  # shares of a range at which a scenario is probed first
+# Step of the differences, as a share of a range. It is so wide that readings which change branch
+# between two points cause no discontinuity of the slope.
 REACH: Final = 1 / 256
-GLOBAL: Final = 0.5  # share of the budget for the search of the whole box
-PATIENCE: Final = 3  # candidates drawn for each that may be simulated: others lack the certificate
-WIDE: Final = 0.25  # first steps of the evolution through the box, as a share of a range
-NARROW: Final = 0.03  # likewise around the best
-FORBIDDEN: Final = 1e200  # cost of a candidate without certificate; one refused costs more
+GLOBAL: Final = 0.5  # share of the budget for the global stage
+PATIENCE: Final = 3  # candidates that are drawn for each simulated one: others lack the certificate
+WIDE: Final = 0.25  # standard deviation of the first global steps, as a share of a range
+NARROW: Final = 0.03  # the same of the local stage
+FORBIDDEN: Final = 1e200  # least cost of a candidate without certificate
 
 Stage = Literal["start", "global", "gradient", "local"]
 
@@ -114,7 +115,8 @@ def tune(
     start = np.array([p.share_of_range(p.start) for p in tuned])
     together = [np.full(start.size, share) for share in PLACES]
     probes = [start, *_move_singly(start, [PLACES] * start.size), *together]
-    points, names = values_at_shares(tuned, np.stack(probes)), [p.name for p in tuned]
+    points = values_at_shares(tuned, np.stack(probes))
+    names = [p.name for p in tuned]
     on = Objective(what, names, scenarios, frames, threads).prepare_runs(points, seed)
     with (
         notebook_progress(progress, "tuning", what.budget, "candidates") as advance,
@@ -139,21 +141,26 @@ def _describe_search(on: Objective, seed: int) -> dict[str, Any]:
 
 
 def _move_singly(start: Floats, places: Sequence[Sequence[float] | Floats]) -> list[Floats]:
-    """Return points that move each number of a start alone, to each of its places."""
+    """Return points (n each) in which one entry of a start differs.
+
+    Args:
+        start: the start (n).
+        places: values of each entry.
+    """
     moves = chain.from_iterable(product([i], values) for i, values in enumerate(places))
     return [np.where(np.arange(start.size) == i, value, start) for i, value in moves]
 
 
-def _require_tune(scenarios: tuple[Scenario, ...], what: Tune | None) -> Tune:
+def _require_tune(scenarios: tuple[Scenario, ...], options: Tune | None) -> Tune:
     """Return the tuning options. Raises InputError."""
     if not scenarios:
         raise InputError("tune: expected at least one scenario, found none")
-    what = what or scenarios[0].tune or Tune()
+    options = options or scenarios[0].tune or Tune()
     for key, least in (("runs", 1), ("held_out", 1), ("budget", 4)):
-        if getattr(what, key) < least:
-            raise InputError(f"tune.{key}: expected {least} or more, found {getattr(what, key)}")
-    require_number("tune.margin", what.margin, least=0.0)
-    return what
+        if getattr(options, key) < least:
+            raise InputError(f"tune.{key}: expected {least} or more, found {getattr(options, key)}")
+    require_number("tune.margin", options.margin, least=0.0)
+    return options
 
 
 def _require_frames(
@@ -171,13 +178,13 @@ def _require_frames(
     return frames
 
 
-def _require_tuning_seed(scenario: Scenario, what: Tune) -> int:
+def _require_tuning_seed(scenario: Scenario, options: Tune) -> int:
     """Return the seed of the runs tuned on. Raises InputError.
 
     It is that of [tune], else of [ensemble], else of [simulation].
     """
-    if what.seed is not None:
-        return require_seed("tune.seed", what.seed)
+    if options.seed is not None:
+        return require_seed("tune.seed", options.seed)
     if scenario.ensemble is not None and scenario.ensemble.seed is not None:
         return require_seed("ensemble.seed", scenario.ensemble.seed)
     return require_seed("simulation.seed", scenario.simulation.seed)
@@ -187,8 +194,8 @@ class Evaluation(NamedTuple):
     """Costs and margins of candidates, or their slopes.
 
     Attributes:
-        cost: of each, inf if one was not simulated
-        margin: of their certificates, inf if none is required
+        cost: cost of each candidate, inf if it was not simulated
+        margin: margin of its certificate, inf if none is required
     """
 
     cost: Floats
@@ -221,14 +228,12 @@ class Search(NamedTuple):
 
     @property
     def cheapest_candidate(self) -> SimulatedCandidate:
-        """Return the cheapest candidate with the certificate, else that of the largest
-        margin.
-        """
+        """Return the cheapest candidate with the certificate, else that of largest margin."""
         return choose_best(self.candidates, self.objective.what.margin)
 
     @property
     def best_shares(self) -> Floats:
-        """Return the shares of the ranges at which the best candidate lies."""
+        """Return the best candidate as shares of the ranges (n)."""
         pairs = zip(self.parameters, self.cheapest_candidate.values, strict=True)
         return np.array([parameter.share_of_range(value) for parameter, value in pairs])
 
@@ -243,23 +248,26 @@ class Search(NamedTuple):
         Raises:
             BudgetSpentError: before anything is simulated
         """
-        what, points = self.objective.what, values_at_shares(self.parameters, u)
+        options = self.objective.what
+        points = values_at_shares(self.parameters, u)
         problems = self.objective.candidate_problems(points)
         margin = self.objective.candidate_margins(problems)
         cost = np.full(len(u), np.inf)
-        chosen, possible = [], []
+        chosen = []
+        allowed = []
         for k, each in enumerate(problems):
-            enough = stage in ("start", "gradient") or margin[k] >= what.margin
-            if each is not None and enough:
+            is_allowed = stage in ("start", "gradient") or margin[k] >= options.margin
+            if each is not None and is_allowed:
                 chosen.append(k)
-                possible.append(each)
-        if len(self.candidates) + len(chosen) > max(until * what.budget, 1):
+                allowed.append(each)
+        if len(self.candidates) + len(chosen) > max(until * options.budget, 1):
             raise BudgetSpentError
         if chosen:
-            cost[chosen] = self._compute_costs(points[chosen], possible)
+            cost[chosen] = self._compute_costs(points[chosen], allowed)
         for k in chosen:
-            point, worth = tuple(points[k].tolist()), (float(cost[k]), float(margin[k]))
-            self.candidates.append(SimulatedCandidate(point, *worth, stage))
+            point = tuple(points[k].tolist())
+            candidate = SimulatedCandidate(point, float(cost[k]), float(margin[k]), stage)
+            self.candidates.append(candidate)
         self.progress(len(chosen))
         return Evaluation(cost, margin)
 
@@ -275,30 +283,30 @@ class Search(NamedTuple):
 
     def spend_budget(self, start: Floats, seed: int) -> None:
         """Search from a start, given as shares of the ranges, until the budget is spent."""
-        what = self.objective.what
+        options = self.objective.what
         self.evaluate_candidates(start[None], "start")
         with contextlib.suppress(BudgetSpentError):
             explore = functools.partial(self.evaluate_candidates, stage="global", until=GLOBAL)
             if start.size == 1:
-                explore(np.linspace(0.0, 1.0, _count_grid_cells(what) + 1)[:, None])
+                explore(np.linspace(0.0, 1.0, _count_grid_cells(options) + 1)[:, None])
             else:
-                _evolve_candidates(explore, what, start, seed, WIDE)
+                _evolve_candidates(explore, options, start, seed, WIDE)
         with contextlib.suppress(BudgetSpentError):
-            if what.statistic == "mean" and not any(p.whole for p in self.parameters):
+            if options.statistic == "mean" and not any(p.whole for p in self.parameters):
                 descend = functools.partial(self.evaluate_candidates, stage="gradient")
                 _descend_slope(
-                    descend, what, self.best_shares, abs(self.cheapest_candidate.cost) or 1.0
+                    descend, options, self.best_shares, abs(self.cheapest_candidate.cost) or 1.0
                 )
         with contextlib.suppress(BudgetSpentError):
             polish = functools.partial(self.evaluate_candidates, stage="local")
-            _search_near_best(polish, what, self.best_shares, seed)
+            _search_near_best(polish, options, self.best_shares, seed)
 
 
 def difference_gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Evaluation]:
-    """Return (the evaluation of u, its slopes) by differences over REACH to either side within
-    the box [0, 1].
+    """Return the evaluation of a point u (n), and its slopes by differences over REACH.
 
-    All candidates are evaluated in one call. If a neighbour is refused, u itself stands in for it.
+    All candidates are evaluated in one call. Neighbours stay in the box [0, 1]; u replaces a
+    neighbour that cannot be simulated.
     """
     shifts = REACH * np.vstack([np.zeros(u.size), np.eye(u.size), -np.eye(u.size)])
     sides = np.clip(u + shifts, 0.0, 1.0)
@@ -313,20 +321,31 @@ def difference_gradient(evaluate: Evaluate, u: Floats) -> tuple[Evaluation, Eval
 
 
 def _difference_slopes(values: Floats, refused: Floats, reach: Floats) -> Floats:
-    """Return the slopes of values at u, ahead and behind (1 + 2 d), or 0 where `reach` (d) is 0."""
+    """Return the slopes (n) of values at u, at n points ahead and n points behind it.
+
+    Args:
+        values: the values (1 + 2 n).
+        refused: flags of the points that were not simulated (1 + 2 n).
+        reach: distances of the points ahead from those behind (n); the slope is 0 if it is 0.
+    """
     ahead, behind = np.split(np.where(refused, values[0], values)[1:], 2)
     with np.errstate(invalid="ignore"):
         slopes = (ahead - behind) / np.where(reach > 0, reach, np.inf)
         return np.nan_to_num(slopes, posinf=0.0, neginf=0.0)
 
 
-def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -> None:
-    """Minimise along the slope within the box and the certificate (size: of the cost, to divide
-    by).
+def _descend_slope(evaluate: Evaluate, options: Tune, start: Floats, size: float) -> None:
+    """Minimise the cost by its gradient: L-BFGS-B, or SLSQP if certificates are required.
+
+    Args:
+        evaluate: evaluates candidates.
+        options: the [tune] table.
+        start: start point, as shares of the ranges (n).
+        size: typical cost, by which the cost is scaled.
     """
     from scipy.optimize import minimize
 
-    least = what.margin + 1e-6  # so that rounding does not cost the certificate
+    least = options.margin + 1e-6  # rounding must not lose the certificate
 
     @functools.cache
     def evaluate_point(point: bytes) -> tuple[Evaluation, Evaluation]:
@@ -335,8 +354,8 @@ def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -
 
     def cost(u: Floats) -> tuple[float, Floats]:
         """Return the scaled cost of a point and its slopes."""
-        worth, slopes = evaluate_point(u.tobytes())
-        return min(float(worth.cost[0]) / size, FORBIDDEN), slopes.cost / size
+        evaluation, slopes = evaluate_point(u.tobytes())
+        return min(float(evaluation.cost[0]) / size, FORBIDDEN), slopes.cost / size
 
     certificate = {
         "type": "ineq",
@@ -344,52 +363,67 @@ def _descend_slope(evaluate: Evaluate, what: Tune, start: Floats, size: float) -
         "jac": lambda u: evaluate_point(u.tobytes())[1].margin[None],
     }
     method: dict[str, Any] = {"method": "L-BFGS-B"}
-    if what.certified:
+    if options.certified:
         method = {"method": "SLSQP", "constraints": [certificate]}
     box = [(0.0, 1.0)] * start.size
     minimize(cost, start, jac=True, bounds=box, options={"ftol": 1e-5}, **method)
 
 
-def _search_near_best(evaluate: Evaluate, what: Tune, best: Floats, seed: int) -> None:
-    """Search around the best without slopes: between its neighbours on the grid, or by
-    evolution.
+def _search_near_best(evaluate: Evaluate, options: Tune, best: Floats, seed: int) -> None:
+    """Search around the best candidate without slopes.
 
-    The former is for one number, the latter takes narrow steps.
+    One parameter is searched on a finer grid between the neighbours of the best one, several
+    parameters by CMA-ES with narrow steps.
+
+    Args:
+        evaluate: evaluates candidates.
+        options: the [tune] table.
+        best: best candidate, as shares of the ranges (n).
+        seed: seed of the evolution.
     """
     if best.size > 1:
-        _evolve_candidates(evaluate, what, best, seed + 1, NARROW)
+        _evolve_candidates(evaluate, options, best, seed + 1, NARROW)
         return
-    cells = _count_grid_cells(what)
+    cells = _count_grid_cells(options)
     for u in best + np.linspace(-1.0, 1.0, cells // 2) / cells:
         evaluate(np.clip([[u]], 0.0, 1.0))
 
 
-def _count_grid_cells(what: Tune) -> int:
+def _count_grid_cells(options: Tune) -> int:
     """Return the number of grid cells over the range of a single number."""
-    return max(int(GLOBAL * what.budget) - 2, 1)
+    return max(int(GLOBAL * options.budget) - 2, 1)
 
 
 def _evolve_candidates(
-    evaluate: Evaluate, what: Tune, start: Floats, seed: int, spread: float
+    evaluate: Evaluate, options: Tune, start: Floats, seed: int, spread: float
 ) -> None:
-    """Search by evolution until the budget of this stage is spent (spread: of its first steps).
+    """Search by CMA-ES until the budget of this stage is spent.
 
-    Candidates without the certificate are not simulated, which costs nothing of the budget.
+    Candidates without the certificate are not simulated, and do not count for the budget.
+
+    Args:
+        evaluate: evaluates candidates.
+        options: the [tune] table.
+        start: start point, as shares of the ranges (n).
+        seed: seed of the evolution.
+        spread: standard deviation of its first steps, as a share of a range.
     """
 
     def cost(u: Floats) -> Floats:
         """Return the penalised costs of candidates."""
-        return _penalise_margin(evaluate(u), what.margin)
+        return _penalise_margin(evaluate(u), options.margin)
 
     size = 4 + int(3 * np.log(start.size))
-    low, high, rounds = np.zeros(start.size), np.ones(start.size), PATIENCE * what.budget // size
+    low = np.zeros(start.size)
+    high = np.ones(start.size)
+    rounds = PATIENCE * options.budget // size
     minimise_by_cmaes(cost, low, high, seed, size, rounds, start, spread)
 
 
-def _penalise_margin(worth: Evaluation, least: float) -> Floats:
-    """Return the cost of candidates. A cost beyond FORBIDDEN grows with the lack of margin."""
-    lack = np.clip(least - worth.margin, 0.0, 1e6)
-    return np.where(worth.margin < least, FORBIDDEN * (1 + lack), worth.cost)
+def _penalise_margin(evaluation: Evaluation, least: float) -> Floats:
+    """Return the costs of candidates; FORBIDDEN and more if the margin is below the least one."""
+    lack = np.clip(least - evaluation.margin, 0.0, 1e6)
+    return np.where(evaluation.margin < least, FORBIDDEN * (1 + lack), evaluation.cost)
 
 
 class Sweep(NamedTuple):

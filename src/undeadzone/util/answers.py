@@ -155,7 +155,8 @@ class Answers(MemoryAnswers):
         self, path: Path, problem: Mapping[str, Any], unit: str, resume: bool = False
     ) -> None:
         super().__init__()
-        self._path, self._unit = path, unit
+        self._path = path
+        self._unit = unit
         self._is_first = not path.parent.exists()
         with lock_file(path, "a+", LARGEST_TABLE) as self._file:
             self._load_or_begin({"answers": unit, **problem, **package_versions()}, resume)

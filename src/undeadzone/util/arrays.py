@@ -144,7 +144,8 @@ def require_vector(key: str, value: Any, size: int, why: str = "") -> Floats:
     if entries.ndim == 0:
         entries = np.full(size, float(entries))
     if entries.shape != (size,):
-        wanted, present = _count_text(size), describe_shape(entries.shape)
+        wanted = _count_text(size)
+        present = describe_shape(entries.shape)
         raise ShapeError(f"{key}: expected {wanted}{_in_brackets(why)}, found {present}")
     return entries
 

@@ -122,9 +122,11 @@ def _halve_numbers(value: Any) -> Any:
 
 def _warn_at_caller(words: str) -> None:
     """Warn at the line outside of this package that reads the scenario."""
-    frame, level = sys._getframe(1), 2
+    frame = sys._getframe(1)
+    level = 2
     while frame.f_back is not None and _is_own_frame(frame):
-        frame, level = frame.f_back, level + 1
+        frame = frame.f_back
+        level = level + 1
     warnings.warn(words, EarlierMeaning, stacklevel=level)
 
 

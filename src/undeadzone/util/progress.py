@@ -94,7 +94,8 @@ def _show_bar(
 
     Until the first step it shows the part that is set up.
     """
-    began, lock = time.monotonic(), threading.Lock()
+    began = time.monotonic()
+    lock = threading.Lock()
     seen = 0
     settled = False  # drawn by a step, or over
 

@@ -64,7 +64,8 @@ def interval_95(
     (0.12, 1.88)
     """
     half = HALF_95 * std
-    low, high = value - half, value + half
+    low = value - half
+    high = value + half
     if least <= low and high <= most:
         return low, high
     if math.isinf(std):
@@ -72,7 +73,8 @@ def interval_95(
     from statistics import NormalDist
 
     unit = NormalDist()
-    below, above = unit.cdf((least - value) / std), unit.cdf((most - value) / std)
+    below = unit.cdf((least - value) / std)
+    above = unit.cdf((most - value) / std)
     if above - below < LEAST_MASS:
         return least, most
     quantiles = [unit.inv_cdf(below + share * (above - below)) for share in (0.025, 0.975)]

@@ -72,7 +72,8 @@ class AdaptiveZoneInverse(
                 "compensator.method: 'adaptive_inverse' needs a linear, stable plant. Use "
                 "'smooth_inverse' with widths that the observer estimates"
             )
-        m, n = model.m, model.n
+        m = model.m
+        n = model.n
         numbers, first = start_coasting(self, model)
         start = require_nonnegative("compensator.widths0", self.widths0, m, "one per input")
         most = np.full(m, np.inf)
@@ -142,7 +143,8 @@ def adaptive_inverse_step(
     u = invert_actuator(drive, v, widths[:m], widths[m:])
     coasts, u = apply_coasting(q.coasts, s.coasts, u, estimate, reading)
     slope = ca.if_else(u > 0, drive.slope_right, drive.slope_left)
-    right, left = slope * (u > 0), slope * (u < 0)
+    right = slope * (u > 0)
+    left = slope * (u < 0)
     xi = q.A @ s.xi + q.B @ (slope * u)
     Phi = q.A @ s.Phi + q.B @ ca.horzcat(-ca.diag(right), ca.diag(left))
     return ZoneInverseState(xi, Phi, widths, coasts), u

@@ -141,7 +141,8 @@ class Contest(NamedTuple):
         places = {title: i for i, title in enumerate(self.scenarios)}
         flat = []
         for result in self.results:
-            row, column = places[result.scenario], self.seeds.index(result.seed)
+            row = places[result.scenario]
+            column = self.seeds.index(result.seed)
             worth = {} if result.worth is None else msgspec.structs.asdict(result.worth)
             flat.append(
                 {

@@ -91,7 +91,8 @@ def _method_model(method: Method, scenario: Scenario, prior: PriorKnowledge) -> 
     A line to compare with knows it. A method that estimates widths gets their ranges, another one
     the middle of these.
     """
-    model, told = scenario.model, describe_actuator(scenario)
+    model = scenario.model
+    told = describe_actuator(scenario)
     if method.reference:
         return None if model is None else msgspec.structs.replace(model, actuator=None)
     estimates = method.observer.__struct_config__.tag in ESTIMATORS

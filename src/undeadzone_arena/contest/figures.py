@@ -82,7 +82,8 @@ def plot_regret_map(
     """
     from matplotlib.colors import LogNorm
 
-    width, height = max(6.4, 2.6 + 0.52 * len(scenarios)), 0.25 * len(rows) + 1.6
+    width = max(6.4, 2.6 + 0.52 * len(scenarios))
+    height = 0.25 * len(rows) + 1.6
     figure, panels = create_panels([["all"]], "Regret by scenario", width=width, height=height)
     axes = panels["all"]
     table = np.array([regrets[row.method].mean(axis=1) for row in rows])
@@ -139,7 +140,10 @@ def plot_traces(runs: Sequence[Trace]) -> Figure:
 def _plot_trace(axes: Axes, trace: Trace) -> None:
     """Plot reference, output and estimate of one method in the last seconds."""
     tail = trace.t > trace.t[-1] - SHOWN
-    t, r, z, z_hat = trace.t[tail], trace.r[tail], trace.z[tail], trace.z_hat[tail]
+    t = trace.t[tail]
+    r = trace.r[tail]
+    z = trace.z[tail]
+    z_hat = trace.z_hat[tail]
     shade_zone(axes, *trace.widths)
     axes.plot(t, r, color=ink.REFERENCE, linewidth=2.6, alpha=0.45, label="reference r")
     axes.plot(t, z, color=ink.TRUTH, label="output z")
@@ -160,15 +164,18 @@ def plot_costs(rows: Sequence[Row]) -> Figure:
     """Plot median regret against the cost of a step. The methods are numbered by their ranks."""
     height = max(4.6, 0.155 * len(rows) + 0.6)
     figure, panels = create_panels([["all"] * 3 + ["names"]], "Cost against error", height=height)
-    axes, names = panels["all"], panels["names"]
+    axes = panels["all"]
+    names = panels["names"]
     for place, row in enumerate(rows, 1):
         if row.cost is None:
             continue
-        x, y = row.cost, float(np.clip(row.median_regret, LEAST, CAP))
+        x = row.cost
+        y = float(np.clip(row.median_regret, LEAST, CAP))
         colour, number = (ink.ZONE, ink.ZONE) if row.reference else (ink.ESTIMATE, ink.TRUTH)
         axes.plot(x, y, "o", color=colour, markersize=11, alpha=0.25, markeredgewidth=0)
         axes.text(x, y, str(place), color=ink.TRUTH, fontsize=6.5, ha="center", va="center")
-        words, down = f"{place:>2}  {row.method}", 1 - place / (len(rows) + 1)
+        words = f"{place:>2}  {row.method}"
+        down = 1 - place / (len(rows) + 1)
         names.text(0.0, down, words, color=number, fontsize=8, va="center")
     axes.set_xscale("log")
     axes.set_yscale("log")

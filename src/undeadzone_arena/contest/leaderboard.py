@@ -153,12 +153,14 @@ def rank_methods(results: Sequence[Result], references: Container[str] = ()) -> 
 
 def _best_contestant(counted: Mapping[str, Floats], references: Container[str]) -> str:
     """Return the contestant of least median regret, and of equals that of least worst regret."""
-    best, least = ZERO, (np.inf, np.inf)
+    best = ZERO
+    least = (np.inf, np.inf)
     for name, regret in counted.items():
         each = regret.mean(axis=1)
         place = (float(np.median(each)), float(each.max()))
         if name not in references and place < least:
-            best, least = name, place
+            best = name
+            least = place
     return best
 
 

@@ -104,7 +104,8 @@ def _passivity_options(prior: PriorKnowledge, knobs: Knobs) -> Options:
 
     For stable plants only.
     """
-    linear, Ts = prior.model.linear, prior.model.Ts
+    linear = prior.model.linear
+    Ts = prior.model.Ts
     direction = passive_gain(linear, Ts)
     gamma = np.full(prior.model.p, knobs["observer.gamma"] * UNITS[GAIN.unit](prior))
     gain = knobs["gain"]
@@ -137,8 +138,11 @@ RECOMMENDED: Final = ("auto", "censored", "kalman", "certified")
 NAIVE: Final = 2.0  # poles of the naive observer, in those of the closed loop
 SURELY: Final = 3.0  # bound of a disturbance, in its rms
 
-RATE, GAIN = Knob(2.0, 100.0, "1/s"), Knob(0.3, 300.0, "1/s")
-NOISE, SHAKE, DRIFT = Knob(1e-3, 0.3, "z"), Knob(0.03, 10.0, "white u"), Knob(1e-4, 0.1, "z")
+RATE = Knob(2.0, 100.0, "1/s")
+GAIN = Knob(0.3, 300.0, "1/s")
+NOISE = Knob(1e-3, 0.3, "z")
+SHAKE = Knob(0.03, 10.0, "white u")
+DRIFT = Knob(1e-4, 0.1, "z")
 CLAIMS = {"observer.noise": NOISE, "observer.disturbance": SHAKE, "observer.drift": DRIFT}
 BLURRED = CLAIMS | {"observer.noise": Knob(0.01, 1.0, "z"), "observer.drift": Knob(0.01, 1.0, "z")}
 LEARNING = {"observer.speed": Knob(1.0, 100.0, "1/s"), "observer.gain": Knob(0.3, 3000.0, "1/s")}

@@ -135,14 +135,16 @@ def _relative_width_errors(
     estimated = np.stack([out.estimate.right, out.estimate.left], axis=1)
     if not (estimated != estimated[0]).any():
         return None, None
-    sensor, linear = problem.sensor, problem.model.linear
+    sensor = problem.sensor
+    linear = problem.model.linear
     schedule = schedule_of_record(out.z, sensor, problem.scenario.simulation.step, problem.model.Ts)
     if actuator_unknown(problem):
         judged = widths_with_unknown_actuator(problem, out, schedule)
     else:
         bias = constant_inputs(problem, linear.B)
         judged = width_identifiability(linear, schedule, bias, sensor.kind == "jump")
-    off, size = estimated[-1] - truth, truth.sum(axis=0)
+    off = estimated[-1] - truth
+    size = truth.sum(axis=0)
     width = np.abs(off.sum(axis=0)) / size
     centre = np.abs(off[0] - off[1]) / size  # both halved
     width_known = np.array([verdict.width for verdict in judged])

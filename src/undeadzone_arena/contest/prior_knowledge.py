@@ -182,7 +182,8 @@ def scenario_assumptions(scenario: Scenario) -> Assumptions:
     """
     if scenario.declared is not None:
         return scenario.declared
-    observer, sensor = scenario.observer, scenario.sensor
+    observer = scenario.observer
+    sensor = scenario.sensor
     every = {name: getattr(observer, name, None) for name in Assumptions.__struct_fields__}
     claims = {name: value for name, value in every.items() if value is not None}
     if "right" in claims:
@@ -201,10 +202,13 @@ def _reference_reach(problem: Problem, width: float) -> Floats:
 
     They are as many as one output has derivatives that no input moves.
     """
-    flow, t = problem.flow.linear, np.arange(problem.steps + 1) * problem.scenario.simulation.step
-    order, row = 1, flow.C
+    flow = problem.flow.linear
+    t = np.arange(problem.steps + 1) * problem.scenario.simulation.step
+    order = 1
+    row = flow.C
     while order < problem.model.n and np.allclose(row @ flow.B, 0.0):
-        order, row = order + 1, row @ flow.A
+        order = order + 1
+        row = row @ flow.A
     largest = np.array([np.abs(problem.reference.output_at(t, k)).max() for k in range(order)])
     return MARGIN * largest + width * (np.arange(order) == 0)
 
@@ -214,7 +218,8 @@ def _loop_rate(problem: Problem) -> float:
 
     It is ten times the plant's fastest if the controller has no K.
     """
-    K, model = problem.controller.K, problem.model
+    K = problem.controller.K
+    model = problem.model
     if K is None:
         return 10 * fastest_pole(model)
     poles = np.linalg.eigvals(model.linear.A - model.linear.B @ K)

@@ -84,7 +84,8 @@ def _methods_to_trace(contest: Contest) -> list[str]:
 def _trace_run(contest: Contest, method: str, title: str) -> Trace:
     """Run a method on a scenario. Raises InputError if the method is not applicable."""
     problem, out = contest.replay(method, title)
-    t, i = np.arange(len(out.z)) * problem.scenario.simulation.step, problem.tracked[0]
+    t = np.arange(len(out.z)) * problem.scenario.simulation.step
+    i = problem.tracked[0]
     return Trace(
         method=method,
         scenario=contest.scenarios[title].title,

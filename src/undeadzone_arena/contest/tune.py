@@ -22,7 +22,6 @@ from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
 from undeadzone_arena.contest.trials import result_dependencies, run_trial
 from undeadzone_arena.contest.tuned_file import Tuned, TunedMethod
 
-BUDGET: Final = 60  # candidates of a method
 SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
 SPREAD: Final = 0.25  # first steps of the search, as a share of a range
 

@@ -100,10 +100,13 @@ def barrier_backstepping(p: BarrierParams, z: Any, reference: Any) -> Any:
         reference: the same of the reference, and the derivative above (r + 1).
     """
     r = z.shape[0]
-    at, below = ca.SX.sym("z", r), ca.SX.sym("ref", r + 1)
+    at = ca.SX.sym("z", r)
+    below = ca.SX.sym("ref", r + 1)
     moved = ca.vertcat(at[1:], 0.0)  # the rest does not depend on a derivative that contains u
     reference_moved = ca.vertcat(below[1:], 0.0)
-    error, pull, wanted = at[0] - below[0], ca.SX(0.0), below[1]
+    error = at[0] - below[0]
+    pull = ca.SX(0.0)
+    wanted = below[1]
     for i in range(r):
         wanted = wanted - p.rate * error - pull
         if i + 1 == r:

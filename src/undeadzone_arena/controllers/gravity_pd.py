@@ -43,7 +43,8 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
                 "controller.method: 'gravity_pd' needs an arm (plant.arm). For another plant use "
                 "'state_feedback' or 'lqr'"
             )
-        m, half = model.m, model.n // 2
+        m = model.m
+        half = model.n // 2
         K = self._joint_gain(model)
         if model.Ts is not None:
             _require_no_alternation(model, K)
@@ -64,7 +65,8 @@ class GravityPD(Options, frozen=True, kw_only=True, tag="gravity_pd"):
 
         Motors and links are one in a rigid arm.
         """
-        m, half = model.m, model.n // 2
+        m = model.m
+        half = model.n // 2
         K = np.zeros((m, model.n))
         k_p = require_positive("controller.k_p", self.k_p, m, "one per joint")
         k_d = require_positive("controller.k_d", self.k_d, m, "one per joint")

@@ -175,9 +175,12 @@ def _feedback_params(
     rows = np.vstack([flow.C @ np.linalg.matrix_power(flow.A, k) for k in range(r + 1)])
     b = (rows[r - 1] @ flow.B).item()
     if Ts is None:
-        per_step, moving, injected = 1.0, chain, L
+        per_step = 1.0
+        moving = chain
+        injected = L
     else:
-        per_step, moving = Ts, zoh(chain, Ts)
+        per_step = Ts
+        moving = zoh(chain, Ts)
         injected = observer_gain(moving, poles, Ts)[:, 0]
     return FeedbackParams(
         basis=basis,

@@ -52,7 +52,9 @@ class RobustAdaptive(Options, frozen=True, kw_only=True, tag="robust_adaptive"):
 
     def build(self, model: System) -> Controller:
         """Build the controller for a model, continuous or sampled."""
-        n, m, Ts = model.n, model.m, model.Ts
+        n = model.n
+        m = model.m
+        Ts = model.Ts
         usual = USUAL * fastest_pole(model)
         rate = (
             usual if self.rate is None else require_number("controller.rate", self.rate, above=0.0)

@@ -53,7 +53,9 @@ class SlidingMode(Options, frozen=True, kw_only=True, tag="sliding_mode"):
 
     def build(self, model: System) -> Controller:
         """Build the controller for a model, continuous or sampled."""
-        n, m, Ts = model.n, model.m, model.Ts
+        n = model.n
+        m = model.m
+        Ts = model.Ts
         usual = 10 * fastest_pole(model)
         spread = np.linspace(0.8, 1.2, max(n - m, 0))
         poles = -usual * spread if self.poles is None else self.poles
@@ -127,7 +129,8 @@ def sliding_surface(model: System, poles: Array) -> Floats:
     A, B, _ = model.linear
     n, m = B.shape
     size = state_response_sizes(A if model.Ts is None else (A - np.eye(n)) / model.Ts, B)
-    A, B = A * size / size[:, None], B / size[:, None]
+    A = A * size / size[:, None]
+    B = B / size[:, None]
     rank = np.linalg.matrix_rank(B)
     if rank < m:
         raise StructureError(
@@ -135,7 +138,9 @@ def sliding_surface(model: System, poles: Array) -> Floats:
             f"B has rank {rank}, not {m}"
         )
     Q = np.linalg.qr(B, mode="complete")[0]
-    moved, free = Q[:, :m], Q[:, m:]  # directions that inputs move, and the others
+    # directions that inputs move, and the others
+    moved = Q[:, :m]
+    free = Q[:, m:]
     M: Floats = np.zeros((m, 0))
     if n > m or np.size(poles):
         reduced = Matrices(free.T @ A @ free, free.T @ A @ moved, np.zeros((0, n - m)))

@@ -84,7 +84,9 @@ def correct_measured(
 
     With `pseudo`, a silent sensor is read on the branch of the estimate.
     """
-    n, p, i = model.n, model.p, sample.i
+    n = model.n
+    p = model.p
+    i = sample.i
     X = belief.mean
     estimated = zone(model.output(q.model, X[:n])[i], X[n + i], X[n + p + i])
     taken = ca.if_else(sample.side != 0, sample.side, estimated if pseudo else 0.0)
@@ -109,5 +111,6 @@ def correct_linearised(
 ) -> RobustUpdate:
     """Correct by a reading that is linearised at the estimate."""
     expected, h = linearise(sight, belief.mean)
-    e, i = ca.if_else(use, sample.y - expected, 0.0), sample.i
+    e = ca.if_else(use, sample.y - expected, 0.0)
+    i = sample.i
     return update_with_outliers(belief, h, e, q.R[i], use, sample.odds, q.doubt.reach[i])

@@ -68,7 +68,8 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
                 "observer.method: 'interval' bounds linear plants only. Use 'censored' for a "
                 "nonlinear one"
             )
-        n, p = model.n, model.p
+        n = model.n
+        p = model.p
         ranges = read_width_ranges(self.right, self.left, p)
         after, before = self._noise_bounds(sensor, p)
         disturbance = require_nonnegative(
@@ -105,7 +106,8 @@ class Interval(Options, frozen=True, kw_only=True, tag="interval"):
 
     def _noise_bounds(self, sensor: Zone, p: int) -> tuple[Floats, Floats]:
         """Return the bounds of the noise after (p) [y] and before the sensor (p) [z]."""
-        after, before = NOISE * sensor.noise, NOISE * sensor.noise_before
+        after = NOISE * sensor.noise
+        before = NOISE * sensor.noise_before
         if self.noise is not None:
             after = require_nonnegative("observer.noise", self.noise, p, "one per output")
         if self.noise_before is not None:

@@ -215,12 +215,16 @@ def initial_horizon_state(
     model: System, prior: JointPrior, tangents: Tangents, nodes: int
 ) -> HorizonState:
     """Return the state at t = 0: every node of the window contains the prior alone."""
-    n, p, m = model.n, model.p, model.m
+    n = model.n
+    p = model.p
+    m = model.m
     mean = prior.prior.mean
     cov = np.diag(prior.prior.std**2)
     C, offset = tangents.output(mean[:n])
     none = np.zeros(p)
-    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    F = np.eye(n)
+    f = np.zeros(n)
+    G = np.zeros((n, m))
     padding = Window(none, none, none, mean, cov, C, offset, F, f, G)
     window = Window(*(np.repeat(part[None], nodes + 1, axis=0) for part in padding))
     return HorizonState(window, mean, cov, F, f, G, 0, none)
@@ -236,7 +240,8 @@ def correct_horizon(
     A reading that is likelier a glitch counts as missing. If most recent ones did, or the state
     left all bounds, the filter is restarted from the prior.
     """
-    n, p = setup.model.n, setup.model.p
+    n = setup.model.n
+    p = setup.model.p
     if (s.share > TOO_MANY).any() or not (np.abs(s.X) < LIMIT).all():
         nodes = len(s.window.y) - 1
         s = initial_horizon_state(setup.model, setup.prior, setup.tangents, nodes)
@@ -250,7 +255,8 @@ def correct_horizon(
     if setup.doubt is not None:
         refused = (np.abs(side) == 1) & (glitch_probability(setup.doubt, e, e_std) > 0.5)
         e = np.clip(e, -CLIP * e_std, CLIP * e_std)
-        side, seen = np.where(refused, 0.0, side), seen & ~refused
+        side = np.where(refused, 0.0, side)
+        seen = seen & ~refused
         s = s._replace(share=update_rejection_share(setup.doubt, s.share, side, refused))
     if s.since % setup.stride == 0:
         s = add_horizon_node(setup, s, y, side, seen)
@@ -274,10 +280,14 @@ def add_horizon_node(
         side: measured side, 0 if the reading is missing (p).
         seen: whether there was a reading (p).
     """
-    n, p, m = setup.model.n, setup.model.p, setup.model.m
+    n = setup.model.n
+    p = setup.model.p
+    m = setup.model.m
     cov = covariance_at_sample(setup, s)
     C, offset = setup.tangents.output(s.X[:n])
-    F, f, G = np.eye(n), np.zeros(n), np.zeros((n, m))
+    F = np.eye(n)
+    f = np.zeros(n)
+    G = np.zeros((n, m))
     unknown = np.zeros((n, n)), f, G  # the motion on from this node
     newest = Window(y, side, 1.0 * seen, s.X, cov, C, offset, *unknown)
     window = shift_window(s, newest)
@@ -298,7 +308,8 @@ def update_rejection_share(doubt: Doubt, share: Floats, side: Floats, refused: A
 
 def covariance_at_sample(setup: HorizonSetup, s: HorizonState) -> Floats:
     """Return the covariance of X at this sample (n + 2p x n + 2p) from the newest node's."""
-    n, p = setup.model.n, setup.model.p
+    n = setup.model.n
+    p = setup.model.p
     T = np.eye(n + 2 * p)
     T[:n, :n] = s.F
     drift = np.concatenate([np.zeros(n), s.since * setup.prior.prior.drift])

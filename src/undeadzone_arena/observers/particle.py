@@ -140,7 +140,9 @@ def start_particles(setup: ParticleSetup, seed: int) -> ParticleState:
 
 def draw_particles(setup: ParticleSetup, seed: int, sample: int) -> ParticleState:
     """Draw particles from the prior at a sample."""
-    n, p, count = setup.model.n, setup.model.p, setup.particles
+    n = setup.model.n
+    p = setup.model.p
+    count = setup.particles
     prior, _, ranges = setup.prior
     rng = _random_generator(seed, 2 * sample)
     x = prior.mean[:n, None] + prior.std[:n, None] * rng.standard_normal((n, count))
@@ -155,7 +157,9 @@ def correct_particles(
 
     Particles that left all bounds are drawn anew.
     """
-    sensor, R, p = setup.sensor, setup.prior.prior.R, setup.model.p
+    sensor = setup.sensor
+    R = setup.prior.prior.R
+    p = setup.model.p
     if not (np.abs(s.x) < LIMIT).all():
         s = draw_particles(setup, s.seed, s.sample)
     seen = np.isfinite(reading.y)
@@ -168,7 +172,8 @@ def correct_particles(
     glitch = glitch_odds(setup.glitches, setup.prior.prior)
     weights = update_particle_weights(s.weights, residuals[seen], glitch[seen])
     X = np.vstack([s.x, s.widths])
-    mean, S = expected @ s.weights, R + particle_variance(expected, s.weights)
+    mean = expected @ s.weights
+    S = R + particle_variance(expected, s.weights)
     width_variance = particle_variance(s.widths[:p] + s.widths[p:], weights)
     estimated = numeric_estimate(
         X @ weights,
@@ -212,9 +217,12 @@ def predict_particles(setup: ParticleSetup, s: ParticleState, u: Floats) -> Part
 
     Widths are reflected at both ends of their range.
     """
-    m, p, count = setup.model.m, setup.model.p, setup.particles
+    m = setup.model.m
+    p = setup.model.p
+    count = setup.particles
     prior, variance, ranges = setup.prior
-    low, high = ranges[:, :1], ranges[:, 1:]
+    low = ranges[:, :1]
+    high = ranges[:, 1:]
     rng = _random_generator(s.seed, 2 * s.sample + 1)
     disturbance = np.sqrt(variance)[:, None] * rng.standard_normal((m, count))
     x = setup.columns.move(s.x, u[:, None] + disturbance)
@@ -285,7 +293,8 @@ def vectorise_model(model: System, count: int) -> VectorModel:
             lambda x, u: np.asarray(model.move(params, x, u)),
             lambda x: np.asarray(model.output(params, x)),
         )
-    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
+    x = ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
     move = ca.Function("move", [x, u], [model.move(ca.SX(params), x, u)]).map(count)
     output = ca.Function("output", [x], [model.output(ca.SX(params), x)]).map(count)
     return VectorModel(lambda x, u: move(x, u).full(), lambda x: output(x).full())

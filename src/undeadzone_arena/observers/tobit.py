@@ -63,15 +63,20 @@ def correct_tobit(
     On each branch the reading is max(s, 0) of a normal s, whose moments are known. A reading at a
     limit bounds it.
     """
-    n, p, i = model.n, model.p, sample.i
+    n = model.n
+    p = model.p
+    i = sample.i
     z, row = linearise(lambda X: model.output(q.model, X[:n])[i], belief.mean)
-    expected, square, slope = 0.0, 0.0, ca.SX(1, n + 2 * p)
+    expected = 0.0
+    square = 0.0
+    slope = ca.SX(1, n + 2 * p)
     for sign, place in ((RIGHT, n + i), (LEFT, n + p + i)):
         h = sign * row
         h[place] -= 1
         std = ca.sqrt(ca.fmax(h @ belief.cov @ h.T, 0.0) + q.R[i])
         beyond = (sign * z - belief.mean[place]) / std
-        chance, slim = normal_cdf(beyond), normal_density(beyond)
+        chance = normal_cdf(beyond)
+        slim = normal_density(beyond)
         expected += sign * std * (chance * beyond + slim)
         square += std**2 * (chance * (1 + beyond**2) + beyond * slim)
         slope += sign * chance * h

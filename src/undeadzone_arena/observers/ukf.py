@@ -54,7 +54,8 @@ class UKF(JointAssumptions, frozen=True, kw_only=True, tag="ukf"):
 
         def correct(q: Params, belief: Gaussian, sample: OutputSample) -> RobustUpdate:
             """Correct by the reading of one output."""
-            R, reach = q.R[sample.i], q.doubt.reach[sample.i]
+            R = q.R[sample.i]
+            reach = q.doubt.reach[sample.i]
             expected, S, K = unscented.gain_by_points(belief, sample.sight, R, weights)
             e = ca.if_else(sample.seen, sample.y - expected, 0.0)
             return update_with_gain(belief, K, e, S, R, sample.seen, sample.odds, reach)

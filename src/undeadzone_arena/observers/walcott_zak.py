@@ -135,12 +135,15 @@ def sliding_direction(model: System, L: Floats, Q: Array | None) -> Floats:
         InputError, ShapeError: for another weight.
         StructureError: unless A - L C is stable, or where rounding spoils the sliding mode.
     """
-    n, Ts = model.n, model.Ts
+    n = model.n
+    Ts = model.Ts
     closed = model.linear.A - L @ model.linear.C
     _require_stable_matrix(closed, Ts, "A - L C")
     rate = closed if Ts is None else (closed - np.eye(n)) / Ts
     unit = 1 / state_response_sizes(rate.T, model.linear.C.T)  # of each state
-    A, L, C = model.linear.A * unit / unit[:, None], L / unit[:, None], model.linear.C * unit
+    A = model.linear.A * unit / unit[:, None]
+    L = L / unit[:, None]
+    C = model.linear.C * unit
     weights = np.eye(n) if Q is None else require_weight("observer.Q", Q, n) * np.outer(unit, unit)
     P = lyapunov_of_loop(Matrices(A, L, C), C, weights, Ts)
     along = np.linalg.solve(P, C.T)

@@ -52,7 +52,8 @@ class Slider(NamedTuple):
 def build_slider(wanted: Slider, moves: list[tuple[int, float, float]]) -> Slider:
     """Return a slider over a range that moves numbers, with steps of a round size."""
     grid = round_up_nicely((wanted.most - wanted.least) / TICKS, (1.0, 2.0, 5.0))
-    most, least = max(wanted.most, wanted.value), min(wanted.least, wanted.value)
+    most = max(wanted.most, wanted.value)
+    least = min(wanted.least, wanted.value)
     return wanted._replace(least=least, most=most, grid=grid, moves=moves)
 
 
@@ -125,20 +126,26 @@ def _reference_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     """Return the sliders for the size and the speed of the reference."""
     if problem.model.nonlinear:  # its target does not scale
         return []
-    signal, unit = problem.scenario.reference, _unit_label(problem.scenario)
-    size, size_unit = 1.0, "×"
-    speed, speed_unit = 1.0, "×"
+    signal = problem.scenario.reference
+    unit = _unit_label(problem.scenario)
+    size = 1.0
+    size_unit = "×"
+    speed = 1.0
+    speed_unit = "×"
     if isinstance(signal, Sine):
-        speed, speed_unit = signal.frequency, "Hz"
+        speed = signal.frequency
+        speed_unit = "Hz"
         if np.size(signal.amplitude) == 1 and not np.any(signal.offset):
-            size, size_unit = abs(float(np.ravel(signal.amplitude)[0])), unit
+            size = abs(float(np.ravel(signal.amplitude)[0]))
+            size_unit = unit
     place = _param_index(loop, "scale.reference")
     wanted = Slider("size", "size of the motion", size_unit, size, 0.0, round_up_nicely(2 * size))
     made = [build_slider(wanted, [(place, 1.0 / size, 0.0)])] if size > 0 else []
     if isinstance(signal, Step) or problem.model.m != len(problem.tracked):
         return made
     fastest = speed * _fastest_factor(problem)
-    least, most = speed / 4, min(round_up_nicely(2.5 * speed), fastest)
+    least = speed / 4
+    most = min(round_up_nicely(2.5 * speed), fastest)
     if most > speed:
         wanted = Slider("speed", "speed of the motion", speed_unit, speed, least, most)
         made.append(build_slider(wanted, []))
@@ -168,9 +175,11 @@ def _adaptation_sliders(problem: Problem, loop: Loop) -> list[Slider]:
     if gamma is None or not np.any(gamma) or getattr(options, "design", None) is not None:
         return []
     base = np.asarray(gamma, float)
-    own, unit = 1.0, "×"
+    own = 1.0
+    unit = "×"
     if np.ptp(base) == 0:
-        own, unit = float(base.flat[0]), "1/s"
+        own = float(base.flat[0])
+        unit = "1/s"
 
     def change(value: float) -> Scenario:
         """Return the scenario with another adaptation gain."""
@@ -243,10 +252,8 @@ def _fit_moves(problem: Problem, loop: Loop, wanted: Slider, change: Change) -> 
     same = all(graph(other) == graph(problem) for other in others)
     if not same or len(others) < len(points) or wanted.most <= wanted.value:
         return None
-    own, known = (
-        tree.pack_tree(loop.params),
-        np.stack([pack_problem(other, loop)[1] for other in others]),
-    )
+    own = tree.pack_tree(loop.params)
+    known = np.stack([pack_problem(other, loop)[1] for other in others])
     moves = []
     matrix = np.vander(points, 3, increasing=True)
     for place in changed_params(loop, known).tolist():

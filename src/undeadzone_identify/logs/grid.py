@@ -77,7 +77,8 @@ def to_grid(logs: list[Log], resample: float | None = None) -> Grid:
         FileError: an irregular step.
         InputError: logs with different steps or numbers of inputs.
     """
-    pieces, steps = [], []
+    pieces = []
+    steps = []
     remarks: list[str] = []
     for log in logs:
         remarks += log.remarks
@@ -283,7 +284,8 @@ def printed_step(values: Floats) -> float:
     Args:
         values: none missing.
     """
-    step, off = rounding_step(values), 1e-9 * max(float(np.ptp(values)), 1e-300)
+    step = rounding_step(values)
+    off = 1e-9 * max(float(np.ptp(values)), 1e-300)
     for digits in range(7):
         if step == 0 and np.abs(values - np.round(values, digits)).max() < off:
             step = 10.0**-digits

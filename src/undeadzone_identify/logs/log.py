@@ -219,7 +219,8 @@ def log_from_samples(samples: Samples, layout: Layout, source: str) -> Log:
         FileError: times that do not increase, a missing input, readings that are all missing.
     """
     samples, repeated = without_repeats(samples)
-    t, lines = samples.t, samples.lines
+    t = samples.t
+    lines = samples.lines
     outputs = tuple(title.name for title in layout.reading_titles)
     inputs = tuple(title.name for title in layout.input_titles)
     y = np.where(np.isfinite(samples.y), samples.y, np.nan)
@@ -317,7 +318,8 @@ def read_log(source: Any, columns: str | None = None, strict: bool = False) -> L
     elif not isinstance(source, str | os.PathLike):
         raise InputError(f"log: expected a path or a DataFrame, found {type(source).__name__}")
     else:
-        path, name = Path(source), str(source)
+        path = Path(source)
+        name = str(source)
         if path.suffix.lower() in BINARY:
             samples, layout = samples_of(path, None, None, chosen, name)
         else:

@@ -80,8 +80,10 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     silent from its edge, its least reading; so what counts is how far readings are beyond that.
     Where no silence lasts, noise leaves no reading at 0 exactly: there every lonely zero is one.
     """
-    y, speaks = grid.y, ok & (grid.y != 0)
-    beyond, step = np.zeros(y.size), np.zeros(y.size + 1)
+    y = grid.y
+    speaks = ok & (grid.y != 0)
+    beyond = np.zeros(y.size)
+    step = np.zeros(y.size + 1)
     for side in (speaks & (y > 0), speaks & (y < 0)):
         beyond += np.where(side, np.abs(y) - np.abs(y[side]).min(initial=np.inf), 0.0)
         step[1:-1] += np.where(side[1:] & side[:-1], np.abs(np.diff(y)), 0.0)
@@ -90,7 +92,8 @@ def _flag_dropouts(grid: Grid, ok: Flags, remarks: list[str]) -> Flags:
     beyond[beyond > beyond[LOUD * nearest < beyond].max(initial=0.0)] = 0.0  # glitches
     dropped = np.zeros_like(ok)
     for first, last in zip(*bounds_of_runs(ok & ~speaks), strict=True):
-        before, after = max(first - 1, 0), min(last + 1, y.size - 1)
+        before = max(first - 1, 0)
+        after = min(last + 1, y.size - 1)
         moved = max(usual, abs(y[after] - y[before]), step[before], step[after + 1])
         loud = min(beyond[before], beyond[after]) > LOUD * moved
         dropped[first : last + 1] = loud and y[before] * y[after] > 0
@@ -213,15 +216,19 @@ def prepare_log(grid: Grid, options: Options) -> PreparedLog:
     _require_informative(grid, y[ok], side, "; ".join(["", *remarks]))
     orders = _feasible_orders(int(ok.sum()), options, remarks)
     ahead = _is_noise_ahead(y[ok], side[ok] == 0, options)
-    start, settles = grid.start, True
+    start = grid.start
+    settles = True
     if options.integrators:
         whole = RecordData(grid.u, y, ok, start, side, ahead, np.ones(grid.u.shape[1]), 1.0)
         length, settles = _settled_length(whole, orders, options.integrators)
         start = _split_records(grid, length, remarks)
-    u_scale, y_scale = grid.u.std(axis=0), float(np.sqrt(np.mean(y[ok] ** 2)))
-    u, y = grid.u / u_scale, y / y_scale
+    u_scale = grid.u.std(axis=0)
+    y_scale = float(np.sqrt(np.mean(y[ok] ** 2)))
+    u = grid.u / u_scale
+    y = y / y_scale
     data = RecordData(u, y, ok, start, side, ahead, u_scale, y_scale, grid.climbs)
-    stuck, quantum = ends.range_text if ends.has_ends else "", grid.quantum / y_scale
+    stuck = ends.range_text if ends.has_ends else ""
+    quantum = grid.quantum / y_scale
     if options.kind == "jump":
         data, limits, jumps = to_dead_zone_data(data, options)
         return PreparedLog(options, data, limits, orders, quantum, remarks, stuck, jumps)
@@ -236,8 +243,10 @@ def _require_silence_at_zero(grid: Grid) -> None:
     if values.size < 3:
         return
     order = np.argsort(counts)
-    most, next_most = int(order[-1]), int(order[-2])
-    value, count = float(values[most]), int(counts[most])
+    most = int(order[-1])
+    next_most = int(order[-2])
+    value = float(values[most])
+    count = int(counts[most])
     low, high = np.quantile(y[y != value], [0.05, 0.95]) if count < y.size else (value, value)
     returns = low < value < high and bounds_of_runs(grid.ok & (grid.y == value))[0].size > 1
     if value != 0 and returns and count > ZEROS * y.size and count > OFTEN * counts[next_most]:
@@ -338,9 +347,11 @@ def _settled_length(data: RecordData, orders: list[int], integrators: int) -> tu
         integrators: of the plant.
     """
     order = max(integrators + 1, min(orders))
-    u_scale, y_scale = data.u.std(axis=0), float(np.sqrt(np.mean(data.y[data.ok] ** 2)))
+    u_scale = data.u.std(axis=0)
+    y_scale = float(np.sqrt(np.mean(data.y[data.ok] ** 2)))
     scaled = data._replace(u=data.u / u_scale, y=data.y / y_scale)
-    length, most = STRETCH, int(np.diff(np.append(data.start, data.y.size)).max())
+    length = STRETCH
+    most = int(np.diff(np.append(data.start, data.y.size)).max())
     while True:
         cut = scaled._replace(start=_first_samples(data.start, data.y.size, length))
         fit = fit_linear(PlantSimulator(cut, order, integrators), data.ok)

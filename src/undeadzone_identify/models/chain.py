@@ -1,9 +1,9 @@
 """A plant between elements: a curve or a play of its input, a zone and a filter behind it.
 
-y = F(q) Dz(G(q) g(u; p)) + level. What an element of the input passes is known for every p, so a
-scan of p with a linear plant behind each finds where a climb begins. These are everyday truths
-beside a dead zone: a fan's torque goes by u |u|, a damper's linkage plays, a load cell's converter
-averages. A curve has neither widths nor an inverse.
+y = F(q) Dz(G(q) g(u; p)) + level. The output of the input element g is known for every p, so a scan
+of p with a linear plant behind each gives the start points. Such elements are common beside a dead
+zone: the torque of a fan is proportional to u |u|, the linkage of a damper has play, the converter
+of a load cell averages. A curve has neither widths nor an inverse.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from undeadzone_identify.models.place import PlaceFit, PlaceStarts
 from undeadzone_identify.models.plant import PlantSimulator, RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear
 
-TAPS = 4  # of a filter behind the zone, beside the first
-WIDEST = 6.0  # rms of z, that an edge is away at most
-VANISHING = 0.01  # rms of its signal, below which an element counts for none
-STRAIGHT = 0.05  # rms of a curve, below which its part beyond a line counts for none
-FLATTEST = 0.1  # slope of one side over the other's, at least
-SHARPEST = 1e-4  # rms of z, over which an edge is round at least
-ROUND = 0.02  # of the zone's width, below which a round edge counts for a sharp one
-PLACES = 13  # of an edge, that are tried where a zone of the input is not about 0
-LATE = 0.05  # samples, below which a lag counts for none
-NEAR_BOUND = 1e-3  # of a curve's number, from which it lies at its bound
-STEP = 1e-5  # of a number, for differences
+TAPS = 4  # taps of a filter behind the zone, beside the first
+WIDEST = 6.0  # largest width of a zone [rms of z]
+VANISHING = 0.01  # width below which an element is negligible [rms of its signal]
+STRAIGHT = 0.05  # deviation from a line below which a curve is negligible [rms of the curve]
+FLATTEST = 0.1  # least ratio of the slopes of both sides
+SHARPEST = 1e-4  # least radius of a round edge [rms of z]
+ROUND = 0.02  # radius below which an edge is sharp [width of the zone]
+PLACES = 13  # edges of a scan for a zone of the input that is not about 0
+LATE = 0.05  # lag below which a filter is negligible [samples]
+NEAR_BOUND = 1e-3  # distance below which a parameter of a curve is at its bound
+STEP = 1e-5  # relative step of a parameter, for differences
 
 
 class InputElement(NamedTuple):
-    """An element of the input.
+    """Element of the input.
 
     Attributes:
-        passes: its output by u (N) and its numbers.
-        low, high: bounds of the numbers.
-        scanned: numbers that are tried first, a linear plant behind each.
-        words: how it reads with its numbers.
-        neutral: numbers with which it passes a multiple of u; none if no finite ones do.
+        passes: (u (N), p) -> output of the element (N).
+        low, high: bounds of its parameters p.
+        scanned: parameters of the scan for start points.
+        words: format of its description, with the parameters inserted.
+        neutral: parameters with which its output is a multiple of u, or () if no finite ones are.
     """
 
     passes: Callable[[Floats, Floats], Floats]
@@ -76,23 +76,24 @@ def exponential_of_input(u: Floats, p: Floats) -> Floats:
 
 
 def play_of_input(u: Floats, p: Floats) -> Floats:
-    """Return u behind a play of gap p, at first without contact."""
+    """Return u (N) after a play of gap p_0, which starts in the middle of its gap (N)."""
     half = p[:1] / 2
     return np.asarray(levels(u[:, None], half, half, u[:1])[:, 0])
 
 
 def rate_of_input(u: Floats, p: Floats) -> Floats:
-    """Return u behind a limit of its rate, p a sample."""
+    """Return u (N) after a rate limiter of p_0 per sample (N)."""
     return limit_rate(u, float(p[0]))
 
 
-def limit_rate(u: Floats, most: float) -> Floats:
-    """Return a signal (N) behind a limit of its rate, so much a sample."""
-    out, at = np.empty(u.size), float(u[0])
-    for k, value in enumerate(u.tolist()):
-        at = min(max(value, at - most), at + most)
-        out[k] = at
-    return out
+def limit_rate(u: Floats, limit: float) -> Floats:
+    """Return a signal (N) after a rate limiter of `limit` per sample (N)."""
+    limited = np.empty(u.size)
+    value = float(u[0])
+    for k, target in enumerate(u.tolist()):
+        value = min(max(target, value - limit), value + limit)
+        limited[k] = value
+    return limited
 
 
 INPUTS = {
@@ -121,7 +122,7 @@ INPUTS = {
         (0.0,),
     ),
     "rate": InputElement(
-        rate_of_input, (1e-3,), (4.0,), tuple((most,) for most in (0.02, 0.05, 0.12, 0.3)), ""
+        rate_of_input, (1e-3,), (4.0,), tuple((limit,) for limit in (0.02, 0.05, 0.12, 0.3)), ""
     ),
     "play": InputElement(
         play_of_input,
@@ -144,20 +145,24 @@ CURVES = ("power", "cubic", "exponential")
 
 
 class ChainModel:
-    """y on F(q) Dz(G(q) g(u; p)), with differences.
+    """Model y = F(q) Dz(G(q) g(u; p)), with derivatives by central differences.
 
-    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]; F = 1 - f_1 - ... + f_1 q^-1 + ...
+    theta = [a, b, x0, p, d_r, d_l, slope, rounding, f_1 ...]. F has a gain of 1:
+    F = 1 - f_1 - ... + f_1 q^-1 + ...
 
     Args:
-        simulator: the plant, of one input, with its data.
-        element: of the input, of `INPUTS`; None: there is none.
-        zone: whether there is a zone of the sensor.
-        taps: how many f there are.
-        lags: whether F is a lag of first order instead, and f_1 its pole.
-        shaped: whether the zone's left side has a slope of its own, and its edges are round.
+        simulator: linear plant of one input with its data.
+        element: name of the input element, of `INPUTS`; None: none.
+        zone: whether the sensor has a zone.
+        taps: number of taps f.
+        lags: whether F is a first-order lag instead, with f_1 its pole.
+        shaped: whether the left side of the zone has a slope of its own, and the edges are round.
     """
 
-    first, last, gain, has_level = 8, 30, 1e-3, True
+    first = 8
+    last = 30
+    gain = 1e-3
+    has_level = True
 
     def __init__(
         self,
@@ -168,7 +173,10 @@ class ChainModel:
         lags: bool = False,
         shaped: bool = False,
     ) -> None:
-        self.simulator, self.element, self.zone, self.lags = simulator, element, zone, lags
+        self.simulator = simulator
+        self.element = element
+        self.zone = zone
+        self.lags = lags
         self.shaped = shaped
         self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
@@ -179,9 +187,10 @@ class ChainModel:
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
         self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
         self.filter = slice(self.shape.stop, self.shape.stop + self.taps)
-        least, most = (FLATTEST, SHARPEST), (1 / FLATTEST, 1.0)
-        self.low = np.array([*low, *([0.0] * 2 * zone), *least * shaped, *([-0.9] * self.taps)])
-        self.high = np.array([*high, *([WIDEST] * 2 * zone), *most * shaped, *([0.98] * self.taps)])
+        shape_low = (FLATTEST, SHARPEST) * shaped
+        shape_high = (1 / FLATTEST, 1.0) * shaped
+        self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * self.taps)])
+        self.high = np.array([*high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)])
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
@@ -191,12 +200,12 @@ class ChainModel:
         return ChainModel(own, self.element, self.zone, taps, self.lags, self.shaped)
 
     def levels(self, theta: Floats) -> Floats:
-        """Return the sensor's widths, or half the gap at the input on either side (2)."""
+        """Return d_r and d_l of the sensor's zone, else both halves of the input's gap (2)."""
         gap = np.repeat(theta[self.inputs][:1] / 2, 2)
         return theta[self.edges] if self.zone else np.asarray(gap)
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Return numbers of the elements within their bounds."""
+        """Restrict the parameters of the elements to their bounds; theta is changed in place."""
         theta[self.base :] = np.clip(theta[self.base :], self.low, self.high)
         return theta
 
@@ -206,8 +215,9 @@ class ChainModel:
         return self._simulate(theta)
 
     def _simulate(self, theta: Floats) -> Floats:
-        """Return z of any numbers (N)."""
-        layout, u = self.simulator.layout, self.simulator.data.u[:, 0]
+        """Simulate z for theta (N)."""
+        layout = self.simulator.layout
+        u = self.simulator.data.u[:, 0]
         numerator = np.append(0.0, theta[layout.numerators])
         denominator = layout.full_denominator(theta[layout.denominator])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
@@ -219,11 +229,11 @@ class ChainModel:
         return z
 
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
-        """Return u behind the element of the input (N)."""
+        """Return u (N) after the element of the input (N)."""
         return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
-        """Return the linear plant alone, driven by u behind the element of the input."""
+        """Return the linear plant driven by the output of the input element."""
         data = self.simulator.data
         parts = [self.pass_input(data.u[part, 0], theta) for part in self.simulator.records]
         return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
@@ -232,22 +242,28 @@ class ChainModel:
         """Return the readings of z without noise (N)."""
         y = z
         if self.shaped:
-            (right, left), (slope, rounding) = theta[self.edges], theta[self.shape]
-            up, down = np.logaddexp(0.0, [(z - right) / rounding, (-z - left) / rounding])
-            y = np.asarray(rounding * (up - slope * down))
+            (right, left) = theta[self.edges]
+            (slope, rounding) = theta[self.shape]
+            # softplus: ln(1 + e^x), a ramp with a round corner.
+            right_ramp, left_ramp = np.logaddexp(
+                0.0, [(z - right) / rounding, (-z - left) / rounding]
+            )
+            y = np.asarray(rounding * (right_ramp - slope * left_ramp))
         elif self.zone:
             y = dead_zone(z, *theta[self.edges])
         if not self.taps:
             return y
-        f, out = theta[self.filter], np.empty(y.size)
+        f = theta[self.filter]
+        filtered = np.empty(y.size)
         for part in self.simulator.data.record_slices():
             if self.lags:
-                keep = float(f[0])
-                out[part] = lfilter([1 - keep], [1.0, -keep], y[part], zi=[keep * y[part][0]])[0]
+                pole = float(f[0])
+                start = [pole * y[part][0]]
+                filtered[part] = lfilter([1 - pole], [1.0, -pole], y[part], zi=start)[0]
             else:
-                longer = np.append(np.full(self.taps, y[part][0]), y[part])
-                out[part] = lfilter(np.append(1 - f.sum(), f), [1.0], longer)[self.taps :]
-        return out
+                padded = np.append(np.full(self.taps, y[part][0]), y[part])
+                filtered[part] = lfilter(np.append(1 - f.sum(), f), [1.0], padded)[self.taps :]
+        return filtered
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free numbers (N x free)."""
@@ -255,31 +271,32 @@ class ChainModel:
         rows = np.empty((y.size, self.free.size))
         for column, place in enumerate(self.free):
             step = STEP * max(abs(theta[place]), 0.02)
-            more, less = theta.copy(), theta.copy()
-            more[place] += step
-            less[place] -= step
-            apart = self.noise_free_readings(self._simulate(more), more)
-            rows[:, column] = (apart - self.noise_free_readings(self._simulate(less), less)) / (
-                2 * step
-            )
+            change = self._readings_at(theta, place, step) - self._readings_at(theta, place, -step)
+            rows[:, column] = change / (2 * step)
         return y, rows
 
+    def _readings_at(self, theta: Floats, place: int, step: float) -> Floats:
+        """Return the readings (N) for theta with one parameter changed by a step."""
+        shifted = theta.copy()
+        shifted[place] += step
+        return self.noise_free_readings(self._simulate(shifted), shifted)
+
     def class_word(self, theta: Floats) -> str:
-        """Return the verdict's word; an element that vanishes counts for none.
+        """Return the class of the verdict; negligible elements do not count.
 
         Args:
-            theta: its numbers.
+            theta: parameters of the fit (P).
         """
         if self.element in CURVES:
-            return "none" if self._bend(theta) < STRAIGHT else "input_curve"
+            return "none" if self._nonlinear_share(theta) < STRAIGHT else "input_curve"
         if self.element == "play":
             return "none" if theta[self.inputs][0] < VANISHING else "input_play"
         if self.element == "rate":
             u = self.simulator.data.u[:, 0]
-            late = self.pass_input(u, theta) - u
-            return "none" if late.std() < STRAIGHT * u.std() else "input_rate"
-        is_there = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
-        if not is_there:
+            effect = self.pass_input(u, theta) - u
+            return "none" if effect.std() < STRAIGHT * u.std() else "input_rate"
+        has_zone = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
+        if not has_zone:
             return "none"
         is_plain = False
         if self.shaped:
@@ -289,13 +306,14 @@ class ChainModel:
         return "dead_zone" if is_plain else "filtered_zone"
 
     def has_curve_at_bound(self, theta: Floats) -> bool:
-        """Return whether the curve of the input lies at the end of those that were tried."""
-        own, count = theta[self.inputs], self.inputs.stop - self.inputs.start
+        """Return whether a parameter of the input's curve is at its bound."""
+        own = theta[self.inputs]
+        count = self.inputs.stop - self.inputs.start
         near = np.minimum(own - self.low[:count], self.high[:count] - own) < NEAR_BOUND
         return self.element in CURVES and bool(near.any())
 
     def distance_from_neutral(self, theta: Floats) -> Floats:
-        """Return how far the numbers of the input's element are from those that leave u as it is.
+        """Return the distance of the input element's parameters from those of a linear input.
 
         Args:
             theta: its numbers.
@@ -304,22 +322,22 @@ class ChainModel:
         return theta[self.inputs][: len(neutral)] - neutral
 
     def lag(self, theta: Floats) -> float:
-        """Return by how much the filter behind the zone is late [samples]."""
+        """Return the mean delay of the filter behind the zone [samples]."""
         f = theta[self.filter]
         return float(f[0] / (1 - f[0]) if self.lags else f @ np.arange(1, self.taps + 1))
 
-    def _bend(self, theta: Floats) -> float:
-        """Return the rms of the curve about its best line, in the curve's rms."""
+    def _nonlinear_share(self, theta: Floats) -> float:
+        """Return the rms of the input's curve about its best line, over that of the curve [1]."""
         u = self.simulator.data.u[:, 0]
         curve = INPUTS[str(self.element)].passes(u, theta[self.inputs])
         line = np.polyval(np.polyfit(u, curve, 1), u)
         return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
 
     def in_words(self, theta: Floats, u_scale: float, y_scale: float) -> str:
-        """Describe the model with its numbers.
+        """Describe the model with its parameters.
 
         Args:
-            theta: its numbers.
+            theta: parameters of the fit (P).
             u_scale: rms of u [u].
             y_scale: rms of y [y].
         """
@@ -331,8 +349,8 @@ class ChainModel:
             gap = theta[self.inputs][0] * u_scale
             return f"play between input and plant, ahead of its lags, explains the log: {gap:.4g}"
         if self.element == "rate":
-            most = theta[self.inputs][0] * u_scale
-            return f"the drive follows the input by at most {most:.4g} a sample"
+            limit = theta[self.inputs][0] * u_scale
+            return f"the drive follows the input by at most {limit:.4g} a sample"
         right, left = theta[self.edges] * y_scale
         late = f"behind it a filter that is late by {self.lag(theta):.2g} samples"
         if not self.shaped:
@@ -355,15 +373,16 @@ def fit_chains(
     The best one has the least BIC. A plant of several inputs has no chain.
 
     Args:
-        fit: plant and sensor zone of one record.
-        places: other models of the same record, by class.
-        recorded: the same readings with the input as it was recorded, since the delay of the zone's
-            plant may be that of an element.
-        orders: of plants that the log is long enough for. The fit's order and the next are tried,
-            with the recorded input two higher ones.
+        fit: fit of a plant with a sensor zone to one record.
+        places: fits of other models to the same record, by class.
+        recorded: the same readings with the recorded input. The delay that was found for the
+            zone's plant may be an effect of the element.
+        orders: orders of plants for which the log has enough samples. The order of the fit and the
+            next one are used, with the recorded input also the second next.
     """
     starts = PlaceStarts(fit)
-    layout, data = starts.simulator.layout, starts.simulator.data
+    layout = starts.simulator.layout
+    data = starts.simulator.data
     if layout.m > 1:
         return Chains({})
     kinds = [(data, n) for n in (layout.n, layout.n + 1)]
@@ -371,45 +390,51 @@ def fit_chains(
     if same and not np.array_equal(recorded.u, data.u):
         kinds += [(recorded, n) for n in range(layout.n, layout.n + 3)]
     plants = [
-        PlantSimulator(one, n, layout.integrators)
-        for one, n in kinds
+        PlantSimulator(records, n, layout.integrators)
+        for records, n in kinds
         if n in orders or n == layout.n
     ]
     fits: list[ChainFit | None] = []
     for name, element in INPUTS.items():
         scanned = [scan_input(plant, element) for plant in plants]
         fits.append(_best_order(plants, scanned, partial(_model_of, name)))
-    plain = [scan_input(plant, PLAIN) for plant in plants]
-    taps = [np.array(one) for one in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
-    longer = [_with_taps(row, taps) for row in plain]
-    fits.append(_best_order(plants, longer, lambda one: ChainModel(one, taps=TAPS)))
-    zoned, widths = starts.plant, starts.widths
+    linear = [scan_input(plant, PLAIN) for plant in plants]
+    taps = [np.array(f) for f in ([0.2, 0.2, 0.0, 0.0], [0.2] * TAPS)]
+    filtered_starts = [_with_taps(row, taps) for row in linear]
+    fits.append(_best_order(plants, filtered_starts, lambda plant: ChainModel(plant, taps=TAPS)))
+    zoned = starts.plant
+    widths = starts.widths
     if "dead_zone" in places:
-        known = places["dead_zone"]
-        zoned, widths = known.theta[: layout.right], known.model.part_numbers(known.theta, "sensor")
+        zone = places["dead_zone"]
+        zoned = zone.theta[: layout.right]
+        widths = zone.model.part_numbers(zone.theta, "sensor")
     lag = ChainModel(starts.simulator, zone=True, lags=True)
-    begun = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
-    fits.append(LeastSquares(lag).fit_from_starts(begun))
+    points = [np.concatenate([zoned, widths, [pole]]) for pole in (0.3, 0.7)]
+    fits.append(LeastSquares(lag).fit_from_starts(points))
     filtered = ChainModel(starts.simulator, zone=True, taps=TAPS)
-    fits.append(
-        LeastSquares(filtered).fit_from_starts([np.concatenate([zoned, widths, f]) for f in taps])
-    )
-    shape = None
-    if not data.silent_zeros:  # noise ahead of a zone rounds it, too
+    points = [np.concatenate([zoned, widths, f]) for f in taps]
+    fits.append(LeastSquares(filtered).fit_from_starts(points))
+    shaped = None
+    if not data.silent_zeros:  # noise ahead of a zone makes its edges round as well
         squares = LeastSquares(ChainModel(starts.simulator, zone=True, lags=True, shaped=True))
-        own = [[1.0, part * widths.sum(), pole] for part, pole in ((0.02, 0.02), (0.1, 0.4))]
-        shape = squares.fit_from_starts([np.concatenate([zoned, widths, one]) for one in own])
-    there = [one for one in (*fits, shape) if one is not None]
-    rows = ((one.model.class_word(one.theta), one.density.bic, one) for one in there)
-    return Chains(best_of_each(rows), shape)
+        shapes = [[1.0, share * widths.sum(), pole] for share, pole in ((0.02, 0.02), (0.1, 0.4))]
+        shaped = squares.fit_from_starts(
+            [np.concatenate([zoned, widths, shape]) for shape in shapes]
+        )
+    rows = (
+        (fit.model.class_word(fit.theta), fit.density.bic, fit)
+        for fit in (*fits, shaped)
+        if fit is not None
+    )
+    return Chains(best_of_each(rows), shaped)
 
 
 class Chains(NamedTuple):
     """Fits of chains.
 
     Attributes:
-        by_word: the best of each word.
-        shaped: a zone with slopes of its sides, round edges and a lag; None: not asked.
+        by_word: best fit of each class.
+        shaped: fit of a zone with two slopes, round edges and a lag; None: not fitted.
     """
 
     by_word: dict[str, ChainFit]
@@ -417,18 +442,18 @@ class Chains(NamedTuple):
 
 
 def _model_of(name: str, simulator: PlantSimulator) -> ChainModel:
-    """Return a plant behind an element of the input."""
+    """Return the model of a plant behind an input element of `INPUTS`."""
     return ChainModel(simulator, name)
 
 
-def _with_taps(starts: Sequence[Begun], taps: Sequence[Floats]) -> list[Begun]:
-    """Return each start with each of the filters behind the zone."""
+def _with_taps(starts: Sequence[ScannedStart], taps: Sequence[Floats]) -> list[ScannedStart]:
+    """Return each start point with each of several filters appended."""
     pairs = itertools.product(starts, taps)
-    return [Begun(one.cost, np.append(one.theta, filtered)) for one, filtered in pairs]
+    return [ScannedStart(start.cost, np.append(start.theta, f)) for start, f in pairs]
 
 
-class Begun(NamedTuple):
-    """Where a climb begins, and BIC of the linear plant there."""
+class ScannedStart(NamedTuple):
+    """Start point of a fit, and the BIC of its linear plant."""
 
     cost: float
     theta: Floats
@@ -436,38 +461,49 @@ class Begun(NamedTuple):
 
 def _best_order(
     plants: Sequence[PlantSimulator],
-    scanned: Sequence[Sequence[Begun]],
+    scanned: Sequence[Sequence[ScannedStart]],
     model: Callable[[PlantSimulator], ChainModel],
 ) -> ChainFit | None:
-    """Return the fit behind the plant whose scan leaves least."""
-    there = [(min(one.cost for one in row), k) for k, row in enumerate(scanned) if row]
-    if not there:
+    """Return the fit of the order whose scan has the least BIC, None without a start point.
+
+    Args:
+        plants: plants of several orders.
+        scanned: start points of each plant.
+        model: function that builds the model of a plant.
+    """
+    costs = [(min(start.cost for start in row), k) for k, row in enumerate(scanned) if row]
+    if not costs:
         return None
-    best = min(there)[1]
-    return LeastSquares(model(plants[best])).fit_from_starts([one.theta for one in scanned[best]])
+    best = min(costs)[1]
+    points = [start.theta for start in scanned[best]]
+    return LeastSquares(model(plants[best])).fit_from_starts(points)
 
 
 def find_input_zero(simulator: PlantSimulator) -> float:
-    """Return the middle of a zone of the input at any place, or the median without one, scaled.
+    """Return the centre of a zone of the input, scaled; the median of the input without a zone.
 
     Args:
-        simulator: the plant, of one input, with its data.
+        simulator: linear plant of one input with its data.
     """
-    places = np.quantile(simulator.data.u[:, 0], np.linspace(0.05, 0.95, PLACES))
-    pairs = tuple(itertools.combinations_with_replacement(places.tolist(), 2))
+    edges = np.quantile(simulator.data.u[:, 0], np.linspace(0.05, 0.95, PLACES))
+    pairs = tuple(itertools.combinations_with_replacement(edges.tolist(), 2))
     best = scan_input(simulator, InputElement(zone_of_input, (), (), pairs, ""), 1)
-    return float(best[0].theta[-2:].mean()) if best else float(places[PLACES // 2])
+    return float(best[0].theta[-2:].mean()) if best else float(edges[PLACES // 2])
 
 
-def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) -> list[Begun]:
-    """Return where climbs begin: the best numbers of a scan, with the linear plant behind each.
+def scan_input(
+    simulator: PlantSimulator, element: InputElement, count: int = 2
+) -> list[ScannedStart]:
+    """Return the best parameters of a scan, each with a linear plant behind the element.
 
     Args:
-        simulator: the plant, with its data.
-        element: of the input.
-        most: how many.
+        simulator: linear plant with its data.
+        element: element of the input.
+        count: number of start points.
     """
-    layout, data, found = simulator.layout, simulator.data, list[Begun]()
+    layout = simulator.layout
+    data = simulator.data
+    starts = list[ScannedStart]()
     for numbers in element.scanned:
         v = element.passes(data.u[:, 0], np.array(numbers))
         scale = float(v.std())
@@ -477,5 +513,5 @@ def scan_input(simulator: PlantSimulator, element: InputElement, most: int = 2) 
         fit = fit_linear(PlantSimulator(passed, layout.n, layout.integrators), data.ok)
         theta = fit.theta[: layout.right].copy()
         theta[layout.numerators] /= scale
-        found.append(Begun(fit.bic, np.append(theta, numbers)))
-    return sorted(found, key=lambda one: one.cost)[:most]
+        starts.append(ScannedStart(fit.bic, np.append(theta, numbers)))
+    return sorted(starts, key=lambda start: start.cost)[:count]

@@ -1,8 +1,8 @@
 """Elements between plant and readings: a play, a play with a dead zone, or a static map.
 
-What is simulated is z. A play drags its level along, y = Dz(level). The centre of its gap is read
-off where z = 0 is known: not of an integrating plant, and not beside a dead zone, where only the
-sum of both centres shows. A static map reads y = g(z).
+z is simulated. A play follows z with its level, and y = Dz(level). The centre of the gap is
+identifiable only if z has a known zero, as that of an integrating plant has not. Beside a dead zone
+only the sum of both centres is identifiable. A static map reads y = g(z).
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from undeadzone_identify.models.likelihood import dead_zone
 from undeadzone_identify.models.plant import CREDIBLE, PlantSimulator, RecordData
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_linear, widths_about_level
 
-HALVES = (0.15, 0.5, 1.0)  # of the gap, in rms of y, where climbs begin
-LOUDER = 1.1  # the gain behind a play is larger than a linear fit's
-BLURS = (1.0, 0.3, 0.1)  # of what disturbs z: rms of noise ahead of a map
+HALVES = (0.15, 0.5, 1.0)  # start values of the half gap [rms of y]
+LOUDER = 1.1  # start value of the gain behind a play, over that of a linear fit
+BLURS = (1.0, 0.3, 0.1)  # rms of the noise ahead of a map [rms of the disturbance of z]
 LEAST_BLUR = 0.02
-BREAKS = 2  # numbers that two edges cost besides (Zhang and Siegmund 2007), where a map breaks,
-# or where a few extreme readings tell of an edge
-BLUR_BEHIND = 0.03  # where noise is behind the zone
+# Parameters that two edges count for in BIC beside their values, if the map is discontinuous there
+# or if a few extreme readings determine an edge (Zhang and Siegmund 2007).
+BREAKS = 2
+BLUR_BEHIND = 0.03  # rms of the noise ahead of a map if noise enters behind the zone
 ROOT = math.sqrt(2 * math.pi)
 
 T = TypeVar("T")
@@ -38,15 +39,25 @@ T = TypeVar("T")
 
 
 class PlayModel:
-    """Plant with a play and perhaps a dead zone, y = Dz(play(z)); theta = [a, b, x0, c_r, c_l,
-    d_r, d_l].
+    """Plant with a play and perhaps a dead zone, y = Dz(play(z)).
+
+    theta = [a, b, x0, c_r, c_l, d_r, d_l].
 
     Args:
-        simulator: the plant, with its data.
+        simulator: linear plant with its data.
         zone: whether a dead zone follows; then c_l = c_r.
+
+    Attributes:
+        tied: whether c_l = c_r, since the centre of the gap is not identifiable.
+        base: place of c_r in theta.
+        free: places of the free parameters (F).
     """
 
-    first, last, gain, has_level = 0, 60, 1e-4, False  # a level is in c_r - c_l, d_r - d_l or x0
+    # a level is in c_r - c_l, d_r - d_l or x0
+    first = 0
+    last = 60
+    gain = 1e-4
+    has_level = False
 
     def __init__(self, simulator: PlantSimulator, zone: bool = False) -> None:
         self.name = "play_and_zone" if zone else "play"
@@ -58,12 +69,12 @@ class PlayModel:
         self.size = self.base + 4
         fitted = [True, not self.tied, zone, zone]
         self.free: Integers = np.flatnonzero(np.append(np.ones(self.base, bool), fitted))
-        self.begun = [self._first_reading(part) for part in self.data.record_slices()]
+        self.start_levels = [self._first_reading(part) for part in self.data.record_slices()]
 
     def _first_reading(self, part: slice) -> Floats:
         """Return the initial level of a record (1); that of the log if it has no reading."""
-        there = part if self.data.ok[part].any() else slice(None)
-        return self.data.y[there][self.data.ok[there]][:1]
+        source = part if self.data.ok[part].any() else slice(None)
+        return self.data.y[source][self.data.ok[source]][:1]
 
     def along(self, data: RecordData) -> PlayModel:
         """Return the same model for other records."""
@@ -86,18 +97,18 @@ class PlayModel:
         return self.simulator.simulate_z(theta)
 
     def play_level(self, z: Floats, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the output of the play and its last direction: +1 right, -1 left, 0 not
-        yet (N, N).
-        """
+        """Return the output of the play and its contact (N each): +1 right, -1 left, 0 not yet."""
         gap = theta[self.base : self.base + 2]
         return self._drag_level(np.append(gap, z))
 
     @cache_latest
     def _drag_level(self, numbers: Floats) -> tuple[Floats, Floats]:
         """Return `play_level` for c_r, c_l and z stacked in a column."""
-        right, left, z = numbers[:1], numbers[1:2], numbers[2:, None]
-        parts = zip(self.data.record_slices(), self.begun, strict=True)
-        level = np.vstack([levels(z[part], right, left, begun) for part, begun in parts])[:, 0]
+        right = numbers[:1]
+        left = numbers[1:2]
+        z = numbers[2:, None]
+        parts = zip(self.data.record_slices(), self.start_levels, strict=True)
+        level = np.vstack([levels(z[part], right, left, start) for part, start in parts])[:, 0]
         side = contact(level, np.roll(level, 1))
         side[self.data.start] = 0.0
         return level, side[self._last_move_index(level)]
@@ -111,16 +122,18 @@ class PlayModel:
         return dead_zone(level, *theta[self.base + 2 :]) if self.zone else level
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free parameters (N x
-        free).
+        """Return the readings (N), and their derivatives by the free parameters (N x F).
+
+        In contact on the right the level is z - c_r, on the left z + c_l. Between contacts it keeps
+        its value, and so its derivatives, of the last move.
         """
         z = self.output(theta)
         slope = self.simulator.z_gradient(theta, z)[:, : self.base]
-        level, moved = self.play_level(z, theta)
+        level, side = self.play_level(z, theta)
         rows = np.zeros((z.size, self.size))
-        rows[:, : self.base] = slope[self._last_move_index(level)] * (moved != 0)[:, None]
-        rows[:, self.base] = -1.0 * (moved > 0)
-        rows[:, self.base + 1] = 1.0 * (moved < 0)
+        rows[:, : self.base] = slope[self._last_move_index(level)] * (side != 0)[:, None]
+        rows[:, self.base] = -1.0 * (side > 0)
+        rows[:, self.base + 1] = 1.0 * (side < 0)
         if self.tied:
             rows[:, self.base] += rows[:, self.base + 1]
         if self.zone:
@@ -131,9 +144,7 @@ class PlayModel:
         return self._pass_dead_zone(level, theta), rows[:, self.free]
 
     def _last_move_index(self, level: Floats) -> Integers:
-        """Return the sample of the level's last move (N); before that the record's first
-        sample.
-        """
+        """Return the sample at which the level (N) last moved (N), at least the record's first."""
         changed = np.append(True, np.diff(level) != 0)
         changed[self.data.start] = True
         return np.asarray(np.maximum.accumulate(np.where(changed, np.arange(level.size), 0)))
@@ -143,7 +154,7 @@ class PlayModel:
         return theta[[self.base, self.base + (not self.tied)]]
 
     def play_weights(self, *weights: float) -> Floats:
-        """Return the row of weights of c_r, c_l, d_r, d_l over the free parameters."""
+        """Return the weights of the free parameters (F) in a sum of c_r, c_l, d_r, d_l."""
         return weight_row(self.free, self.size, self.base, weights, self.tied)
 
 
@@ -151,12 +162,12 @@ PlayFit = FittedModel[PlayModel]
 
 
 def fit_play(data: RecordData, orders: list[int], integrators: int) -> PlayFit | None:
-    """Fit a play behind plants of several orders; return the best, None if none is stable.
+    """Fit a play behind plants of several orders; return the best fit, None without a stable one.
 
     Args:
         data: the records.
-        orders: of the plant, to be tried.
-        integrators: of the plant.
+        orders: orders of the plant among which BIC chooses.
+        integrators: number of integrators of the plant.
     """
     models = [PlayModel(PlantSimulator(data, n, integrators)) for n in orders]
     return _best_settling_fit(
@@ -164,21 +175,23 @@ def fit_play(data: RecordData, orders: list[int], integrators: int) -> PlayFit |
     )
 
 
-def fit_play_and_zone(begun: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
-    """Fit a play that a dead zone follows; return the best plant's fit.
+def fit_play_and_zone(earlier_fits: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
+    """Fit a play with a dead zone after it; return the best fit, None without a stable one.
 
     Args:
-        begun: fits of a play, or of a dead zone, where climbs start.
+        earlier_fits: fits of a play or of a dead zone, which give the start points.
     """
     fits = []
-    for one in begun:
-        simulator = one.objective.simulator if isinstance(one, ZoneFit) else one.model.simulator
-        model = PlayModel(simulator, zone=True)
+    for earlier in earlier_fits:
+        if isinstance(earlier, ZoneFit):
+            model = PlayModel(earlier.objective.simulator, zone=True)
+        else:
+            model = PlayModel(earlier.model.simulator, zone=True)
         starts = []
         for half, width in ((0.3, 0.3), (0.1, 0.5), (0.5, 0.1)):
-            if not isinstance(one, ZoneFit):
-                half = 0.8 * float(one.theta[model.base : model.base + 2].mean())
-            starts.append(np.append(one.theta[: model.base], [half, half, width, width]))
+            if not isinstance(earlier, ZoneFit):
+                half = 0.8 * float(earlier.theta[model.base : model.base + 2].mean())
+            starts.append(np.append(earlier.theta[: model.base], [half, half, width, width]))
         fits.append(LeastSquares(model).fit_from_starts(starts))
     return _best_settling_fit(fits)
 
@@ -186,14 +199,14 @@ def fit_play_and_zone(begun: Sequence[PlayFit | ZoneFit]) -> PlayFit | None:
 def _start_gaps(model: PlayModel) -> list[Floats]:
     """Return start points: gaps of several sizes behind a plant of raised gain."""
     linear = fit_linear(model.simulator, model.data.ok)
-    begun = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
-    return [_start_point(model, linear, LOUDER, numbers) for numbers in begun]
+    elements = [[*widths_about_level(linear, half), 0.0, 0.0] for half in HALVES]
+    return [_start_point(model, linear, LOUDER, numbers) for numbers in elements]
 
 
 def _start_point(
     model: PlayModel | MapModel, plant: ZoneFit, gain: float, p: Sequence[float]
 ) -> Floats:
-    """Return a start point from a plant, the factor of its gain, and the element's parameters."""
+    """Return a start point (P): a plant with a gain factor, then the element's parameters p."""
     theta = np.append(plant.theta[: model.base], p)
     theta[model.simulator.layout.numerators] *= gain
     return theta
@@ -201,10 +214,10 @@ def _start_point(
 
 def _best_settling_fit(fits: list[PlayFit | None]) -> PlayFit | None:
     """Return the fit of least BIC; among equally small residuals prefer a plant that settles."""
-    there = sorted(filter(None, fits), key=lambda one: one.bic)
-    alike = (one for one in there if one.density.rms <= CREDIBLE * there[0].density.rms)
-    settled = (one for one in alike if not one.model.simulator.is_at_limit(one.theta))
-    return next(settled, next(iter(there), None))
+    ranked = sorted(filter(None, fits), key=lambda fit: fit.bic)
+    credible = (fit for fit in ranked if fit.density.rms <= CREDIBLE * ranked[0].density.rms)
+    settling = (fit for fit in credible if not fit.model.simulator.is_at_limit(fit.theta))
+    return next(settling, next(iter(ranked), None))
 
 
 # --- Static maps: (z (N), two numbers p) -> (g (N), dg/dz (N), dg/dp (N x 2))
@@ -218,14 +231,16 @@ def identity_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def dead_zone_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z beyond -p_1 and p_0 less the width, a dead zone, with derivatives."""
-    above, below = z > p[0], z < -p[1]
+    """Return the dead zone of z with widths p_0 right and p_1 left, with derivatives."""
+    above = z > p[0]
+    below = z < -p[1]
     return dead_zone(z, *p), 1.0 * (above | below), np.column_stack([-1.0 * above, 1.0 * below])
 
 
 def saturation_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z limited to -p_1 and p_0, with derivatives."""
-    above, below = z > p[0], z < -p[1]
+    above = z > p[0]
+    below = z < -p[1]
     inside = ~(above | below)
     return np.clip(z, -p[1], p[0]), 1.0 * inside, np.column_stack([1.0 * above, -1.0 * below])
 
@@ -253,13 +268,17 @@ def noisy_jump_map(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, F
     """Return z beyond -p_1 and p_0, else 0, averaged over noise of rms `blur` ahead."""
     a, b, above, below = _edge_chances(blur, z, p)
     share = above + below
-    at_a, at_b = np.exp(-0.5 * a**2) / (blur * ROOT), np.exp(-0.5 * b**2) / (blur * ROOT)
+    at_a = np.exp(-0.5 * a**2) / (blur * ROOT)
+    at_b = np.exp(-0.5 * b**2) / (blur * ROOT)
     return z * share, share + z * (at_a - at_b), np.column_stack([-z * at_a, -z * at_b])
 
 
 def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the distances of z from both edges in rms, and the probabilities beyond (N each)."""
-    a, b = (z - p[0]) / blur, (-p[1] - z) / blur
+    """Return the distances of z beyond the right and left edge, in rms of the noise, and the
+    probabilities to be beyond them (N each).
+    """
+    a = (z - p[0]) / blur
+    b = (-p[1] - z) / blur
     return a, b, ndtr(a), ndtr(b)
 
 
@@ -267,12 +286,14 @@ class MapModel:
     """Plant with a static map of two parameters or none: y = g(z; p).
 
     Args:
-        simulator: the plant, with its data.
-        name: of the map.
-        shape: the map.
+        simulator: linear plant with its data.
+        name: name of the model.
+        shape: the map g.
     """
 
-    first, last, gain = 0, 40, 1e-4
+    first = 0
+    last = 40
+    gain = 1e-4
 
     def __init__(self, simulator: PlantSimulator, name: str, shape: Map) -> None:
         self.name = name
@@ -280,24 +301,23 @@ class MapModel:
         self.shape = shape
         self.base = simulator.layout.right
         self.free: Integers = np.arange(self.base if shape is identity_map else self.base + 2)
-        holds = shape is absolute_map or name == "dead_zone"  # whose own numbers are a level too
-        self.has_level = not holds and not simulator.layout.integrators
+        # The parameters of these maps, or x(0) of an integrating plant, fit a level already.
+        is_level_fitted = shape is absolute_map or name == "dead_zone"
+        self.has_level = not is_level_fitted and not simulator.layout.integrators
 
     def along(self, data: RecordData) -> MapModel:
         """Return the same model for other records."""
         return MapModel(self.simulator.simulator_along(data), self.name, self.shape)
 
     def levels(self, theta: Floats) -> Floats:
-        """Return the map's edges, or those of the input's zone where z is read itself (2)."""
+        """Return the edges of the map (2), or of the input's zone if the map is the identity."""
         layout = self.simulator.layout
         return theta[
             layout.input_widths if self.shape is identity_map else slice(self.base, self.base + 2)
         ]
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict the widths of the input's zone to 0 or above; other parameters are
-        free.
-        """
+        """Restrict the widths of the input's zone to 0 or above; theta is changed in place."""
         widths = self.simulator.layout.input_widths
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
@@ -311,9 +331,7 @@ class MapModel:
         return self.shape(z, theta[self.base :])[0]
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free parameters (N x
-        free).
-        """
+        """Return the readings (N), and their derivatives by the free parameters (N x F)."""
         z = self.output(theta)
         y, by_z, by_p = self.shape(z, theta[self.base :])
         slope = self.simulator.z_gradient(theta, z)[:, : self.base]
@@ -327,17 +345,17 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
     """Fit the dead zone and its static rivals by least squares.
 
     Args:
-        fit: plant and zone of the record, where the rivals start.
+        fit: fit of a plant with a zone, which gives the start points.
 
     Returns:
-        Fits by the verdict's words: none, dead_zone, saturation, jump, other (|z|, cubic).
+        Fits by class: none, dead_zone, saturation, jump, other (|z|, cubic).
     """
     fits = []
     for name, shape, starts in _start_maps(fit):
         squares = LeastSquares(MapModel(fit.objective.simulator, name, shape))
-        begun = [_start_point(squares.model, *start) for start in starts]
-        fitted = squares.fit_from_starts(begun) or FittedModel(
-            squares, begun[0], _worst_density(squares)
+        points = [_start_point(squares.model, *start) for start in starts]
+        fitted = squares.fit_from_starts(points) or FittedModel(
+            squares, points[0], _worst_density(squares)
         )
         breaks = BREAKS if name in ("jump", "saturation") else 0
         numbers = fitted.density.numbers + breaks
@@ -346,8 +364,8 @@ def fit_maps(fit: ZoneFit) -> dict[str, FittedModel[MapModel]]:
 
 
 def best_maps(fits: Iterable[FittedModel[MapModel]]) -> dict[str, FittedModel[MapModel]]:
-    """Return the fit of least BIC of each name."""
-    return best_of_each((one.density.name, one.density.bic, one) for one in fits)
+    """Return the fit of least BIC of each class."""
+    return best_of_each((fit.density.name, fit.density.bic, fit) for fit in fits)
 
 
 def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
@@ -357,39 +375,40 @@ def best_of_each(models: Iterable[tuple[str, float, T]]) -> dict[str, T]:
         models: name, BIC and model.
     """
     best: dict[str, tuple[float, T]] = {}
-    for name, bic, one in models:
+    for name, bic, model in models:
         if name not in best or bic < best[name][0]:
-            best[name] = (bic, one)
-    return {name: one for name, (_, one) in best.items()}
+            best[name] = (bic, model)
+    return {name: model for name, (_, model) in best.items()}
 
 
-# A map, and where its climbs start: a plant, the factor of its gain, the map's numbers.
-Begun = tuple[str, Map, list[tuple[ZoneFit, float, list[float]]]]
+# Name, map, and start points: a plant, the factor of its gain, the map's parameters.
+MapStarts = tuple[str, Map, list[tuple[ZoneFit, float, list[float]]]]
 
 
-def _start_maps(fit: ZoneFit) -> list[Begun]:
+def _start_maps(fit: ZoneFit) -> list[MapStarts]:
     """Return the static maps and their start points beside the fit of a dead zone."""
-    simulator, is_behind = fit.objective.simulator, fit.objective.kind == "behind"
-    plain = fit_linear(simulator, fit.objective.readings.ok)
-    own = [max(fit.right, 0.0), max(fit.left, 0.0)]
-    mean = [max(0.5 * fit.width, 0.05)] * 2
+    simulator = fit.objective.simulator
+    is_behind = fit.objective.kind == "behind"
+    linear = fit_linear(simulator, fit.objective.readings.ok)
+    widths = [max(fit.right, 0.0), max(fit.left, 0.0)]
+    mean_width = [max(0.5 * fit.width, 0.05)] * 2
     high, low = (float(np.quantile(simulator.data.y, q)) for q in (0.95, 0.05))
-    ends = [max(high, 0.05), max(-low, 0.05)]
-    across = [-float(fit.z.std()) / 5, 0.0]
-    zones = [(fit, 1.0, own), (plain, 1.0, [0.0, 0.0])]
-    maps: list[Begun] = [
-        ("none", identity_map, [(plain, 1.0, [0.0, 0.0])]),
+    limits = [max(high, 0.05), max(-low, 0.05)]
+    kink = [-float(fit.z.std()) / 5, 0.0]
+    zones = [(fit, 1.0, widths), (linear, 1.0, [0.0, 0.0])]
+    maps: list[MapStarts] = [
+        ("none", identity_map, [(linear, 1.0, [0.0, 0.0])]),
         ("dead_zone", dead_zone_map, zones),
-        ("saturation", saturation_map, [(plain, 1.2, ends), (plain, 2.0, ends)]),
-        ("other", absolute_map, [(plain, 3.0, [0.0, 0.0]), (fit, 1.0, across)]),
-        ("other", cubic_map, [(plain, 1.0, [0.0, 0.0])]),
+        ("saturation", saturation_map, [(linear, 1.2, limits), (linear, 2.0, limits)]),
+        ("other", absolute_map, [(linear, 3.0, [0.0, 0.0]), (fit, 1.0, kink)]),
+        ("other", cubic_map, [(linear, 1.0, [0.0, 0.0])]),
     ]
-    jumps = [(plain, 1.0, own), (plain, 1.1, mean), (fit, 0.8, own)]
-    blurs = [max(part * fit.disturbance_rms, LEAST_BLUR) for part in BLURS]
+    jumps = [(linear, 1.0, widths), (linear, 1.1, mean_width), (fit, 0.8, widths)]
+    blurs = [max(share * fit.disturbance_rms, LEAST_BLUR) for share in BLURS]
     for blur in [BLUR_BEHIND] if is_behind else blurs:
         maps.append(("jump", partial(noisy_jump_map, blur), jumps))
         if not is_behind:
-            maps.append(("dead_zone", partial(noisy_zone_map, blur), [(fit, 1.0, own)]))
+            maps.append(("dead_zone", partial(noisy_zone_map, blur), [(fit, 1.0, widths)]))
     return maps
 
 

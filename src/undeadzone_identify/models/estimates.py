@@ -22,10 +22,10 @@ from undeadzone.errors import InputError
 from undeadzone.util.answers import Answers
 from undeadzone.util.arrays import Floats, Integers
 
-GAUSSIAN = 2 / 3  # of the fourth power of a Gaussian: what 3 s^4 holds beyond s^4
-LEAST_KEPT = 0.05  # share of a variance below which nothing is left of it
+GAUSSIAN = 2 / 3  # (E x^4 - s^4) / E x^4 of a Gaussian: E x^4 = 3 s^4
+LEAST_KEPT = 0.05  # least factor by which the fit may have shrunk an estimated variance
 
-# --- The climb
+# --- Maximisation
 
 
 class Target(Protocol):
@@ -35,9 +35,7 @@ class Target(Protocol):
 
     @property
     def gain(self) -> float:
-        """Return the least gain of a step: two smaller steps in a row stop the
-        maximisation.
-        """
+        """Return the least gain of a step; two smaller gains in a row end the maximisation."""
 
     @property
     def longest(self) -> Floats | float:
@@ -51,8 +49,9 @@ class Target(Protocol):
         """Return the log likelihood; -inf if theta is inadmissible."""
 
     def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return value, score and a positive Hessian of minus the value, for the free
-        parameters.
+        """Return log likelihood, score (F), and a positive negative Hessian (F x F).
+
+        The derivatives are by the F free parameters.
         """
 
     def project_to_bounds(self, theta: Floats) -> Floats:
@@ -75,7 +74,7 @@ class CachedMaxima:
     """Maxima on disk: a repeated identification of a log reads them.
 
     Args:
-        answers: the file; a log asks for its climbs in the same order each time.
+        answers: file of the maxima. Their order is the same each time a log is identified.
     """
 
     def __init__(self, answers: Answers) -> None:
@@ -83,17 +82,15 @@ class CachedMaxima:
         self._count = 0
 
     def stop_caching(self) -> None:
-        """Stop the cache: later maximisations, as for a figure, are not part of the
-        answer.
-        """
+        """Compute later maxima without the cache: those for a figure are not part of a result."""
         self._answers = None
 
     def find_maximum(self, start: Floats, compute: Callable[[], Maximum]) -> Maximum:
         """Return the next maximum, read from the file or computed and cached.
 
         Args:
-            start: where the climb begins (P).
-            compute: climbs.
+            start: start of the maximisation (P).
+            compute: function that maximises.
         """
         if self._answers is None:
             return compute()
@@ -101,9 +98,9 @@ class CachedMaxima:
         question = [self._count, array_digest(start)]
 
         def yield_maximum(missing: list[int]) -> Iterator[tuple[int, Any]]:
-            """Yield the computed maximum as an answer of the cache."""
-            top = compute()
-            yield 0, [top.theta.tolist(), float(top.value)]
+            """Yield the index and the numbers of the computed maximum."""
+            maximum = compute()
+            yield 0, [maximum.theta.tolist(), float(maximum.value)]
 
         theta, value = self._answers.compute_missing([question], yield_maximum)[0]
         return Maximum(np.array(theta), value)
@@ -112,16 +109,16 @@ class CachedMaxima:
 def maximise_likelihood(
     target: Target, start: Floats, steps: int, gain: float | None = None
 ) -> Maximum:
-    """Raise a log likelihood by damped Newton steps.
+    """Maximise a log likelihood by damped Newton steps (Levenberg and Marquardt).
 
     Args:
         target: the log likelihood.
-        start: where to start (P).
-        steps: how many trials at most.
-        gain: in place of the target's own.
+        start: start of the maximisation (P).
+        steps: largest number of trials.
+        gain: least gain of a step, in place of the target's own.
 
     Returns:
-        The best theta found; the start with a value of -inf where that makes no sense.
+        The maximum; the start with a value of -inf if the start is inadmissible.
     """
     theta = target.project_to_bounds(start.copy())
     if not math.isfinite(target.total_log_likelihood(theta)):
@@ -131,31 +128,38 @@ def maximise_likelihood(
 
 
 def _maximise_from(target: Target, theta: Floats, steps: int, gain: float) -> Maximum:
-    """Find the maximum from an admissible theta by Levenberg-Marquardt steps."""
-    top, best = theta, target.quadratic_model(theta)
-    damping, small = 1e-2, 0
+    """Maximise from an admissible theta (P). Arguments of `maximise_likelihood`."""
+    best = theta
+    model = target.quadratic_model(theta)
+    damping = 1e-2
+    small_gains = 0
     for _ in range(steps):
-        current, score, hessian = best
+        current, score, hessian = model
         step = _damped_newton_step(score, hessian, damping)
-        trial = top.copy()
+        trial = best.copy()
         trial[target.free] += np.clip(step, -target.longest, target.longest)
         trial = target.project_to_bounds(trial)
         reached = target.total_log_likelihood(trial)
         if not reached > current:
             damping *= 6
             if damping > 1e8:
-                return Maximum(top, current)
+                return Maximum(best, current)
             continue
         damping = max(damping / 5, 1e-9)
-        small = small + 1 if reached - current < gain + 1e-8 * abs(reached) else 0
-        if small >= 2:
+        is_small = reached - current < gain + 1e-8 * abs(reached)
+        small_gains = small_gains + 1 if is_small else 0
+        if small_gains >= 2:
             return Maximum(trial, reached)
-        top, best = trial, target.quadratic_model(trial)
-    return Maximum(top, best[0])
+        best = trial
+        model = target.quadratic_model(trial)
+    return Maximum(best, model[0])
 
 
 def _damped_newton_step(score: Floats, hessian: Floats, damping: float) -> Floats:
-    """Return the damped Newton step, scaled by the Hessian's diagonal (P)."""
+    """Return the damped Newton step (F), in units of the Hessian's diagonal.
+
+    It is a gradient step if the damped Hessian is singular, and 0 if it is not finite.
+    """
     diagonal = np.maximum(hessian.diagonal(), 0.0)
     scale = np.sqrt(diagonal + 1e-14 * diagonal.sum()) + 1e-12
     damped = hessian / (scale[:, None] * scale)
@@ -168,90 +172,102 @@ def _damped_newton_step(score: Floats, hessian: Floats, damping: float) -> Float
 def best_maximum(
     target: Target, starts: Sequence[Floats], first: int, last: int, lead: float = math.inf
 ) -> Maximum | None:
-    """Return the best of the maxima from several starts.
+    """Return the largest of the maxima from several start points.
 
     Args:
         target: the log likelihood.
-        starts: where to start.
-        first: steps of all of them; 0: all go to the end.
-        last: steps of the best two after that.
-        lead: by how much the best must lead by then to go on alone.
+        starts: start points (P each).
+        first: steps from every start point, after which the best two go on; 0: all go on.
+        last: further steps.
+        lead: lead of the best over the second in log likelihood, above which it goes on alone.
 
     Returns:
-        The best top; None if no start makes sense.
+        The maximum; None if no start is admissible.
     """
-    begun = list(starts)
+    points = list(starts)
     if first:
-        tops = [maximise_likelihood(target, start, first) for start in starts]
-        tops.sort(key=lambda top: -top.value)
-        alone = len(tops) > 1 and tops[0].value - tops[1].value > lead
-        best = tops[:1] if alone else tops[:2]
-        begun = [top.theta for top in best]
-    ends = [maximise_likelihood(target, theta, last) for theta in begun]
-    ends = [top for top in ends if math.isfinite(top.value)]
-    return max(ends, key=lambda top: top.value, default=None)
+        maxima = [maximise_likelihood(target, start, first) for start in starts]
+        maxima.sort(key=lambda maximum: -maximum.value)
+        leads = len(maxima) > 1 and maxima[0].value - maxima[1].value > lead
+        points = [maximum.theta for maximum in maxima[: 1 if leads else 2]]
+    ends = [maximise_likelihood(target, point, last) for point in points]
+    finite = [maximum for maximum in ends if math.isfinite(maximum.value)]
+    return max(finite, key=lambda maximum: maximum.value, default=None)
 
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
-def cache_latest(compute: Callable[[Any, Floats], Found]) -> Callable[[Any, Floats], Found]:
+def cache_latest(compute: Callable[[Any, Floats], Result]) -> Callable[[Any, Floats], Result]:
     """Return a method of theta (P) that caches its latest result.
 
     Args:
         compute: the method.
     """
-    place = f"_latest_{compute.__name__}"
+    attribute = f"_latest_{compute.__name__}"
 
     @wraps(compute)
-    def kept(self: Any, theta: Floats) -> Found:
+    def cached(self: Any, theta: Floats) -> Result:
         """Return the cached result if theta is unchanged, else compute the result."""
-        numbers = theta.tobytes()
-        known, found = vars(self).get(place, (None, None))
-        if known != numbers:
-            found = compute(self, theta)
-            vars(self)[place] = numbers, found
-        return found
+        key = theta.tobytes()
+        cached_key, result = vars(self).get(attribute, (None, None))
+        if cached_key != key:
+            result = compute(self, theta)
+            vars(self)[attribute] = key, result
+        return result
 
-    return kept
+    return cached
 
 
 # --- Derivatives by differences
 
 
 def run_lanes_along(kernel: lanes.Kernel, exogenous: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Run a compiled step along a log for several parameter sets, from states of zero.
+    """Run a compiled step along a log for several parameter sets, from a state of zero.
 
     Args:
         kernel: the step.
         exogenous: its inputs (N x inputs).
-        rows: the sets (K x numbers).
+        rows: the parameter sets (K x numbers).
 
     Returns:
         Outputs (K x N x outputs) and final states (K x states).
     """
     states, _, numbers = kernel.shape.sizes
-    at_first, none = np.zeros(states), np.zeros(numbers)
-    return lanes.run_lanes(kernel, at_first, exogenous, none, lane_params=rows, threads=1)
+    start = np.zeros(states)
+    shared = np.zeros(numbers)
+    return lanes.run_lanes(kernel, start, exogenous, shared, lane_params=rows, threads=1)
 
 
 def perturb_each(theta: Floats, free: Integers, steps: Floats) -> Floats:
-    """Return theta, then each free parameter increased, then each decreased (1 + 2 free, P)."""
-    moves, each = np.zeros((1 + 2 * free.size, theta.size)), np.arange(1, 1 + free.size)
-    moves[each, free] = steps
-    moves[each + free.size, free] = -steps
-    return theta + moves
+    """Return the points of central differences (1 + 2 F, P).
 
+    They are theta, then theta with each of F free parameters increased by its step, then decreased.
 
-def central_differences(moved: Floats, steps: Floats) -> Floats:
-    """Return derivatives by the free parameters (free x ...) from values at the perturbed
-    points.
+    Args:
+        theta: parameters (P).
+        free: places of the free parameters (F).
+        steps: their steps (F).
     """
-    more, less = np.split(moved, 2)
-    return np.asarray((more - less).T / (2 * steps)).T
+    changes = np.zeros((1 + 2 * free.size, theta.size))
+    rows = np.arange(1, 1 + free.size)
+    changes[rows, free] = steps
+    changes[rows + free.size, free] = -steps
+    return theta + changes
 
 
-# --- How surely it is known
+def central_differences(values: Floats, steps: Floats) -> Floats:
+    """Return derivatives by F free parameters (F x ...).
+
+    Args:
+        values: values at the increased, then at the decreased points of `perturb_each` (2 F x ...).
+        steps: steps of the parameters (F).
+    """
+    increased, decreased = np.split(values, 2)
+    return np.asarray((increased - decreased).T / (2 * steps)).T
+
+
+# --- Uncertainty
 
 
 class Interval(NamedTuple):
@@ -272,7 +288,8 @@ class Interval(NamedTuple):
 
     def stretch_by(self, factor: float) -> Interval:
         """Return the interval with both halves multiplied by a factor."""
-        below, above = self.value - self.low, self.high - self.value
+        below = self.value - self.low
+        above = self.high - self.value
         return Interval(self.value, self.value - factor * below, self.value + factor * above)
 
     def extend_by(self, below: float, above: float) -> Interval:
@@ -289,10 +306,10 @@ class EstimateCovariance(NamedTuple):
     """Covariance of estimates, robust and naive.
 
     Attributes:
-        V: robust covariance H^-1 J H^-1 (P x P).
+        V: robust covariance H^-1 J H^-1 (P x P), J the long-run covariance of the score.
         naive: H^-1 (P x P), right for independent samples only.
-        degrees: cosines K from which J was estimated.
-        scores: of each sample (N x P).
+        degrees: degrees of freedom of J: the number K of cosines.
+        scores: score of each sample (N x P).
     """
 
     V: Floats
@@ -301,15 +318,14 @@ class EstimateCovariance(NamedTuple):
     scores: Floats
 
     def variance_and_degrees(self, direction: Floats) -> tuple[float, float]:
-        """Return the bias-corrected variance of direction' theta and its degrees of
-        freedom.
+        """Return the variance of direction' theta (P), and its degrees of freedom.
 
-        Where a few samples tell of an edge, the cosines that they enter are few, and the fit has
-        used up part of what they scatter: docs/identify.md, "Few passages".
+        If a few samples dominate the estimate, the variance is biased and has fewer degrees of
+        freedom than cosines. Both are corrected: docs/identify.md, "Few passages".
         """
         variance = max(float(direction @ self.V @ direction), 0.0)
-        kept, degrees = few_sample_correction(self.scores, self.naive @ direction, self.degrees)
-        return variance / kept, degrees
+        share, degrees = few_sample_correction(self.scores, self.naive @ direction, self.degrees)
+        return variance / share, degrees
 
     def half_and_degrees(self, direction: Floats) -> tuple[float, float]:
         """Return half the 95 % interval of direction' theta, and its degrees of freedom."""
@@ -322,42 +338,47 @@ class EstimateCovariance(NamedTuple):
 
 
 def few_sample_correction(scores: Floats, row: Floats, count: int) -> tuple[float, float]:
-    """Return share and degrees of freedom of a variance that a few samples dominate.
+    """Return bias factor and degrees of freedom of a variance that a few samples dominate.
 
     References:
         F. E. Satterthwaite (1946), doi:10.2307/3002019
 
     Args:
-        scores: of each sample at the estimate (N x P).
+        scores: score of each sample at the estimate (N x P).
         row: H^-1 c, for the estimate c' theta (P).
-        count: cosines K.
+        count: number of cosines K.
 
     Returns:
-        The expected share of the variance that the cosines show after the fit (Bell and McCaffrey
-        2002), and the degrees of freedom of that (Satterthwaite 1946), at least 1.
+        The expected variance by the cosines after the fit over the true one (Bell and McCaffrey
+        2002), and its degrees of freedom (Satterthwaite 1946), at least 1.
     """
-    told = scores @ row  # by each sample, of the estimate
-    squares = told**2
+    influence = scores @ row  # of each sample on the estimate
+    squares = influence**2
     total = float(squares.sum())
     if total <= 0:
         return 1.0, float(count)
-    angle = np.pi * (np.arange(told.size) + 0.5) / told.size
+    angle = np.pi * (np.arange(influence.size) + 0.5) / influence.size
     weights = count / 2 + (np.sin((2 * count + 1) * angle) / np.sin(angle) - 1) / 4  # sum of cos^2
     power = 0.5 * dct(squares)[: 2 * count + 1]
     k = np.arange(1, count + 1)
-    shared = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # covariance of the cosines
+    covariance = power[np.abs(k[:, None] - k)] + power[k[:, None] + k]  # of the K cosines
+    # Squared samples estimate the sums of fourth powers too large by the factor of a Gaussian.
     excess = GAUSSIAN * float(np.sum((2 * weights * squares) ** 2))
-    degrees = (np.trace(shared) ** 2 - excess) / max(float(np.sum(shared**2)) - excess, 1e-300)
+    # Satterthwaite: (trace C)^2 / trace C^2 degrees of freedom.
+    degrees = (np.trace(covariance) ** 2 - excess) / max(
+        float(np.sum(covariance**2)) - excess, 1e-300
+    )
+    # The fit makes P combinations of the scores 0, and takes that part out of the cosines.
     white = scores @ _score_whitener(scores)
-    lever = np.einsum("ij,ij->i", white, white)
-    used = np.sum((0.5 * dct(white * told[:, None], axis=0)[1 : count + 1]) ** 2)
-    used -= GAUSSIAN * np.sum(weights * lever * squares)
-    kept = 1 - 2 / count * float(used) / total
-    return max(kept, LEAST_KEPT), float(np.clip(degrees, 1, count))
+    leverage = np.einsum("ij,ij->i", white, white)
+    removed = np.sum((0.5 * dct(white * influence[:, None], axis=0)[1 : count + 1]) ** 2)
+    removed -= GAUSSIAN * np.sum(weights * leverage * squares)
+    share = 1 - 2 / count * float(removed) / total
+    return max(share, LEAST_KEPT), float(np.clip(degrees, 1, count))
 
 
 def _score_whitener(scores: Floats) -> Floats:
-    """Return W with W W' the inverse of the sum of the scores' outer products (P x P)."""
+    """Return W (P x P) with W W' the pseudo-inverse of S' S, S the scores (N x P)."""
     scale = 1 / np.sqrt(np.sum(scores**2, axis=0) + 1e-300)
     values, vectors = np.linalg.eigh(require_finite_matrix((scores * scale).T @ (scores * scale)))
     whitener = scale[:, None] * vectors / np.sqrt(np.maximum(values, 1e-10))
@@ -365,10 +386,10 @@ def _score_whitener(scores: Floats) -> Floats:
 
 
 def require_finite_matrix(matrix: Floats) -> Floats:
-    """Require a finite matrix, before its decomposition.
+    """Return a matrix if it is finite, so that it can be decomposed.
 
     Raises:
-        InputError: a fit of which so little is known that its derivatives overflow.
+        InputError: the matrix overflows, as that of a fit with hardly any information.
     """
     if not np.isfinite(matrix).all():
         raise InputError(
@@ -379,7 +400,7 @@ def require_finite_matrix(matrix: Floats) -> Floats:
 
 
 def student_quantile(degrees: float, level: float = 0.95) -> float:
-    """Return Student's two-sided quantile."""
+    """Return the two-sided quantile of Student's distribution at a level, 1.96 for many degrees."""
     return float(student.ppf(0.5 + level / 2, degrees))
 
 
@@ -387,18 +408,23 @@ def long_run_covariance(scores: Floats, count: int | None = None) -> tuple[Float
     """Return the covariance of sum(scores) and its degrees of freedom.
 
     Args:
-        scores: one row a sample (N x P), correlated in any way that dies out.
-        count: cosines; default 0.4 N^(2/3) (Lazarus and others 2018), between 8 and N / 8.
+        scores: scores of N samples (N x P), with any correlation that decays.
+        count: number of cosines; default 0.4 N^(2/3) (Lazarus and others 2018), between 8 and
+            N / 8.
 
     Returns:
         J (P x P) and K.
     """
-    parts = cosine_coefficients(scores, count)
-    return len(scores) * (parts.T @ parts) / len(parts), len(parts)
+    coefficients = cosine_coefficients(scores, count)
+    number = len(coefficients)
+    return len(scores) * (coefficients.T @ coefficients) / number, number
 
 
 def cosine_coefficients(scores: Floats, count: int | None = None) -> Floats:
-    """Return the slow cosine coefficients of scores (K x P), as for `long_run_covariance`."""
+    """Return the first K coefficients of the cosine transform of scores (K x P).
+
+    Their mean square estimates the spectrum at frequency 0. Arguments of `long_run_covariance`.
+    """
     size = scores.shape[0]
     number = max(8, min(int(0.4 * size ** (2 / 3)), size // 8)) if count is None else count
     return np.asarray(dct(scores, axis=0, norm="ortho")[1 : number + 1])
@@ -410,12 +436,9 @@ def sandwich_covariance(
     """Return the robust covariance (I1) of an estimate.
 
     Args:
-        scores: of each sample at the estimate (N x P).
+        scores: score of each sample at the estimate (N x P).
         hessian: minus the second derivative of the log likelihood (P x P).
-        count: cosines; default as in `long_run_covariance`.
-
-    Returns:
-        Covariances and degrees of freedom.
+        count: number of cosines; default as in `long_run_covariance`.
     """
     J, number = long_run_covariance(scores, count)
     inverse = np.linalg.pinv(require_finite_matrix(hessian), rcond=1e-13, hermitian=True)
@@ -423,48 +446,51 @@ def sandwich_covariance(
 
 
 def raise_eigenvalues(hessian: Floats) -> Floats:
-    """Return a Hessian with its scaled eigenvalues raised to at least 1e-6 of the largest."""
-    both = 0.5 * (hessian + hessian.T)
-    scale = 1 / np.sqrt(np.abs(np.diag(both)) + 1e-300)
-    values, vectors = np.linalg.eigh(require_finite_matrix(both * np.outer(scale, scale)))
+    """Return a Hessian (P x P) made symmetric and positive definite.
+
+    Its eigenvalues, in units of its diagonal, are raised to at least 1e-6 of the largest.
+    """
+    symmetric = 0.5 * (hessian + hessian.T)
+    scale = 1 / np.sqrt(np.abs(np.diag(symmetric)) + 1e-300)
+    values, vectors = np.linalg.eigh(require_finite_matrix(symmetric * np.outer(scale, scale)))
     raised = np.maximum(values, 1e-6 * values.max())
     return (vectors * raised) @ vectors.T / np.outer(scale, scale)
 
 
-def raise_to_outer_products(hessian: Floats, outer: Floats, least: float = 0.5) -> Floats:
-    """Return a Hessian raised to at least a share of the scores' outer products, in each
-    direction.
+def raise_to_outer_products(hessian: Floats, outer: Floats) -> Floats:
+    """Return a Hessian raised to at least half of the scores' outer products.
+
+    Both are equal in expectation if the model is right. So the result differs only in directions
+    in which the Hessian by differences is wrong, as along the logarithm of a variance near 0.
 
     Args:
         hessian: minus the second derivative, by differences (P x P).
         outer: sum of the outer products of the scores (P x P).
-        least: the part; both are equal where the model is right.
 
     Returns:
-        A positive Hessian; it differs from the given one only where differences tell nothing, as
-        along the logarithm of a variance that is nearly 0.
+        A positive Hessian (P x P).
     """
     scale = 1 / np.sqrt(np.diag(outer) + 1e-300)
     values, vectors = np.linalg.eigh(require_finite_matrix(outer * np.outer(scale, scale)))
     root = vectors * np.sqrt(np.maximum(values, 1e-10 * values.max()))
     whiten = np.linalg.pinv(root)
-    both = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
-    sizes, axes = np.linalg.eigh(require_finite_matrix(whiten @ both @ whiten.T))
-    raised = (axes * np.maximum(sizes, least)) @ axes.T
+    symmetric = 0.5 * (hessian + hessian.T) * np.outer(scale, scale)
+    ratios, axes = np.linalg.eigh(require_finite_matrix(whiten @ symmetric @ whiten.T))
+    raised = (axes * np.maximum(ratios, 0.5)) @ axes.T
     return root @ raised @ root.T / np.outer(scale, scale)
 
 
 def weight_row(
     free: Integers, size: int, first: int, weights: Sequence[float], tied: bool = False
 ) -> Floats:
-    """Return the row of a weighted sum of parameters over the free parameters.
+    """Return c (F) with c' theta_free the weighted sum of consecutive parameters.
 
     Args:
-        free: places of the numbers that may change.
-        size: of all numbers (P).
-        first: place of the first number of the sum; the others follow.
-        weights: of these.
-        tied: whether the second one is the first one.
+        free: places of the free parameters (F).
+        size: number of parameters P.
+        first: place of the first parameter of the sum.
+        weights: weights of this parameter and of the following ones.
+        tied: whether the second parameter equals the first one, which is free alone.
     """
     row = np.zeros(size)
     row[first : first + len(weights)] = weights

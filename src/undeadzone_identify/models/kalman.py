@@ -1,6 +1,6 @@
 """Likelihood (L3) of a record by the measured-side Kalman filter.
 
-A sample of the filter is a graph that is run for many sets of numbers at once.
+A step of the filter is a compiled graph that runs for many parameter sets at once.
 """
 
 from __future__ import annotations
@@ -20,16 +20,19 @@ from undeadzone_identify.models.plant import Layout, RecordData, input_noise_gai
 from undeadzone_identify.models.zone import WidthLimits
 from undeadzone_identify.models.zone_fit import ZoneFit
 
-WHITE, AT_INPUT, AT_OUTPUT = 0, 1, 2  # models of the disturbance
+# models of the disturbance
+WHITE = 0
+AT_INPUT = 1
+AT_OUTPUT = 2
 NAMES = ("white at the input", "first order at the input", "first order at the output")
-QUIETEST = 1e-3  # least rms of white noise ahead of the zone, in rms of y
-STEP = 1e-4  # of a number, for differences
-TAIL = -4.0  # below it Phi is taken by its continued fraction
-DEPTH = 12  # of the fraction: exact to rounding below TAIL
-WIDTH = 32  # lanes of a kernel: the numbers of a plant of order 6, each a little up and down
-WORST = -1e3  # log density of a sample where the filter has diverged
-FLOOR = -1e4  # the least log density of a sample
-NARROW = 1e-6  # a zone this narrow, in standard deviations, is a point
+QUIETEST = 1e-3  # least rms of white noise ahead of the zone [rms of y]
+STEP = 1e-4  # relative step of a parameter, for differences
+TAIL = -4.0  # argument below which Phi is computed by its continued fraction
+DEPTH = 12  # terms of the fraction: exact to rounding below TAIL
+WIDTH = 32  # lanes of a kernel: central differences by the parameters of a plant of order 6
+WORST = -1e3  # log density of a sample if the filter has diverged
+FLOOR = -1e4  # least log density of a sample
+NARROW = 1e-6  # width below which a zone counts as a point [standard deviations]
 
 
 # --- A sample
@@ -61,25 +64,35 @@ def log_interval_mass(a: Any, b: Any) -> Any:
 def measurement_terms(
     y: Any, side: Any, mean: Any, s: Any, right: Any, left: Any
 ) -> tuple[Any, Any, Any]:
-    """Return a reading's log density, and g and k of x += P H' g / s, P -= P H' H P k / s^2.
+    """Return a reading's log density, and g and k of its measurement update.
 
-    Without a side z lies in the dead zone.
+    The update is x += P H' g / s, P -= P H' H P k / s^2. Outside the zone it is that of a Kalman
+    filter: g is the normalised innovation and k = 1. Inside, z is a truncated Gaussian: g is the
+    shift of its mean, and 1 - k its variance, in standard deviations.
+
+    Args:
+        y: reading.
+        side: +1, -1 beyond the right or left edge, 0 inside the zone.
+        mean, s: mean and standard deviation of the predicted z.
+        right, left: d_r and d_l.
     """
-    speaks = side != 0
+    outside = side != 0
     v = (y + right * (side > 0) - left * (side < 0) - mean) / s
-    a, b = (y + right - mean) / s, (y - left - mean) / s
+    a = (y + right - mean) / s
+    b = (y - left - mean) / s
     mass = log_interval_mass(a, b)
     at_a = ca.exp(ca.fmin(-0.5 * a**2 - LOG_ROOT - mass, 700.0))
     at_b = ca.exp(ca.fmin(-0.5 * b**2 - LOG_ROOT - mass, 700.0))
-    lost = ca.logic_or(mass < -700.0, a - b < NARROW)
-    shift = ca.if_else(lost, 0.0, at_b - at_a)
+    # Far in a tail, or for a narrow zone, the moments cancel: use those of a uniform density.
+    cancels = ca.logic_or(mass < -700.0, a - b < NARROW)
+    shift = ca.if_else(cancels, 0.0, at_b - at_a)
     shift = ca.fmin(ca.fmax(shift, b), a)
-    narrowed = (at_b - at_a) ** 2 + a * at_a - b * at_b
-    pinned = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
-    narrowed = ca.fmin(ca.fmax(ca.if_else(lost, pinned, narrowed), 0.0), 1.0)
-    spoken = -0.5 * v**2 - ca.log(s) - LOG_ROOT
-    log = ca.fmax(ca.if_else(speaks, spoken, mass), FLOOR)
-    return log, ca.if_else(speaks, v, shift), ca.if_else(speaks, 1.0, narrowed)
+    reduction = (at_b - at_a) ** 2 + a * at_a - b * at_b
+    uniform = 1 - ca.fmin(1.0, (a - b) ** 2 / 12)
+    reduction = ca.fmin(ca.fmax(ca.if_else(cancels, uniform, reduction), 0.0), 1.0)
+    log_normal = -0.5 * v**2 - ca.log(s) - LOG_ROOT
+    log = ca.fmax(ca.if_else(outside, log_normal, mass), FLOOR)
+    return log, ca.if_else(outside, v, shift), ca.if_else(outside, 1.0, reduction)
 
 
 @cache
@@ -88,14 +101,18 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
 
     Args:
         n: order of the plant.
-        m: inputs.
-        model: disturbance: 0 white at the inputs, 1 first order at the inputs, 2 at the output.
-        moments: whether its outputs are x, P before the reading, x, P after it, and g.
+        m: number of inputs.
+        model: WHITE at the inputs, first order AT_INPUT, or first order AT_OUTPUT.
+        moments: whether the outputs are x and P before the reading, x and P after it, and g.
 
     Returns:
-        A kernel whose state is (x, P column by column, upper part), whose inputs are (u, y, side,
-        ok, start), whose lanes differ in (a, b input by input, q^2, r^2, d_r, d_l, phi, variance
-        of x and of the disturbance at first), and whose output is the log density.
+        A kernel with
+
+        - state: x, then the upper triangle of P, column by column,
+        - inputs: u, y, side, ok, and whether a record starts,
+        - parameters of a lane: a, b input by input, q^2, r^2, d_r, d_l, phi, and the variances of x
+          and of the disturbance at the start,
+        - output: the log density of the reading, or the moments.
     """
     size = n + (model > 0)
     upper = ca.Sparsity.upper(size)
@@ -107,26 +124,27 @@ def build_kalman_kernel(n: int, m: int, model: int, moments: bool = False) -> la
     u = exogenous[:m]
     y, side, ok, start = ca.vertsplit(exogenous[m:])
     at_start = ca.diag(ca.vertcat(first * ca.SX.ones(n), *([first_w] * (model > 0))))
-    kept = ca.SX(upper, state[size:])
-    P = ca.triu2symm(ca.if_else(start, ca.project(at_start, upper), kept))
+    previous = ca.SX(upper, state[size:])
+    P = ca.triu2symm(ca.if_else(start, ca.project(at_start, upper), previous))
     x = ca.if_else(start, 0.0, state[:size])
     mean = H @ x
     PH = P @ H.T
     S = H @ PH + r2
-    lost = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
-    s = ca.sqrt(ca.fmax(ca.if_else(lost, 1.0, S), 1e-12))
-    density, g, k = measurement_terms(y, side, ca.if_else(lost, 0.0, mean), s, right, left)
-    g, k = ok * g, ok * k
+    diverged = ca.logic_not(ca.logic_and(S < 1e12, ca.fabs(mean) < 1e9))
+    s = ca.sqrt(ca.fmax(ca.if_else(diverged, 1.0, S), 1e-12))
+    density, g, k = measurement_terms(y, side, ca.if_else(diverged, 0.0, mean), s, right, left)
+    g = ok * g
+    k = ok * k
     before = ca.vertcat(x, ca.project(P, upper).nz[:])
     x = x + PH * g / s
     P = P - PH @ PH.T * k / s**2
-    seen = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
+    all_moments = ca.vertcat(before, x, ca.project(P, upper).nz[:], g)
     x = F @ x + B @ u
     P = F @ P @ F.T + q2 * G
     following = ca.vertcat(x, ca.project(P, upper).nz[:])
-    log = ok * ca.if_else(lost, WORST, density)
-    out = seen if moments else log
-    step = ca.Function("kalman", [state, exogenous, numbers], [following, out])
+    log = ok * ca.if_else(diverged, WORST, density)
+    output = all_moments if moments else log
+    step = ca.Function("kalman", [state, exogenous, numbers], [following, output])
     return lanes.build_kernel(step, params=[*range(numbers.shape[0])], width=WIDTH, fused=True)
 
 
@@ -134,14 +152,18 @@ def observer_form_matrices(n: int, m: int, model: int, numbers: Any) -> tuple[An
     """Return F, B, the noise's G G' and H of the plant in observer form with its disturbance.
 
     Args:
-        n, m, model: as for `kernel`.
+        n, m, model: as for `build_kalman_kernel`.
         numbers: a (n), b (m n), then q^2, r^2, d_r, d_l, phi: CasADi expressions or numbers.
 
     Returns:
         F (size x size), B (size x m), G G' (size x size) for q = 1, H (1 x size).
     """
-    size, zeros = n + (model > 0), type(numbers).zeros
-    F, B, G, H = zeros(size, size), zeros(size, m), zeros(size, size), zeros(1, size)
+    size = n + (model > 0)
+    zeros = type(numbers).zeros
+    F = zeros(size, size)
+    B = zeros(size, m)
+    G = zeros(size, size)
+    H = zeros(1, size)
     F[:n, :n] = ca.DM(np.eye(n, k=1))
     F[:n, 0] = -numbers[:n]
     B[:n, :] = ca.reshape(numbers[n : n + m * n], n, m)
@@ -169,13 +191,13 @@ class KalmanObjective:
         data: the records.
         layout: order, inputs and integrators of the plant.
         model: WHITE, AT_INPUT or AT_OUTPUT.
-        limits: of the widths.
+        limits: prior limits of the widths.
 
     Attributes:
-        log_q: place of ln q; ln r, d_r, d_l and atanh phi follow.
-        lane_q: place of q^2 among the numbers of a lane; r^2, d_r, d_l, phi, variances at first
-            follow.
-        size: how many numbers there are.
+        log_q: place of ln q in theta; ln r, d_r, d_l and atanh phi follow.
+        lane_q: place of q^2 among the parameters of a lane; r^2, d_r, d_l, phi and the variances at
+            the start follow.
+        size: number of parameters P.
     """
 
     gain = 2e-3
@@ -186,7 +208,8 @@ class KalmanObjective:
         self.model = model
         self.limits = limits
         self.climbs = data.climbs
-        self.log_q, self.lane_q = layout.numerators.stop, layout.n * (1 + layout.m)
+        self.log_q = layout.numerators.stop
+        self.lane_q = layout.n * (1 + layout.m)
         self.size = self.log_q + 4 + (model > 0)
         starts = np.zeros(data.y.size)
         starts[data.start] = 1.0
@@ -197,8 +220,8 @@ class KalmanObjective:
         free[widths] = limits.right[0] != limits.right[1]
         free[widths + 1] = limits.left[0] != limits.left[1] and not limits.tied
         self.free: Integers = np.flatnonzero(free)
-        by_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
-        self.longest = np.where(by_noise, 1.0, np.inf)
+        is_noise = np.isin(self.free, (self.log_q, self.log_q + 1))
+        self.longest = np.where(is_noise, 1.0, np.inf)
 
     def can_run_filter(self, p: Floats) -> bool:
         """Return whether the filter can be run with these parameters."""
@@ -219,34 +242,28 @@ class KalmanObjective:
         q = math.exp(log_q)
         r = max(math.exp(log_r), QUIETEST)
         phi = math.tanh(p[-1]) if self.model else 0.0
-        at_first = q * q / max(1 - phi * phi, 1e-4)
-        tail = [q * q, r * r, right, left, phi, 5.0, at_first]
+        stationary = q * q / max(1 - phi * phi, 1e-4)  # variance of the disturbance
+        noise = [q * q, r * r, right, left, phi, 5.0, stationary]
         a = self.layout.full_denominator(p[self.layout.denominator])[1:]
-        return np.concatenate([a, p[self.layout.numerators], tail])
+        return np.concatenate([a, p[self.layout.numerators], noise])
 
     def log_densities(self, points: Floats) -> Floats:
-        """Return log densities of the samples (points x N) for several parameter sets
-        (points x P).
-        """
+        """Return log densities of the samples (K x N) for K parameter sets (K x P)."""
         logs = self.kernel_outputs(points)[:, :, 0]
         return np.nan_to_num(logs, nan=-1e3, posinf=-1e3, neginf=-1e3)
 
     def kernel_outputs(self, points: Floats, moments: bool = False) -> Floats:
-        """Return outputs of `build_kalman_kernel` (points x N x outputs) for several
-        parameter sets.
-        """
+        """Return the kernel's outputs (K x N x outputs) for K parameter sets (K x P)."""
         rows = np.array([self.lane_numbers(p) for p in points])
         compiled = build_kalman_kernel(self.layout.n, self.layout.m, self.model, moments)
         return estimates.run_lanes_along(compiled, self.exogenous, rows)[0]
 
     @estimates.cache_latest
     def densities_and_scores(self, p: Floats) -> tuple[Floats, Floats]:
-        """Return log densities (N) and their derivatives by the free parameters (N x
-        free).
-        """
+        """Return log densities (N) and their derivatives by the free parameters (N x F)."""
         steps = self._score_steps(p)
-        value, *moved = self.log_densities(estimates.perturb_each(p, self.free, steps))
-        return value, estimates.central_differences(np.array(moved), steps).T
+        value, *perturbed = self.log_densities(estimates.perturb_each(p, self.free, steps))
+        return value, estimates.central_differences(np.array(perturbed), steps).T
 
     def _score_steps(self, p: Floats) -> Floats:
         """Return the step of each free parameter for numerical scores (free)."""
@@ -269,15 +286,20 @@ class KalmanObjective:
         return float(values.sum()), slopes.sum(axis=0), hessian
 
     def start_from_pairs(self, fit: ZoneFit, share: float) -> Floats:
-        """Return a start from a fit of (L2), with a share of its disturbance from the
-        model.
+        """Return a start point (P) from a fit of (L2).
+
+        Args:
+            fit: the fit.
+            share: share of its disturbance's power that the disturbance model produces. The rest is
+                white noise.
         """
         p = np.zeros(self.size)
         p[: self.log_q] = fit.theta[: self.log_q]
         disturbance = math.sqrt(share) * fit.disturbance_rms
         white = max(math.sqrt(1 - share) * fit.disturbance_rms, 2 * QUIETEST)
         phi = min(max(fit.rho, 0.5), 0.99)
-        colour, layout = phi if self.model == AT_INPUT else 0.0, self.layout
+        colour = phi if self.model == AT_INPUT else 0.0
+        layout = self.layout
         gain = math.sqrt(
             input_noise_gain(p[layout.denominator], p[layout.numerators], layout.n, colour)
         )
@@ -294,28 +316,34 @@ class KalmanObjective:
         return p
 
     def width_weights(self, right: float, left: float) -> Floats:
-        """Return the row of weights of d_r and d_l over the free parameters."""
-        first, tied = self.log_q + 2, self.limits.tied
+        """Return c (F) with c' theta_free = right d_r + left d_l."""
+        first = self.log_q + 2
+        tied = self.limits.tied
         return estimates.weight_row(self.free, self.size, first, (right, left), tied)
 
     @estimates.cache_latest
     def robust_covariance(self, p: Floats) -> estimates.EstimateCovariance:
-        """Return the robust covariance (I1) of the free parameters, by a numerical
-        Hessian; cached.
+        """Return the robust covariance (I1) of the free parameters (F x F); cached.
+
+        The Hessian consists of central differences of scores, which are central differences of log
+        densities.
         """
         _, scores = self.densities_and_scores(p)
         outer = scores.T @ scores
         scale = 1 / np.sqrt(np.diag(outer) + 1e-12)
         steps = np.minimum(3e-2 * scale, 0.05)
-        moved = estimates.perturb_each(p, self.free, steps)[1:]
-        small = [self._score_steps(point) for point in moved]
-        pairs = zip(moved, small, strict=True)
-        points = [estimates.perturb_each(point, self.free, steps)[1:] for point, steps in pairs]
-        totals = self.log_densities(np.concatenate(points)).sum(axis=1).reshape(len(moved), -1)
-        scores_there = [
-            estimates.central_differences(*one) for one in zip(totals, small, strict=True)
+        points = estimates.perturb_each(p, self.free, steps)[1:]
+        score_steps = [self._score_steps(point) for point in points]
+        score_points = [
+            estimates.perturb_each(point, self.free, small)[1:]
+            for point, small in zip(points, score_steps, strict=True)
         ]
-        hessian = -estimates.central_differences(np.array(scores_there), steps)
+        logs = self.log_densities(np.concatenate(score_points)).sum(axis=1)
+        point_scores = [
+            estimates.central_differences(values, small)
+            for values, small in zip(logs.reshape(len(points), -1), score_steps, strict=True)
+        ]
+        hessian = -estimates.central_differences(np.array(point_scores), steps)
         if not np.isfinite(hessian).all():
             hessian = outer
         return estimates.sandwich_covariance(

@@ -22,15 +22,15 @@ from undeadzone_identify.models.plant import busiest_stretches
 from undeadzone_identify.models.zone_fit import ZoneFit
 
 MODELS = (WHITE, AT_INPUT, AT_OUTPUT)
-SHARES = (0.2, 0.8)  # of the disturbance in what (L2) left, at the starts
+SHARES = (0.2, 0.8)  # start values of the disturbance model's share of the noise in (L2)
 
 
 class KalmanFit(NamedTuple):
     """Fit of (L3).
 
     Attributes:
-        objective: that was maximised.
-        theta: where its top is.
+        objective: the likelihood that was maximised.
+        theta: parameters of its maximum (P).
         value: the log likelihood there.
     """
 
@@ -77,31 +77,34 @@ class KalmanFit(NamedTuple):
 
 
 def fit_kalman(fit: ZoneFit) -> list[KalmanFit]:
-    """Fit (L3) for the three disturbance models; return the fits, best first by BIC.
+    """Fit (L3) for the three disturbance models; return the fits, the least BIC first.
+
+    A long log is fitted in its busiest part first.
 
     Args:
-        fit: that of (L2), where the climbs start; of a long log in a part of it.
+        fit: fit of (L2), which gives the start points.
 
     Returns:
-        One fit a model; empty if none could be run.
+        A fit per model; empty if no filter could be run.
     """
-    data, layout = fit.objective.data, fit.objective.layout
+    data = fit.objective.data
+    layout = fit.objective.layout
     part = busiest_stretches(data)
     fits = []
     for model in MODELS:
         objective = KalmanObjective(part, layout, model, fit.objective.limits)
-        begun = [objective.start_from_pairs(fit, share) for share in SHARES]
-        top = best_maximum(objective, begun, 12, 50, -math.inf)
-        if top is None:
+        starts = [objective.start_from_pairs(fit, share) for share in SHARES]
+        maximum = best_maximum(objective, starts, 12, 50, -math.inf)
+        if maximum is None:
             continue
         if part is not data:
             objective = KalmanObjective(data, layout, model, fit.objective.limits)
-            top = maximise_likelihood(objective, top.theta, 50)
-        fits.append(KalmanFit(objective, *top))
-    return sorted(fits, key=lambda one: one.bic)
+            maximum = maximise_likelihood(objective, maximum.theta, 50)
+        fits.append(KalmanFit(objective, *maximum))
+    return sorted(fits, key=lambda kalman: kalman.bic)
 
 
-# --- States, by the filter run forth and back
+# --- Smoothed states
 
 
 class SmoothedStates(NamedTuple):
@@ -110,7 +113,7 @@ class SmoothedStates(NamedTuple):
     Attributes:
         x: means (N x size).
         P: covariances (N x size x size).
-        H: the row that makes z of x (size).
+        H: output row, z = H x (size).
     """
 
     x: Floats
@@ -175,7 +178,7 @@ def filter_innovations(fit: KalmanFit) -> Floats:
 
 
 def _run_filter(fit: KalmanFit, p: Floats) -> _FilterPass:
-    """Run the filter along the records."""
+    """Run the filter along the records with parameters p (P)."""
     rows = fit.objective.kernel_outputs(p[None, :], moments=True)[0]
     size = fit.objective.layout.n + (fit.model > 0)
     entries = size * (size + 1) // 2
@@ -194,7 +197,13 @@ def _to_square(triangles: Floats, size: int) -> Floats:
 
 
 def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPass:
-    """Return the smoothed means, from the end of each record to its beginning."""
+    """Return the backward pass of the smoother, for each record from its end.
+
+    Args:
+        fit: fit of (L3).
+        p: parameters, perhaps others than those of the fit (P).
+        forth: forward pass of the filter with these parameters.
+    """
     layout = fit.objective.layout
     numbers = ca.DM(fit.objective.lane_numbers(p))
     F, _, _, H = (
@@ -210,13 +219,13 @@ def _run_backward(fit: KalmanFit, p: Floats, forth: _FilterPass) -> _BackwardPas
 
 
 def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
-    """Smooth the states; return these and the deviation of z, parameter uncertainty included.
+    """Return the smoothed states, and standard deviations of z with uncertain parameters (N).
+
+    The variance by the parameters follows from the robust covariance by the delta method: z is
+    smoothed again with the parameters shifted along each eigenvector.
 
     Args:
-        fit: of (L3).
-
-    Returns:
-        States, and deviations of z (N), by the delta method from the covariance of (I1).
+        fit: fit of (L3).
     """
     middle = smooth_states(fit)
     V = fit.objective.robust_covariance(fit.theta).V
@@ -226,9 +235,9 @@ def smooth_with_deviation(fit: KalmanFit) -> tuple[SmoothedStates, Floats]:
         if value <= 1e-14:
             continue
         scale = 0.1 * math.sqrt(value)
-        moved = fit.theta.copy()
-        moved[fit.objective.free] += scale * vector
-        if fit.objective.can_run_filter(moved):
-            back = _run_backward(fit, moved, _run_filter(fit, moved))
+        shifted = fit.theta.copy()
+        shifted[fit.objective.free] += scale * vector
+        if fit.objective.can_run_filter(shifted):
+            back = _run_backward(fit, shifted, _run_filter(fit, shifted))
             variance = variance + ((back.x @ back.H - middle.z) / 0.1) ** 2
     return middle, np.sqrt(variance)

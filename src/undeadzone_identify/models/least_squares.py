@@ -1,6 +1,7 @@
 """Least squares of readings on a plant with an element, and densities to compare models.
 
-A model gives the readings and their derivatives by its parameters; all else is the same for each.
+A model returns the readings and their derivatives by its parameters. Everything else is shared by
+all models.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from undeadzone_identify.models import estimates
 from undeadzone_identify.models.plant import PlantSimulator, RecordData, mean_lag_products
 from undeadzone_identify.models.zone import FAR
 
-ROUNDS, STEPS = 2, 10  # of the climb to the best density, each with a colour of its own
-LONGEST_MEMORY, TURNS = (
-    11,
-    4,
-)  # residuals before one that foretell it, and rounds of that and of a climb
+# rounds of the search for the best density, and steps of each
+ROUNDS = 2
+STEPS = 10
+LONGEST_MEMORY = 11  # largest autoregressive order of the residuals, plus 1
+TURNS = 4  # rounds of fitting an autoregression and maximising the likelihood with it
 COSINES = 24
-CHANCE = 1e-3  # p from which a curve is real
-LEAST_ODD = 1e-3  # rms of y: a model that leaves less is not wrong, and its readings are not odd
+CHANCE = 1e-3  # p value below which a remainder is significant
+LEAST_ODD = 1e-3  # rms of y, below which the scatter of residuals makes no reading an outlier
 
 
 class Model(Protocol):
@@ -35,9 +36,9 @@ class Model(Protocol):
         name: of the model.
         simulator: the plant, with its data.
         free: places of the numbers that are fitted.
-        first, last: steps of a climb from every start (0: all go to the end), and to the end.
-        gain: two steps in a row that gain less end a climb.
-        has_level: whether a constant beside its readings is fitted: a log may lie about any level.
+        first, last: steps of a maximisation from every start (0: none), and further ones.
+        gain: least gain of a step; two smaller gains in a row end a maximisation.
+        has_level: whether a constant offset of the readings is fitted as well.
     """
 
     name: str
@@ -64,9 +65,7 @@ class Model(Protocol):
         """Return the readings of z without noise (N)."""
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free parameters (N x
-        free).
-        """
+        """Return the readings (N), and their derivatives by the free parameters (N x free)."""
 
 
 M = TypeVar("M", bound=Model)
@@ -76,10 +75,10 @@ class Density(NamedTuple):
     """Log densities of the readings under a model.
 
     Attributes:
-        name: of the model.
-        value: log density of each reading (N), residuals being first order.
-        numbers: how many numbers were fitted.
-        rms: of its residuals, scaled.
+        name: name of the model.
+        value: log density of each reading (N), with autoregressive residuals.
+        numbers: number of fitted parameters.
+        rms: rms of the residuals, scaled.
     """
 
     name: str
@@ -93,12 +92,25 @@ class Density(NamedTuple):
         return -2 * float(self.value.sum()) + self.numbers * math.log(self.value.size)
 
 
+def build_gaussian_density(name: str, e: Floats, numbers: int, variance: float) -> Density:
+    """Build the density of readings with white Gaussian residuals.
+
+    Args:
+        name: name of the model.
+        e: residuals (N).
+        numbers: number of fitted parameters.
+        variance: variance of the residuals.
+    """
+    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
+    return Density(name, value, numbers, math.sqrt(variance))
+
+
 class LeastSquares(Generic[M]):
     """Least squares of the readings on a model.
 
     Args:
         model: the plant and the element.
-        past: of the residuals before, what foretells one (lags); it is taken out of them.
+        past: autoregressive coefficients of the residuals, which whiten them (lags).
     """
 
     longest = math.inf
@@ -107,7 +119,9 @@ class LeastSquares(Generic[M]):
         self.model = model
         self.past = np.asarray(past)
         self.data = model.simulator.data
-        self.free, self.gain, self.climbs = model.free, model.gain, self.data.climbs
+        self.free = model.free
+        self.gain = model.gain
+        self.climbs = self.data.climbs
         self._count = int(self.data.ok.sum())
         self._whole = self._count == self.data.ok.size
 
@@ -118,9 +132,9 @@ class LeastSquares(Generic[M]):
 
     def _subtract_level(self, columns: Floats) -> Floats:
         """Return columns less their mean, the best constant; 0 if a reading is missing."""
-        there = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
-        left = columns - (there.mean(axis=0) if self.model.has_level else 0.0)
-        return left if self._whole else np.where(self.data.ok, left.T, 0.0).T
+        present = np.ascontiguousarray(columns) if self._whole else columns[self.data.ok]
+        centred = columns - (present.mean(axis=0) if self.model.has_level else 0.0)
+        return centred if self._whole else np.where(self.data.ok, centred.T, 0.0).T
 
     def residual_and_slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the residual (N) and derivatives by the free parameters (N x free)."""
@@ -132,9 +146,7 @@ class LeastSquares(Generic[M]):
         return float(np.sqrt(np.mean(self.reading_residual(theta)[self.data.ok] ** 2)))
 
     def total_log_likelihood(self, theta: Floats) -> float:
-        """Return minus N / 2 ln of the residual's mean square; -inf if theta is
-        inadmissible.
-        """
+        """Return -N/2 ln(mean squared residual); -inf if theta is inadmissible."""
         if not self.model.simulator.has_settling_poles(theta):
             return -math.inf
         return self._value_of_residual(self.whiten(self.reading_residual(theta)))
@@ -147,26 +159,30 @@ class LeastSquares(Generic[M]):
         return -0.5 * self._count * math.log(square / self._count + 1e-30)
 
     def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return value, score and Gauss-Newton Hessian of the free parameters of an
-        admissible plant.
+        """Return log likelihood, score (F) and Gauss-Newton Hessian (F x F).
+
+        The derivatives are by the F free parameters; theta must be admissible.
         """
-        e, rows = (self.whiten(one) for one in self.residual_and_slopes(theta))
+        e, rows = (self.whiten(columns) for columns in self.residual_and_slopes(theta))
         variance, hessian = self._gauss_newton_hessian(e, rows)
         return self._value_of_residual(e), rows.T @ e / variance, hessian
 
     def whiten(self, columns: Floats) -> Floats:
-        """Return less what the samples before say of them."""
+        """Return signals (N, or N x K) less their prediction by the autoregression."""
         if not self.past.size:
             return columns
         white = columns.copy()
-        for lag, share in enumerate(self.past, 1):  # ten times as fast as a general filter
-            white[lag:] -= share * columns[:-lag]
+        for lag, coefficient in enumerate(self.past, 1):  # ten times as fast as a general filter
+            white[lag:] -= coefficient * columns[:-lag]
         white[0] *= math.sqrt(max(1 - float(self.past @ self.past), 0.0))
         return white
 
     def _gauss_newton_hessian(self, e: Floats, rows: Floats) -> tuple[float, Floats]:
-        """Return the residual variance, and the positive Hessian of half the squares over
-        it.
+        """Return the residual variance, and the Gauss-Newton Hessian (F x F) over it.
+
+        Args:
+            e: residuals (N).
+            rows: derivatives of the residuals (N x F).
         """
         variance = float(e @ e) / self._count + 1e-30
         return variance, rows.T @ rows / variance + 1e-9 * np.eye(rows.shape[1])
@@ -176,22 +192,26 @@ class LeastSquares(Generic[M]):
         return self.model.project_to_bounds(theta)
 
     def robust_covariance(self, theta: Floats) -> estimates.EstimateCovariance:
-        """Return the robust covariance (I1) of the free parameters."""
-        e, rows = (self.whiten(one) for one in self.residual_and_slopes(theta))
+        """Return the robust covariance (I1) of the free parameters (F x F)."""
+        e, rows = (self.whiten(columns) for columns in self.residual_and_slopes(theta))
         variance, hessian = self._gauss_newton_hessian(e, rows)
         return estimates.sandwich_covariance(rows * e[:, None] / variance, hessian)
 
     def fit_from_starts(self, starts: Sequence[Floats]) -> FittedModel[M] | None:
-        """Fit from several starts; return the best, None if no start is admissible."""
-        top = estimates.best_maximum(self, starts, self.model.first, self.model.last)
-        return None if top is None else FittedModel(self, top.theta, self.best_density(top.theta))
+        """Fit from several start points (P each); return the best fit, None without a fit."""
+        maximum = estimates.best_maximum(self, starts, self.model.first, self.model.last)
+        if maximum is None:
+            return None
+        return FittedModel(self, maximum.theta, self.best_density(maximum.theta))
 
     def minimise_prediction_errors(self, theta: Floats) -> tuple[LeastSquares[M], Floats]:
-        """Minimise prediction errors near theta; return the new least squares and its
-        parameters.
+        """Minimise one-step prediction errors near theta.
 
-        What disturbs the plant is foretold from past residuals, so that an input that answers to
-        these says nothing of the errors (Ljung 1999, section 13.4); no reference is needed.
+        An autoregression predicts the disturbance from past residuals. The estimate is then
+        consistent even if feedback makes the input depend on these (Ljung 1999, section 13.4).
+
+        Returns:
+            Least squares with that autoregression, and its parameters (P).
         """
         squares = self
         for _ in range(TURNS):
@@ -202,43 +222,42 @@ class LeastSquares(Generic[M]):
         return squares, theta
 
     def best_density(self, theta: Floats) -> Density:
-        """Return the best density of the readings near the least-squares fit."""
+        """Return the density of least BIC near the least-squares fit theta (P).
+
+        Its parameters also maximise the likelihood with autoregressive residuals.
+        """
         first = best = self.autoregressive_density(theta)
         for _ in range(ROUNDS):
             theta = estimates.maximise_likelihood(self.fit_coloured(theta), theta, STEPS).theta
-            best = min(best, self.autoregressive_density(theta), key=lambda one: one.bic)
+            best = min(best, self.autoregressive_density(theta), key=lambda density: density.bic)
         return best._replace(rms=first.rms)
 
     @estimates.cache_latest
     def fit_coloured(self, theta: Floats) -> LeastSquares[M]:
-        """Return the same, with residuals that as many before them foretell as BIC takes."""
+        """Return least squares with the autoregression of the residuals of least BIC."""
         e = self.reading_residual(theta)
-        every = [LeastSquares(self.model, past) for past in self._fit_autoregressions(e)]
-        return min(every, key=lambda one: one._autoregression_bic(e))
+        candidates = [LeastSquares(self.model, past) for past in self._fit_autoregressions(e)]
+        return min(candidates, key=lambda squares: squares._autoregression_bic(e))
 
     def _autoregression_bic(self, e: Floats) -> float:
         """Return the BIC of the residuals' autoregression."""
         return -2 * self._value_of_residual(self.whiten(e)) + self.past.size * math.log(self._count)
 
     def _fit_autoregressions(self, e: Floats) -> list[Floats]:
-        """Fit autoregressions of the residuals of order 1, 2, ... (lags each)."""
-        seen = mean_lag_products(e, self.data.ok, LONGEST_MEMORY)
-        seen[0] = seen[0] * (1 + 1e-9) + 1e-15
-        return [
-            solve_toeplitz(seen[:lags], seen[1 : lags + 1]) for lags in range(1, LONGEST_MEMORY)
-        ]
+        """Return the coefficients of autoregressions of order 1, 2, ... by Yule and Walker."""
+        r = mean_lag_products(e, self.data.ok, LONGEST_MEMORY)
+        r[0] = r[0] * (1 + 1e-9) + 1e-15  # keeps the equations regular
+        return [solve_toeplitz(r[:lags], r[1 : lags + 1]) for lags in range(1, LONGEST_MEMORY)]
 
     def autoregressive_density(self, theta: Floats) -> Density:
-        """Return the density of the readings, residuals taken as autoregressive Gaussian
-        noise.
-        """
+        """Return the density of the readings with autoregressive Gaussian residuals."""
         e = self.reading_residual(theta)
         coloured = self.fit_coloured(theta)
         innovation = coloured.whiten(e)
         variance = float(np.mean(innovation**2)) + 1e-12
-        value = -0.5 * innovation**2 / variance - 0.5 * math.log(2 * math.pi * variance)
         numbers = self.free.size + self.model.has_level + coloured.past.size + 1
-        return Density(self.model.name, value, numbers, float(np.sqrt(np.mean(e**2))))
+        density = build_gaussian_density(self.model.name, innovation, numbers, variance)
+        return density._replace(rms=float(np.sqrt(np.mean(e**2))))
 
 
 class FittedModel(NamedTuple, Generic[M]):
@@ -255,7 +274,7 @@ class FittedModel(NamedTuple, Generic[M]):
 
     @property
     def prediction_fit(self) -> FittedModel[M]:
-        """Return the same model with least prediction errors."""
+        """Return the same model with parameters of least one-step prediction errors."""
         squares, theta = self.squares.minimise_prediction_errors(self.theta)
         return self._replace(squares=squares, theta=theta)
 
@@ -265,16 +284,16 @@ class FittedModel(NamedTuple, Generic[M]):
         return self.squares.autoregressive_density(self.theta).bic
 
 
-# --- What is left, as a curve
+# --- Remainders as curves
 
 
 def hat_functions(z: Floats, centres: Floats) -> Floats:
-    """Return hat functions of z (N x K), centred at the given points."""
+    """Return the hat functions (linear splines) of z (N) about K centres (N x K)."""
     return np.column_stack([np.interp(z, centres, row) for row in np.eye(centres.size)])
 
 
 def regression_residual(columns: Floats, target: Floats) -> Floats:
-    """Return the residual of a target (n), or of several (n x k), regressed on columns."""
+    """Return the residual of targets (n, or n x k) regressed on columns (n x m)."""
     return np.asarray(target - columns @ np.linalg.lstsq(columns, target, rcond=1e-10)[0])
 
 
@@ -282,17 +301,19 @@ def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
     """Fit a residual by functions in least squares.
 
     Args:
-        columns: the functions (N x K).
-        residual: to be explained (N).
+        columns: values of K functions (N x K).
+        residual: residual of a model (N).
 
     Returns:
-        Coefficients, their deviations, the share explained, and p of a Wald test by (I1).
+        Coefficients (K), their standard deviations (K), the share of the residual's power that
+        they explain, and the p value of a Wald test that all are 0, by (I1).
     """
     coefficients = np.linalg.lstsq(columns, residual, rcond=None)[0]
-    left = residual - columns @ coefficients
-    share = 1 - float(left @ left) / max(float(residual @ residual), 1e-300)
+    e = residual - columns @ coefficients
+    share = 1 - float(e @ e) / max(float(residual @ residual), 1e-300)
     normal = columns.T @ columns + 1e-9 * np.eye(columns.shape[1])
-    spread = estimates.sandwich_covariance(columns * left[:, None], normal, COSINES)
+    spread = estimates.sandwich_covariance(columns * e[:, None], normal, COSINES)
+    # The test uses the covariance under its hypothesis, that all coefficients are 0.
     null = estimates.sandwich_covariance(columns * residual[:, None], normal, COSINES)
     count = columns.shape[1]
     wald = float(coefficients @ np.linalg.pinv(null.V) @ coefficients)
@@ -303,5 +324,5 @@ def regress_residual(columns: Floats, residual: Floats) -> tuple[Floats, Floats,
 
 
 def describe_p_value(chance: float) -> str:
-    """Describe a p value; very small values are not resolved."""
+    """Describe a p value in words, as `p = 0.02`, or `p < 0.001` if it is smaller."""
     return "p < 0.001" if chance < 1e-3 else f"p = {chance:.2g}"

@@ -17,11 +17,13 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 
 Z, Z_BEFORE, RIGHT, LEFT, LOG_S, ATANH_RHO = range(6)  # columns of `DensityTerms.slopes`
 LOG_ROOT = 0.5 * math.log(2 * math.pi)
-NARROW = 1e-5  # intervals below this width are taken by the midpoint, where a difference cancels
-FAR = -36.0  # limits beyond which a tail's mass underflows, and logarithms are taken first
-REACH = 7.0  # standard deviations beyond which a Gaussian factor is left out: 2e-11 of its mass
-STEEP = 0.7  # correlation from which the integral over innovations is the smoother one
-ALL, NEAR = 8.0, 3.0  # limits beyond ALL hold all of x, given that the other is within NEAR: 7e-14
+NARROW = 1e-5  # width of an interval below which its mass is width times density: no cancellation
+FAR = -36.0  # limit below which a tail's mass underflows, so that its logarithm is computed
+REACH = 7.0  # standard deviations beyond which a Gaussian is neglected: 2e-11 of its mass
+STEEP = 0.7  # correlation above which the integral over innovations is the smoother one
+# limits beyond ALL are infinite if the other variable is within NEAR: 7e-14
+ALL = 8.0
+NEAR = 3.0
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
 
 
@@ -41,10 +43,10 @@ class Readings(NamedTuple):
     """Data of a record for the likelihoods.
 
     Attributes:
-        y: readings (N), any number where missing.
-        side: +1, 0, -1 (N): where a reading is beyond an edge or silent.
-        ok: whether there is a reading (N).
-        before: whether the sample before is there too, in the same record (N).
+        y: readings (N), any number if missing.
+        side: +1, -1 beyond the right or left edge, 0 inside the zone (N).
+        ok: flags of the readings that are not missing (N).
+        before: flags of the samples whose previous reading, in the same record, is there (N).
     """
 
     y: Floats
@@ -54,7 +56,10 @@ class Readings(NamedTuple):
 
 
 class ZoneNoise(NamedTuple):
-    """Widths d_r and d_l [z], rms s of the disturbance [z], its correlation rho over a sample."""
+    """Widths and noise of a zone: d_r, d_l, rms s of the disturbance, its correlation rho.
+
+    rho is the correlation over one sample.
+    """
 
     right: float
     left: float
@@ -74,9 +79,9 @@ def zone_offset(side: Integers, right: float, left: float) -> Floats:
     return np.asarray(right * (side > 0) - left * (side < 0))
 
 
-def zone_residual(readings: Readings, z: Floats, right: float, left: float) -> Floats:
+def zone_residual(readings: Readings, z: Floats, noise: ZoneNoise) -> Floats:
     """Return e outside the zone, y + d_r - z or y - d_l - z (N); y - z inside."""
-    return readings.y + zone_offset(readings.side, right, left) - z
+    return readings.y + zone_offset(readings.side, noise.right, noise.left) - z
 
 
 def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTerms:
@@ -92,15 +97,15 @@ def single_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> Density
     """
     value = np.zeros(z.size)
     slopes = np.zeros((z.size, 6))
-    speaks = readings.ok & (readings.side != 0)
-    _enter_outside(readings, z, noise, np.flatnonzero(speaks), value, slopes)
-    silent = np.flatnonzero(readings.ok & (readings.side == 0))
-    mass = _ZoneMass(z[silent], noise)
-    value[silent] = mass.log
-    slopes[silent, Z] = mass.by_z
-    slopes[silent, RIGHT] = mass.by_right
-    slopes[silent, LEFT] = mass.by_left
-    slopes[silent, LOG_S] = mass.by_log_s
+    outside = readings.ok & (readings.side != 0)
+    _enter_outside(readings, z, noise, np.flatnonzero(outside), value, slopes)
+    inside = np.flatnonzero(readings.ok & (readings.side == 0))
+    mass = _ZoneMass(z[inside], noise)
+    value[inside] = mass.log
+    slopes[inside, Z] = mass.by_z
+    slopes[inside, RIGHT] = mass.by_right
+    slopes[inside, LEFT] = mass.by_left
+    slopes[inside, LOG_S] = mass.by_log_s
     return DensityTerms(value, slopes)
 
 
@@ -121,14 +126,14 @@ class _ZoneMass:
 def _enter_outside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, value: Floats, slopes: Floats
 ) -> None:
-    """Enter ln N(e; 0, s^2) of samples outside the zone at their places."""
-    e = zone_residual(readings, z, noise.right, noise.left)[at]
+    """Write ln N(e; 0, s^2) and its derivatives for samples outside the zone (at), in place."""
+    e = zone_residual(readings, z, noise)[at]
     side = readings.side[at]
     value[at] = -0.5 * (e / noise.s) ** 2 - math.log(noise.s) - LOG_ROOT
-    push = -e / noise.s**2
-    slopes[at, Z] = -push
-    slopes[at, RIGHT] = push * (side > 0)
-    slopes[at, LEFT] = -push * (side < 0)
+    by_e = -e / noise.s**2  # e = y + offset - z
+    slopes[at, Z] = -by_e
+    slopes[at, RIGHT] = by_e * (side > 0)
+    slopes[at, LEFT] = -by_e * (side < 0)
     slopes[at, LOG_S] = (e / noise.s) ** 2 - 1
 
 
@@ -141,7 +146,7 @@ def densities_behind(
         readings: the record; sides are not used.
         z: output of the plant (N).
         noise: widths and rms.
-        zone: whether there is a zone at all; else d_r is what a constant takes off z.
+        zone: whether there is a zone; else the readings are z - d_r.
 
     Returns:
         Log densities and derivatives; 0 if a reading is missing.
@@ -173,11 +178,12 @@ def pair_densities(readings: Readings, z: Floats, noise: ZoneNoise) -> DensityTe
     if noise.rho == 0.0 or not readings.before.any():
         return _add_slope_of_rho(readings, z, noise, terms)
     both = np.flatnonzero(readings.ok & readings.before)
-    silent, silent_before = readings.side[both] == 0, readings.side[both - 1] == 0
-    _enter_outside_outside(readings, z, noise, both[~silent & ~silent_before], terms)
-    _enter_inside_outside(readings, z, noise, both[silent & ~silent_before], terms)
-    _enter_outside_inside(readings, z, noise, both[~silent & silent_before], terms)
-    _enter_inside_inside(readings, z, noise, both[silent & silent_before], terms)
+    inside = readings.side[both] == 0
+    inside_before = readings.side[both - 1] == 0
+    _enter_outside_outside(readings, z, noise, both[~inside & ~inside_before], terms)
+    _enter_inside_outside(readings, z, noise, both[inside & ~inside_before], terms)
+    _enter_outside_inside(readings, z, noise, both[~inside & inside_before], terms)
+    _enter_inside_inside(readings, z, noise, both[inside & inside_before], terms)
     return terms
 
 
@@ -200,52 +206,58 @@ def _branch_indicators(readings: Readings, at: Integers) -> tuple[Floats, Floats
 def _enter_outside_outside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
 ) -> None:
-    """Enter an outside sample after an outside sample: ln N(e_t; rho e_(t-1), s'^2)."""
-    rho, rest = noise.rho, 1 - noise.rho**2
-    e = zone_residual(readings, z, noise.right, noise.left)
-    v = e[at] - rho * e[at - 1]
-    variance = noise.s**2 * rest
-    push = -v / variance
+    """Write the terms of an outside sample after an outside sample, in place.
+
+    ln N(e_t; rho e_(t-1), s'^2), s'^2 = s^2 (1 - rho^2).
+    """
+    rho = noise.rho
+    innovation_share = 1 - noise.rho**2
+    e = zone_residual(readings, z, noise)
+    v = e[at] - rho * e[at - 1]  # innovation
+    variance = noise.s**2 * innovation_share
+    by_v = -v / variance
     excess = v**2 / variance - 1
     right, left = _branch_indicators(readings, at)
     right_before, left_before = _branch_indicators(readings, at - 1)
     slopes = terms.slopes
     terms.value[at] = -0.5 * v**2 / variance - 0.5 * math.log(variance) - LOG_ROOT
-    slopes[at, Z] = -push
-    slopes[at, Z_BEFORE] = rho * push
-    slopes[at, RIGHT] = push * (right - rho * right_before)
-    slopes[at, LEFT] = -push * (left - rho * left_before)
+    slopes[at, Z] = -by_v
+    slopes[at, Z_BEFORE] = rho * by_v
+    slopes[at, RIGHT] = by_v * (right - rho * right_before)
+    slopes[at, LEFT] = -by_v * (left - rho * left_before)
     slopes[at, LOG_S] = excess
-    slopes[at, ATANH_RHO] = -rho * excess - push * e[at - 1] * rest
+    slopes[at, ATANH_RHO] = -rho * excess - by_v * e[at - 1] * innovation_share
 
 
 def _enter_inside_outside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
 ) -> None:
-    """Enter an inside sample after an outside: ln{Phi((a_t - rho e)/s') - Phi((b_t - rho
-    e)/s')}.
+    """Write the terms of an inside sample after an outside sample, in place.
+
+    ln{Phi((a_t - rho e)/s') - Phi((b_t - rho e)/s')}, with e that of the outside sample.
     """
-    e = zone_residual(readings, z, noise.right, noise.left)[at - 1]
+    e = zone_residual(readings, z, noise)[at - 1]
     right, left = _branch_indicators(readings, at - 1)
-    slice_ = _ConditionalMass(noise.right - z[at], -noise.left - z[at], e, noise)
+    mass = _ConditionalMass(noise.right - z[at], -noise.left - z[at], e, noise)
     slopes = terms.slopes
-    terms.value[at] = slice_.log
-    slopes[at, Z] = -slice_.by_a - slice_.by_b
-    slopes[at, Z_BEFORE] = -slice_.by_e
-    slopes[at, RIGHT] = slice_.by_a + slice_.by_e * right
-    slopes[at, LEFT] = -slice_.by_b - slice_.by_e * left
-    slopes[at, LOG_S] = slice_.by_log_s
-    slopes[at, ATANH_RHO] = slice_.by_rho
+    terms.value[at] = mass.log
+    slopes[at, Z] = -mass.by_a - mass.by_b
+    slopes[at, Z_BEFORE] = -mass.by_e
+    slopes[at, RIGHT] = mass.by_a + mass.by_e * right
+    slopes[at, LEFT] = -mass.by_b - mass.by_e * left
+    slopes[at, LOG_S] = mass.by_log_s
+    slopes[at, ATANH_RHO] = mass.by_rho
 
 
 class _ConditionalMass:
-    """Log mass ln{Phi((a - rho e)/s') - Phi((b - rho e)/s')} with derivatives (arrays a, b, e
-    [z]).
+    """Log mass ln{Phi((a - rho e)/s') - Phi((b - rho e)/s')} and its derivatives.
+
+    It is ln P(b < e_t < a | e_(t-1) = e), for arrays a, b and e [z].
     """
 
     def __init__(self, a: Floats, b: Floats, e: Floats, noise: ZoneNoise) -> None:
-        rest = 1 - noise.rho**2
-        spread = noise.s * math.sqrt(rest)
+        innovation_share = 1 - noise.rho**2
+        spread = noise.s * math.sqrt(innovation_share)
         upper = (a - noise.rho * e) / spread
         lower = (b - noise.rho * e) / spread
         self.log = log_cdf_difference(upper, lower)
@@ -254,20 +266,21 @@ class _ConditionalMass:
         self.by_b = -at_lower / spread
         self.by_e = -noise.rho * (self.by_a + self.by_b)
         self.by_log_s = lower * at_lower - upper * at_upper
-        self.by_rho = -rest * e * (self.by_a + self.by_b) - noise.rho * self.by_log_s
+        self.by_rho = -innovation_share * e * (self.by_a + self.by_b) - noise.rho * self.by_log_s
 
 
 def _enter_outside_inside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
 ) -> None:
-    """Enter an outside sample after an inside: ln N(e; 0, s^2) + ln P(before | e) - ln
-    P(before).
+    """Write the terms of an outside sample after an inside sample, in place.
+
+    ln N(e; 0, s^2) + ln P(inside before | e) - ln P(inside before).
     """
-    e = zone_residual(readings, z, noise.right, noise.left)[at]
+    e = zone_residual(readings, z, noise)[at]
     right, left = _branch_indicators(readings, at)
     given_e = _ConditionalMass(noise.right - z[at - 1], -noise.left - z[at - 1], e, noise)
     before = _ZoneMass(z[at - 1], noise)
-    slopes = terms.slopes  # of ln N(e; 0, s^2), entered by `singles`
+    slopes = terms.slopes  # of ln N(e; 0, s^2), by `single_densities`
     terms.value[at] += given_e.log - before.log
     slopes[at, Z] += -given_e.by_e
     slopes[at, Z_BEFORE] = -given_e.by_a - given_e.by_b - before.by_z
@@ -280,12 +293,18 @@ def _enter_outside_inside(
 def _enter_inside_inside(
     readings: Readings, z: Floats, noise: ZoneNoise, at: Integers, terms: DensityTerms
 ) -> None:
-    """Enter an inside sample after an inside: ln P(both inside) - ln P(inside before)."""
+    """Write the terms of an inside sample after an inside sample, in place.
+
+    ln P(both inside) - ln P(inside before).
+    """
     if not at.size:
         return
-    s, rho = noise.s, noise.rho
-    a, b = (noise.right - z[at]) / s, (-noise.left - z[at]) / s
-    a0, b0 = (noise.right - z[at - 1]) / s, (-noise.left - z[at - 1]) / s
+    s = noise.s
+    rho = noise.rho
+    a = (noise.right - z[at]) / s
+    b = (-noise.left - z[at]) / s
+    a0 = (noise.right - z[at - 1]) / s
+    b0 = (-noise.left - z[at - 1]) / s
     log_both = log_rectangle_mass(a0, b0, a, b, rho)
     before = _ZoneMass(z[at - 1], noise)
     by_a, by_b = rectangle_edge_slopes(a, b, a0, b0, rho, log_both)
@@ -317,22 +336,23 @@ def log_cdf_difference(a: Floats, b: Floats) -> Floats:
     lower = np.where(flip, -a, b)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.log(_normal_cdf(upper) - _normal_cdf(lower))
-    far, narrow = upper < FAR, upper - lower < NARROW
+    far = upper < FAR
+    narrow = upper - lower < NARROW
     if far.any():
-        top, bottom = log_ndtr(upper[far]), log_ndtr(lower[far])
+        top = log_ndtr(upper[far])
+        bottom = log_ndtr(lower[far])
         value[far] = top + np.log(-np.expm1(np.minimum(bottom - top, -1e-300)))
     if narrow.any():
         width = np.maximum((upper - lower)[narrow], 1e-300)
         middle = 0.5 * (upper + lower)[narrow]
-        bend = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
-        value[narrow] = np.log(width) - 0.5 * middle**2 - LOG_ROOT + bend
+        # Second term of the midpoint rule for the Gaussian density.
+        curvature = np.log1p(np.clip((middle**2 - 1) * width**2 / 24, -0.5, 0.5))
+        value[narrow] = np.log(width) - 0.5 * middle**2 - LOG_ROOT + curvature
     return np.asarray(value)
 
 
 def _normal_cdf(x: Floats) -> Floats:
-    """Return Phi(x), computed once for constant rows (half of the rows of a rectangle's
-    pieces).
-    """
+    """Return Phi(x) (N, or N x K); a constant row, which is frequent, is computed once."""
     if x.ndim == 1:
         return np.asarray(ndtr(x))
     varies = (x != x[:, :1]).any(axis=1)
@@ -356,9 +376,9 @@ def limit_hazards(a: Floats, b: Floats, log_mass: Floats) -> tuple[Floats, Float
 def log_rectangle_mass(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float) -> Floats:
     """Return ln P(b0 < x0 < a0, b < x < a) of unit Gaussians x0, x with correlation rho.
 
-    Weak correlations are integrated over x0, strong ones over the innovation x - rho x0, whichever
-    integrand is smooth on the scale of 1; both are log-concave, so that `REACH` about a point near
-    their top is all that counts.
+    For a weak correlation the integral is over x0, for a strong one over the innovation x - rho x0:
+    the integrand is then smooth on the scale of 1. Both integrands are log-concave, so only `REACH`
+    about a point near their maximum is integrated.
 
     Args:
         a0, b0: upper and lower limits of x0 (N).
@@ -376,26 +396,33 @@ def log_rectangle_mass(a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float)
     value[first] = log_cdf_difference(a[first], b[first])
     value[second] = log_cdf_difference(a0[second], b0[second])
     rest = ~(first | second)
-    a0, b0, a, b = a0[rest], b0[rest], a[rest], b[rest]
-    top = np.clip(rho * np.clip(0.0, b, a), b0, a0)  # of the density within the rectangle, nearly
+    a0 = a0[rest]
+    b0 = b0[rest]
+    a = a[rest]
+    b = b[rest]
+    top = np.clip(
+        rho * np.clip(0.0, b, a), b0, a0
+    )  # near the maximum of the density in the rectangle
     over = _integrate_over_first if rho < STEEP else _integrate_over_innovation
     value[rest] = over(a0, b0, a, b, rho, top)
     return value
 
 
 def _has_no_bounds(a0: Floats, b0: Floats, a: Floats, b: Floats) -> Flags:
-    """Return whether all of x0 lies between b0 and a0, given x between b and a (N)."""
+    """Return flags of rectangles (N) whose limits b0 and a0 of x0 are practically infinite."""
     return (a0 > ALL) & (b0 < -ALL) & (a > -NEAR) & (b < NEAR)
 
 
 def _integrate_over_first(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
 ) -> Floats:
-    """Integrate: return ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to
-    a0.
+    """Return ln int phi(x) {Phi((a - rho x)/q) - Phi((b - rho x)/q)} dx from b0 to a0 (N).
+
+    q = sqrt(1 - rho^2). Arguments of `log_rectangle_mass`; top: place of the maximum (N).
     """
     q = math.sqrt(1 - rho**2)
-    low, high = np.maximum(b0, top - REACH), np.minimum(a0, top + REACH)
+    low = np.maximum(b0, top - REACH)
+    high = np.minimum(a0, top + REACH)
     half = 0.5 * (high - low)
     x = 0.5 * (high + low)[:, None] + half[:, None] * NODES
     inside = log_cdf_difference((a[:, None] - rho * x) / q, (b[:, None] - rho * x) / q)
@@ -406,8 +433,11 @@ def _integrate_over_first(
 def _integrate_over_innovation(
     a0: Floats, b0: Floats, a: Floats, b: Floats, rho: float, top: Floats
 ) -> Floats:
-    """Integrate: return ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv, x0 within limits by
-    v.
+    """Return ln int phi(v) {Phi(x_high(v)) - Phi(x_low(v))} dv (N), v the scaled innovation.
+
+    x = rho x0 + q v with q = sqrt(1 - rho^2) limits x0 to (x_low, x_high) for each v. The limits
+    have kinks, at which the integral is split. Arguments of `log_rectangle_mass`; top: place of the
+    maximum of x0 (N).
     """
     q = math.sqrt(1 - rho**2)
     peak = (np.clip(rho * top, b, a) - rho * top) / q
@@ -419,7 +449,8 @@ def _integrate_over_innovation(
     ends = np.stack([low, kinks[0], kinks[1], high], axis=1)
     half = 0.5 * np.diff(ends, axis=1)
     piece = np.argwhere(half > 1e-14)
-    row, column = piece[:, 0], piece[:, 1]
+    row = piece[:, 0]
+    column = piece[:, 1]
     width = half[row, column]
     v = (ends[row, column] + width)[:, None] + width[:, None] * NODES
     x_high = np.minimum(a0[row, None], (a[row, None] - q * v) / rho)
@@ -441,11 +472,10 @@ def _log_weighted_sum(logs: Floats, weights: Floats) -> Floats:
 def rectangle_edge_slopes(
     a: Floats, b: Floats, other_a: Floats, other_b: Floats, rho: float, log_mass: Floats
 ) -> tuple[Floats, Floats]:
-    """Return derivatives of ln P(b < x < a, other_b < x' < other_a) by a and b, of unit
-    Gaussians.
+    """Return the derivatives of ln P(b < x < a, other_b < x' < other_a) by a and by b (N each).
 
     Args:
-        a, b: limits of x (N).
+        a, b: limits of the unit Gaussian x (N).
         other_a, other_b: limits of x' (N).
         rho: correlation of both.
         log_mass: ln P (N).

@@ -64,7 +64,9 @@ def measure_levels(
         stages: objective and theta of each stage; the values are those of the last one.
         misfits: changes of the free parameters of the first stage by remainders of the model.
     """
-    halves, values, moved = [], [], np.zeros(len(WIDTHS))
+    halves = []
+    values = []
+    moved = np.zeros(len(WIDTHS))
     for place, (target, theta) in enumerate(stages):
         rows = WIDTHS @ _level_slopes(levels, theta, target.free)
         spread = target.robust_covariance(theta)
@@ -72,7 +74,8 @@ def measure_levels(
         values.append(WIDTHS @ levels(theta))
         if place == 0 and misfits:
             moved = np.abs(rows @ np.array(misfits).T).max(axis=1)
-    intervals, least = {}, math.inf
+    intervals = {}
+    least = math.inf
     for k, (name, row) in enumerate(DIRECTIONS.items()):
         half, degrees = max(stage[k] for stage in halves)
         apart = values[-1][k] - values[0][k]

@@ -1,8 +1,8 @@
-"""Motion behind readings, and the four offsets that separate play from dead zone.
+"""Direction of motion by readings, and the four offsets that separate play from dead zone.
 
-The side of a play is made out before any model is asked, by three rules, by what the sensor
-promises (docs/play.md): of exact readings the sign of their change, of an encoder its ticks, of
-noisy readings the slope of those before.
+The contact side of a play follows from the direction of motion, before any plant is fitted. The
+rule depends on the sensor (docs/play.md): for exact readings it is the sign of their change, for an
+encoder its ticks, for noisy readings the slope of the preceding readings.
 
 Dead zone, play, both or neither? A linear filter has an offset a (sign, direction) of readings. A
 play (c) that a dead zone (d) follows, or that follows one, reads z + beta with
@@ -14,7 +14,7 @@ for + right, + left, - right, - left: + and - the sign of y, right and left its 
     c_r + c_l = (-b1 + b2 - b3 + b4) / 2,  d_r + d_l = (-b1 - b2 + b3 + b4) / 2,
     b1 - b2 - b3 + b4 = 0                                                                    (O2)
 
-The last one tests that nothing else is there. Of the centres only their sum shows.
+The last equation tests the model. Only the sum of both centres is identifiable.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from undeadzone_identify.models.plant import PlantSimulator, input_noise_gain
 SURE = 5.5  # standard deviations of a slope: one false side in a gap's log ruins its estimate
 WINDOWS = (4, 6, 8, 12, 16, 24, 32)
 REPEATED_SHARE = 0.01  # share of readings equal to the one before that shows a sensor without noise
-CHATTER = 0.05  # share of ticks that are taken back at once, from which ticks are noise
-REVERSED_SHARE = 0.35  # share of ticks that another way follows, where noise is larger than a step
+CHATTER = 0.05  # share of ticks that the next tick undoes, above which ticks are noise
+REVERSED_SHARE = 0.35  # share of ticks that a reversed tick follows, above which ticks are noise
 NAMES = ("neither", "dead_zone", "play", "both")
 WIDTHS = 0.5 * np.array([[-1.0, 1, -1, 1], [-1.0, -1, 1, 1], [2.0, -2, -2, 2]])  # (O2)
-THERE = 5.0  # standard deviations from which a width is there
-LEAST = 0.02  # of the readings' rms, below which a width is no matter
-BEYOND = 8.0  # standard deviations of the noise from which the sign of a reading is sure
-VAGUE = 3.0  # rms of the readings: standard deviation of an offset, and of z, at first
-FAINTEST = 1e-3  # least noise and disturbance that the filter is told, in rms of y
-AT_FIRST = 5.0  # standard deviation of a state at first, in rms of y
+THERE = 5.0  # standard deviations above which a width is significant
+LEAST = 0.02  # least width that is relevant [rms of the readings]
+BEYOND = 8.0  # standard deviations of the noise above which the sign of a reading is sure
+VAGUE = 3.0  # prior standard deviation of an offset [rms of the readings]
+FAINTEST = 1e-3  # least noise and disturbance that the filter assumes [rms of y]
+AT_FIRST = 5.0  # prior standard deviation of a state [rms of y]
 
 # --- Sides
 
@@ -51,9 +51,9 @@ class MotionRule(NamedTuple):
     """Rule by which readings show motion.
 
     Attributes:
-        noise: rms of their white noise [y]; 0 of exact readings and of an encoder.
-        quantum: of an encoder [y]; 0 of other readings.
-        window: readings over which a slope is taken; 1 where each change counts.
+        noise: rms of their white noise [y]; 0 for exact readings and for an encoder.
+        quantum: quantum of an encoder [y]; 0 for other readings.
+        window: number of readings of a slope; 1 if single changes show motion.
     """
 
     noise: float
@@ -68,66 +68,77 @@ def detect_motion_rule(
 
     Args:
         y: readings (N).
-        ok: whether there is a reading (N).
+        ok: flags of the readings that are not missing (N).
         start: first sample of each record (R).
-        quantum: smallest common spacing of the readings, 0 if there is none.
-        longest: window over which z may be taken as monotone [samples].
+        quantum: smallest common spacing of the readings [y], 0 if there is none.
+        longest: longest window over which z may be assumed monotone [samples].
 
     Returns:
-        The rule. For noisy readings its window is the one that decides the direction most often.
+        The rule. For noisy readings its window decides the direction most often.
     """
     change, known = reading_changes(y, ok, start)
     active = change[known & (y != 0)]
-    if (  # exact readings or an encoder's: some repeat, and none go to and fro
+    # Exact readings, and those of an encoder, repeat and do not chatter.
+    if (
         active.size
         and (active == 0).mean() > REPEATED_SHARE
         and not _has_chatter(np.where(known, change, 0.0))
     ):
         return MotionRule(0.0, quantum, 1)
     rms = float(np.hypot(white_noise_rms(y, ok, start), quantum / np.sqrt(12)))
-    best, most = WINDOWS[0], -1
+    best = WINDOWS[0]
+    largest = -1
     for window in WINDOWS:
         count = int(np.count_nonzero(motion_sides(y, ok, start, MotionRule(rms, 0.0, window))))
-        if count > most and (window == WINDOWS[0] or window <= longest):
-            best, most = window, count
+        if count > largest and (window == WINDOWS[0] or window <= longest):
+            best = window
+            largest = count
     return MotionRule(rms, 0.0, best)
 
 
-def motion_sides(y: Floats, ok: Flags, start: Integers, how: MotionRule) -> Integers:
-    """Return +1 for a sure motion to the right, -1 to the left, 0 if unsure (N).
+def motion_sides(y: Floats, ok: Flags, start: Integers, rule: MotionRule) -> Integers:
+    """Return the direction of motion: +1 right, -1 left, 0 if uncertain (N).
 
     Args:
         y: readings (N).
-        ok: whether there is a reading (N).
+        ok: flags of the readings that are not missing (N).
         start: first sample of each record (R).
-        how: the rule.
+        rule: rule by which the readings show motion.
     """
-    if how.noise:
-        moved = preceding_move(y, ok, start, how.window)
-        least = SURE * how.noise * np.sqrt(12 / how.window)
+    if rule.noise:
+        move = preceding_move(y, ok, start, rule.window)
+        # A slope over w readings has the variance 12 s^2 / w^3; it is multiplied by w here.
+        threshold = SURE * rule.noise * np.sqrt(12 / rule.window)
     else:
         change, known = reading_changes(y, ok, start)
-        moved = np.where(known, change, 0.0)
-        least = how.quantum / 2
-    return ok * (1 * (moved > least) - 1 * (moved < -least))
+        move = np.where(known, change, 0.0)
+        threshold = rule.quantum / 2
+    return ok * (1 * (move > threshold) - 1 * (move < -threshold))
 
 
 def preceding_move(y: Floats, ok: Flags, start: Integers, window: int) -> Floats:
-    """Return the slope of the `window` preceding readings times the window (N); 0 if unknown."""
+    """Return the motion over the preceding readings (N) [y]; 0 if one of them is missing.
+
+    It is the least-squares slope of the `window` readings before each, times the window.
+    """
     weights = np.arange(window) - (window - 1) / 2
     weights *= window / (weights @ weights)
     slope = np.convolve(np.where(ok, y, 0.0), weights[::-1])[: y.size]
     whole = np.convolve(1.0 * ok, np.ones(window))[: y.size] > window - 0.5
     own = rows_since_start(start, y.size) >= window - 1
-    moved = np.zeros(y.size)
-    moved[1:] = (slope * (whole & own))[:-1]
-    moved[start] = 0.0
-    return moved
+    move = np.zeros(y.size)
+    move[1:] = (slope * (whole & own))[:-1]
+    move[start] = 0.0
+    return move
 
 
 def white_noise_rms(y: Floats, ok: Flags, start: Integers) -> float:
-    """Return the rms of the white noise of readings, by the median of their third differences."""
-    known = ok & (y != 0)  # what is silent has none
+    """Return the rms of the white noise of readings [y], by the median of third differences.
+
+    A third difference removes motion; its variance is 20 times that of white noise. The median of
+    absolute values of a Gaussian is 0.6745 standard deviations.
+    """
+    known = ok & (y != 0)  # readings inside a zone have no noise
     difference = y
     for _ in range(3):
         difference = np.append(0.0, np.diff(difference))
@@ -139,7 +150,7 @@ def white_noise_rms(y: Floats, ok: Flags, start: Integers) -> float:
 
 
 def reading_changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flags]:
-    """Return changes from the previous reading (N), and the flags of known changes (N)."""
+    """Return changes from the previous reading (N), and flags of the known changes (N)."""
     change = np.append(0.0, np.diff(y))
     known = ok & np.append(False, ok[:-1])
     known[start] = False
@@ -147,17 +158,23 @@ def reading_changes(y: Floats, ok: Flags, start: Integers) -> tuple[Floats, Flag
 
 
 def _has_chatter(change: Floats) -> bool:
-    """Return whether many ticks reverse within two readings: noise about boundaries."""
+    """Return whether many ticks reverse within two samples, as noise at a boundary makes them.
+
+    Args:
+        change: changes of the readings, 0 if unknown (N).
+    """
     ticks = np.flatnonzero(change)
     if ticks.size < 10:
         return False
-    before, after = change[ticks[:-1]], change[ticks[1:]]
-    turned = (before * after < 0) & (np.diff(ticks) <= 2)
-    return bool((turned & (before == -after)).mean() > CHATTER or turned.mean() > REVERSED_SHARE)
+    tick = change[ticks[:-1]]
+    following = change[ticks[1:]]
+    reverses = (tick * following < 0) & (np.diff(ticks) <= 2)
+    undone = (reverses & (tick == -following)).mean()
+    return bool(undone > CHATTER or reverses.mean() > REVERSED_SHARE)
 
 
 def samples_between_turns(z: Floats) -> float:
-    """Return the mean number of samples between two turns of a smooth signal."""
+    """Return the mean number of samples between two reversals of a smooth signal (N)."""
     rising = np.diff(z) > 0
     return z.size / max(int(np.count_nonzero(rising[1:] != rising[:-1])), 1)
 
@@ -192,19 +209,19 @@ class FourOffsets(NamedTuple):
         beta: the four offsets (4) [y].
         covariance: (4 x 4).
         rms: of the readings [y].
-        side: direction of each reading that was used, 0 of others (N).
-        heard: the readings; those of an encoder where z was when they came (N) [y].
+        side: direction of motion at each reading that was used, 0 at others (N).
+        corrected: readings; for the ticks of an encoder the position at which they came (N) [y].
     """
 
     beta: Floats
     covariance: Floats
     rms: float
     side: Integers
-    heard: Floats
+    corrected: Floats
 
     @property
     def play_and_zone_widths(self) -> Floats:
-        """Return c_r + c_l, d_r + d_l, and the unexplained rest (3) [y]."""
+        """Return c_r + c_l, d_r + d_l, and the contradiction of (O2), which should be 0 (3) [y]."""
         return WIDTHS @ self.beta
 
     @property
@@ -219,7 +236,9 @@ class FourOffsets(NamedTuple):
 
 
 def name_by_widths(widths: Floats, std: Floats, rms: float) -> str:
-    """Return the class for widths of play and dead zone; each counts from 5 deviations on.
+    """Return the class (neither, dead_zone, play, both) for the widths of play and dead zone.
+
+    A width counts if it is significant and relevant.
 
     Args:
         widths: c_r + c_l, d_r + d_l, ... [y].
@@ -231,7 +250,13 @@ def name_by_widths(widths: Floats, std: Floats, rms: float) -> str:
 
 
 def offset_classes(y: Floats, side: Integers, noise: float) -> Integers:
-    """Return the index of each reading's offset, 0 to 3; -1 if unsure (N)."""
+    """Return the index of each reading's offset in (O1), 0 to 3; -1 if uncertain (N).
+
+    Args:
+        y: readings (N).
+        side: direction of motion (N).
+        noise: rms of the noise of the readings [y].
+    """
     positive = y > BEYOND * noise
     negative = y < -BEYOND * noise
     known = (positive | negative) & (side != 0)
@@ -239,70 +264,86 @@ def offset_classes(y: Floats, side: Integers, noise: float) -> Integers:
 
 
 def estimate_four_offsets(
-    plant: MovingPlant, u: Floats, y: Floats, ok: Flags, start: Integers, how: MotionRule
+    plant: MovingPlant, u: Floats, y: Floats, ok: Flags, start: Integers, rule: MotionRule
 ) -> FourOffsets:
-    """Estimate the four offsets along a log by a Kalman filter on the readings of sure motion.
+    """Estimate the four offsets along a log by a Kalman filter.
+
+    The filter's state is [x; beta]. It uses readings at which the direction of motion is certain.
+    After a reversal a window of readings still shows the old direction, so the predicted z must
+    move the same way.
 
     Args:
-        plant: with its disturbance.
+        plant: plant with its disturbance.
         u: inputs (N x m).
         y: readings (N).
-        ok: whether there is a reading (N).
+        ok: flags of the readings that are not missing (N).
         start: first sample of each record (R).
-        how: readings show motion.
+        rule: rule by which the readings show motion.
 
     Returns:
-        The offsets with their covariance. A side that readings show counts where the filter's own
-        z moves the same way: after a turn a window still says what was.
+        The offsets with their covariance.
     """
     n = plant.H.size
     rms = float(np.sqrt(np.mean(y[ok] ** 2)))
-    moves = motion_sides(y, ok, start, how)
+    directions = motion_sides(y, ok, start, rule)
     first = set(start.tolist())
-    X, P = np.zeros(n + 4), np.zeros((n + 4, n + 4))
+    X = np.zeros(n + 4)
+    P = np.zeros((n + 4, n + 4))
     P[n:, n:] = (VAGUE * rms) ** 2 * np.eye(4)
     F = np.eye(n + 4)
     F[:n, :n] = plant.F
     drive = u @ plant.B.T
-    side, heard = np.zeros(y.size, int), y.copy()
-    which = offset_classes(y, moves, max(how.noise, how.quantum / BEYOND))
+    side = np.zeros(y.size, int)
+    corrected = y.copy()
+    classes = offset_classes(y, directions, max(rule.noise, rule.quantum / BEYOND))
     z = 0.0
     for t in range(y.size):
         if t in first:
-            X[:n], P[:n, :], P[:, :n] = 0.0, 0.0, 0.0
+            X[:n] = 0.0
+            P[:n, :] = 0.0
+            P[:, :n] = 0.0
             P[:n, :n] = plant.at_first
             z = 0.0
-        moved = float(plant.H @ X[:n] - z)
-        if moves[t] and (how.window == 1 or moved * moves[t] > 0):
-            side[t] = moves[t]
-            heard[t], variance = _reading_and_variance(y[t], moves[t], moved, how, plant.noise)
-            k = which[t]
-            if k >= 0:
+        move = float(plant.H @ X[:n] - z)  # predicted change of z in the sample
+        if directions[t] and (rule.window == 1 or move * directions[t] > 0):
+            side[t] = directions[t]
+            corrected[t], variance = _correct_tick(y[t], directions[t], move, rule, plant.noise)
+            k = classes[t]
+            if k >= 0:  # Kalman update with y = H x + beta_k + e
                 h = np.zeros(n + 4)
-                h[:n], h[n + k] = plant.H, 1.0
-                gain = P @ h
-                S = float(h @ gain) + variance
-                X += gain * ((heard[t] - h @ X) / S)
-                P -= np.outer(gain, gain / S)
+                h[:n] = plant.H
+                h[n + k] = 1.0
+                Ph = P @ h
+                S = float(h @ Ph) + variance
+                X += Ph * ((corrected[t] - h @ X) / S)
+                P -= np.outer(Ph, Ph / S)
         z = float(plant.H @ X[:n])
         X[:n] = plant.F @ X[:n] + drive[t]
         P = F @ P @ F.T
         P[:n, :n] += plant.Q
         P = 0.5 * (P + P.T)
-    return FourOffsets(X[n:].copy(), P[n:, n:].copy(), rms, side, heard)
+    return FourOffsets(X[n:].copy(), P[n:, n:].copy(), rms, side, corrected)
 
 
-def _reading_and_variance(
-    y: float, side: int, moved: float, how: MotionRule, noise: float
+def _correct_tick(
+    y: float, side: int, move: float, rule: MotionRule, noise: float
 ) -> tuple[float, float]:
-    """Return a reading and its variance; for a tick, the position of z between two boundaries."""
-    if not how.quantum:
+    """Return a reading and its variance; for a tick of an encoder, the position of the tick.
+
+    Args:
+        y: reading [y].
+        side: direction of motion, +1 or -1.
+        move: predicted change of z in the sample [y].
+        rule: rule by which the readings show motion.
+        noise: rms of the noise of a reading [y].
+    """
+    if not rule.quantum:
         return float(y), noise**2
-    when, variance = detect_tick(np, y, side, moved, how.quantum)
-    return float(when), float(variance) + noise**2
+    position, variance = detect_tick(np, y, side, move, rule.quantum)
+    return float(position), float(variance) + noise**2
 
 
-# --- With a plant that was fitted
+# --- With a fitted plant
 
 
 def four_offsets_along(
@@ -311,17 +352,17 @@ def four_offsets_along(
     """Estimate the four offsets for a fitted plant, its parameters taken as known.
 
     Args:
-        simulator: the plant, with its data.
-        theta: its numbers.
-        rms: of the residual.
-        quantum: of the readings, scaled.
+        simulator: linear plant with its data.
+        theta: its parameters (P).
+        rms: rms of the residual of the fit, scaled.
+        quantum: quantum of the readings, scaled.
     """
     data = simulator.data
     z = simulator.simulate_z(theta)
     longest = samples_between_turns(z) / 8
-    how = detect_motion_rule(data.y, data.ok, data.start, quantum, longest)
+    rule = detect_motion_rule(data.y, data.ok, data.start, quantum, longest)
     plant = to_moving_plant(simulator, theta, rms, white_noise_rms(data.y, data.ok, data.start))
-    return estimate_four_offsets(plant, data.u, data.y, data.ok, data.start, how)
+    return estimate_four_offsets(plant, data.u, data.y, data.ok, data.start, rule)
 
 
 def to_moving_plant(
@@ -330,9 +371,9 @@ def to_moving_plant(
     """Convert a fitted plant to that of the four-offsets filter.
 
     Args:
-        simulator: the plant.
-        theta: its numbers.
-        rms: of the residual: white noise at the inputs makes as much of z.
+        simulator: linear plant with its data.
+        theta: its parameters (P).
+        rms: rms of z by the disturbance, white noise at the inputs: that of the residual.
         noise: rms of the readings' white noise.
     """
     layout = simulator.layout

@@ -38,11 +38,11 @@ from undeadzone_identify.models.zone_fit import (
 )
 
 WIDTH = 32
-RUN_AWAY = 1e6  # a z beyond it goes no further
-STEP = 1e-5  # of a number, for differences
-# Places among the numbers of the element; c_1 to c_n stand behind them.
+RUN_AWAY = 1e6  # bound of z, which keeps an unstable trial finite
+STEP = 1e-5  # relative step of a parameter, for differences
+# Places of the element's parameters behind those of the plant; c_1 to c_n follow.
 PARTS = {"sensor": slice(0, 2), "inner": slice(2, 4), "sigma": slice(4, 5), "input": slice(5, 7)}
-WIDTHS = 7  # how many numbers these are
+WIDTHS = 7  # number of these parameters
 
 # --- One sample
 
@@ -58,31 +58,38 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
 
     Args:
         n: order of the plant.
-        m: inputs.
-        position: whether z is a position, which sticks where it is, and not a velocity.
+        m: number of inputs.
+        position: whether z is a position, which sticks at its last value, and not a velocity.
 
     Returns:
-        A kernel whose state is (z, f, each of the last n samples, and whether it stuck), whose
-        inputs are the lagged inputs (m n) and unit pulses at the first n samples, whose lanes
-        differ in (a, b, x0, c, phi_r, phi_l, sigma, zone of the input right and left), and whose
-        output is z.
+        A kernel with
+
+        - state: z and f of the last n samples, then the last move of z (2 n + 1),
+        - inputs: lagged inputs (m n), then unit pulses at the first n samples, which set x0 (n),
+        - parameters of a lane: a, b, x0, c, phi_r, phi_l, sigma, and the zone of the input,
+        - output: z.
     """
     state = ca.SX.sym("s", 2 * n + 1)
     exogenous = ca.SX.sym("w", m * n + n)
     numbers = ca.SX.sym("p", 3 * n + m * n + 5)
-    a, b = numbers[:n], numbers[n : n + m * n]
-    x0, c = numbers[n + m * n : 2 * n + m * n], numbers[2 * n + m * n : 3 * n + m * n]
+    a = numbers[:n]
+    b = numbers[n : n + m * n]
+    x0 = numbers[n + m * n : 2 * n + m * n]
+    c = numbers[2 * n + m * n : 3 * n + m * n]
     right, left, sigma, u_right, u_left = ca.vertsplit(numbers[3 * n + m * n :])
     past = ca.vertsplit(state)
-    z_past, f_past, moved = past[:n], past[n : 2 * n], past[2 * n]
+    z_past = past[:n]
+    f_past = past[n : 2 * n]
+    last_move = past[2 * n]
     u = _zone_expression(exogenous[: m * n], u_right, u_left)
     w = ca.dot(b, u) + ca.dot(x0, exogenous[m * n :])
     w = w - ca.dot(a, ca.vertcat(*z_past)) - ca.dot(c, ca.vertcat(*f_past))
     w = ca.fmax(ca.fmin(w, RUN_AWAY), -RUN_AWAY)
     rest = z_past[0] if position else 0.0
     push = w - rest
-    held = 1 + sigma * (moved == 0)
-    slides = ca.logic_or(push > right * held, push < -left * held)
+    # At rest the friction to overcome is larger by the factor 1 + sigma (breakaway).
+    breakaway = 1 + sigma * (last_move == 0)
+    slides = ca.logic_or(push > right * breakaway, push < -left * breakaway)
     move = ca.if_else(slides, _zone_expression(push, right, left), 0.0)
     z = rest + move
     following = ca.vertcat(z, *z_past[: n - 1], push - move, *f_past[: n - 1], move)
@@ -91,12 +98,12 @@ def build_friction_kernel(n: int, m: int, position: bool) -> lanes.Kernel:
 
 
 def simulate_friction(n: int, m: int, position: bool, exogenous: Floats, numbers: Floats) -> Floats:
-    """Simulate z of a record for several parameter sets.
+    """Simulate z along a record for several parameter sets.
 
     Args:
-        n, m, position: as for `kernel`.
+        n, m, position: as for `build_friction_kernel`.
         exogenous: lagged inputs and pulses (N x (m n + n)).
-        numbers: one row a set (K x (3 n + m n + 5)).
+        numbers: parameters of the lanes, a row per set (K x (3 n + m n + 5)).
 
     Returns:
         z (K x N).
@@ -111,15 +118,15 @@ class PlaceShape(NamedTuple):
     """Parts of a model.
 
     Attributes:
-        name: of the model.
-        word: the verdict's.
-        sensor: a zone of the sensor, d_r and d_l.
-        inner: friction in the recursion, phi_r and phi_l.
-        input: a zone of the input.
-        position: friction at a measured position.
-        sticks: breakaway above sliding friction, sigma.
-        free: how many of c_1 to c_n are free numbers; the others follow from b (collocated), or
-            are 0.
+        name: name of the model.
+        word: class of its verdict.
+        sensor: whether the sensor has a zone, d_r and d_l.
+        inner: whether the recursion has friction, phi_r and phi_l.
+        input: whether the input has a zone, u_r and u_l.
+        position: whether friction acts on a measured position, else on a velocity.
+        sticks: whether breakaway exceeds sliding friction, by sigma.
+        free: number of free parameters among c_1 to c_n. The others are 0, or follow from b if
+            friction acts at the input (collocated).
     """
 
     name: str
@@ -139,23 +146,27 @@ class PlaceShape(NamedTuple):
 
 
 class PlaceModel:
-    """Plant with a zone at some location, by a compiled recursion and differences.
+    """Plant with zones at some locations, with derivatives by central differences.
 
-    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, sigma, u_r, u_l, c_1 ... c_n]; what a shape lacks
-    stays 0.
+    theta = [a, b, x0, d_r, d_l, phi_r, phi_l, sigma, u_r, u_l, c_1 ... c_n]. The parameters of
+    parts that the shape does not have are 0.
 
     Args:
-        simulator: the plant, with its records.
-        shape: the parts of the model.
+        simulator: linear plant with its records.
+        shape: parts of the model.
     """
 
-    first, last, gain, has_level = 12, 40, 1e-3, True
+    first = 12
+    last = 40
+    gain = 1e-3
+    has_level = True
 
     def __init__(self, simulator: PlantSimulator, shape: PlaceShape) -> None:
         self.name = shape.name
         self.simulator = simulator
         self.shape = shape
-        self.n, self.m = simulator.layout.n, simulator.layout.m
+        self.n = simulator.layout.n
+        self.m = simulator.layout.m
         self.base = simulator.layout.right
         self.size = self.base + WIDTHS + self.n
         widths = [shape.sensor] * 2 + [shape.inner] * 2 + [shape.sticks] + [shape.input] * 2
@@ -169,45 +180,55 @@ class PlaceModel:
         return PlaceModel(self.simulator.simulator_along(data), self.shape)
 
     def part_numbers(self, theta: Floats, name: str) -> Floats:
-        """Return a view of a part's parameters, of a single set or several: sensor, inner,
-        sigma, input.
+        """Return a view of the parameters of a part.
+
+        Args:
+            theta: one parameter set (P), or several (K x P).
+            name: sensor, inner, sigma or input.
         """
         return theta[..., self.base :][..., PARTS[name]]
 
     def levels(self, theta: Floats) -> Floats:
-        """Return the sensor's widths; without, those of the input's zone or of friction (2)."""
+        """Return the right and left width of the zone that the model measures (2).
+
+        It is the sensor's zone, else friction, else the input's zone.
+        """
         if self.shape.inner and not self.shape.sensor:
             return self.friction_levels(theta)
         return self.part_numbers(theta, "sensor" if self.shape.sensor else "input")
 
     def friction_levels(self, theta: Floats) -> Floats:
-        """Return friction right and left, in rms of the input (2)."""
-        force = abs(theta[self.n : 2 * self.n].sum())
-        held = max(abs(1 + self.friction_coefficients(theta).sum()), 1e-9)
-        return np.asarray(self.part_numbers(theta, "inner") * held / max(force, 1e-9))
+        """Return the Coulomb friction to the right and left, in rms of the input (2).
+
+        In steady state the recursion gives sum(b) u = (1 + sum(c)) phi at the limit of sticking.
+        """
+        input_gain = abs(theta[self.n : 2 * self.n].sum())
+        friction_gain = max(abs(1 + self.friction_coefficients(theta).sum()), 1e-9)
+        return np.asarray(self.part_numbers(theta, "inner") * friction_gain / max(input_gain, 1e-9))
 
     def project_to_bounds(self, theta: Floats) -> Floats:
-        """Restrict widths and sigma to 0 or above."""
+        """Restrict the widths and sigma to 0 or above; theta is changed in place."""
         widths = slice(self.base, self.base + WIDTHS)
         theta[widths] = np.maximum(theta[widths], 0.0)
         return theta
 
     def friction_coefficients(self, theta: Floats) -> Floats:
-        """Return c_1 to c_n: free, or those of friction at the input, or of a single pole.
+        """Return c_1 to c_n, of one parameter set (n) or of several (K x n).
 
-        Of one set of numbers, or of several (K x n).
+        They are free, or b_2 / b_1, b_3 / b_1, ... for friction at the input, or 0.
         """
-        c, free = np.zeros((*theta.shape[:-1], self.n)), self.shape.free
+        c = np.zeros((*theta.shape[:-1], self.n))
+        free = self.shape.free
         if free and self.shape.inner:
             c[..., :free] = theta[..., self.base + WIDTHS :][..., :free]
         elif self.shape.inner:
             first = theta[..., self.n : self.n + 1]
-            size = np.copysign(np.maximum(np.abs(first), 1e-9), first)
-            c[..., : self.n - 1] = theta[..., self.n + 1 : 2 * self.n] / size
+            divisor = np.copysign(np.maximum(np.abs(first), 1e-9), first)  # b_1, but never 0
+            c[..., : self.n - 1] = theta[..., self.n + 1 : 2 * self.n] / divisor
         return c
 
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
-        """Return u behind the zone of the input (N)."""
+        """Return the input u (N) after its dead zone (N)."""
         return dead_zone(u, *self.part_numbers(theta, "input"))
 
     def output(self, theta: Floats) -> Floats:
@@ -215,33 +236,36 @@ class PlaceModel:
         return self._simulate_around(theta)[0]
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
-        """Return the readings of z, of a single set or several, through the sensor's zone
-        if present.
+        """Return the readings of z without noise.
+
+        Args:
+            z: output of the plant for one parameter set (N), or for several (K x N).
+            theta: the parameter set (P), or the sets (K x P).
         """
         return dead_zone(z, *self.part_numbers(theta, "sensor").T[..., None])
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Return the readings (N), and their derivatives by the free parameters (N x
-        free).
-        """
+        """Return the readings (N), and their derivatives by the free parameters (N x free)."""
         steps = self._perturbation_steps(theta)
-        read = self.noise_free_readings(
+        readings = self.noise_free_readings(
             self._simulate_around(theta), perturb_each(theta, self.free, steps)
         )
-        return read[0], central_differences(read[1:], steps).T
+        return readings[0], central_differences(readings[1:], steps).T
 
     @cache_latest
     def _simulate_around(self, theta: Floats) -> Floats:
         """Simulate z for theta and for the perturbed parameters ((1 + 2 free) x N)."""
         points = perturb_each(theta, self.free, self._perturbation_steps(theta))
-        layout, tail = self.simulator.layout, points[:, self.base + 2 : self.base + WIDTHS]
-        plant, starts = points[:, : layout.numerators.stop], points[:, layout.x0]
+        layout = self.simulator.layout
+        tail = points[:, self.base + 2 : self.base + WIDTHS]
+        plant = points[:, : layout.numerators.stop]
+        starts = points[:, layout.x0]
         tail = np.hstack([self.friction_coefficients(points), tail])
         z = []
         for k, part in enumerate(self.simulator.records):
             rows = np.hstack([plant, starts[:, k * self.n :][:, : self.n], tail])
-            own = self.n, self.m, self.shape.position, self.exogenous[part], rows
-            z.append(simulate_friction(*own))
+            inputs = self.exogenous[part]
+            z.append(simulate_friction(self.n, self.m, self.shape.position, inputs, rows))
         return np.hstack(z)
 
     def _perturbation_steps(self, theta: Floats) -> Floats:
@@ -252,22 +276,24 @@ class PlaceModel:
 PlaceFit = FittedModel[PlaceModel]
 
 
-def fit_place(simulator: PlantSimulator, shape: PlaceShape, begun: list[Floats]) -> PlaceFit | None:
-    """Fit a model from several starts, each for 12 steps, the best two to the end."""
-    return LeastSquares(PlaceModel(simulator, shape)).fit_from_starts(begun)
+def fit_place(
+    simulator: PlantSimulator, shape: PlaceShape, starts: list[Floats]
+) -> PlaceFit | None:
+    """Fit a model from several start points; return the best fit, None if none is admissible."""
+    return LeastSquares(PlaceModel(simulator, shape)).fit_from_starts(starts)
 
 
-# --- Where climbs begin
+# --- Start points
 
 
 def join_place_numbers(plant: Floats, n: int, c: Floats | None = None, **parts: Floats) -> Floats:
-    """Join parameters of a plant and of parts to those of a model; missing parts are 0.
+    """Join the parameters of a plant and of parts to theta of a `PlaceModel`.
 
     Args:
         plant: a, b, x0.
-        n: order.
-        c: c_1, c_2, ...
-        parts: sensor, inner, sigma, input.
+        n: order of the plant.
+        c: c_1, c_2, ...; None: all are 0.
+        parts: parameters of sensor, inner, sigma, input; those of missing parts are 0.
     """
     element = np.zeros(WIDTHS + n)
     for name, value in parts.items():
@@ -281,7 +307,13 @@ class PlaceStarts:
     """Start points for the fits of the models.
 
     Args:
-        fit: plant and sensor zone of one record.
+        fit: fit of a plant with a sensor zone to one record.
+
+    Attributes:
+        plant: a, b, x0 of that fit.
+        linear_plant: a, b, x0 of a linear fit without a zone.
+        widths: d_r and d_l of the fit, limited to useful start values (2).
+        gain: DC gain of the plant, or its usual gain if the plant has hardly any DC gain.
     """
 
     def __init__(self, fit: ZoneFit) -> None:
@@ -289,30 +321,30 @@ class PlaceStarts:
         self.n = self.simulator.layout.n
         base = self.simulator.layout.right
         self.plant = fit.theta[:base]
-        self.plain = fit_linear(self.simulator, fit.objective.readings.ok).theta[:base]
+        self.linear_plant = fit_linear(self.simulator, fit.objective.readings.ok).theta[:base]
         self.widths = np.clip([fit.right, fit.left], 0.02, 5.0)
         gain = abs(float(self.simulator.dc_gain(fit.theta)[0]))
-        usual = float(np.sqrt(np.mean(fit.z**2)))
-        self.gain = gain if gain > 0.1 * usual else max(usual, 1e-3)
+        usual_gain = float(np.sqrt(np.mean(fit.z**2)))  # the input is scaled to rms 1
+        self.gain = gain if gain > 0.1 * usual_gain else max(usual_gain, 1e-3)
 
     def without_zone(self) -> list[Floats]:
         """Return the starts for a plant without a zone."""
-        return [join_place_numbers(plant, self.n) for plant in (self.plain, self.plant)]
+        return [join_place_numbers(plant, self.n) for plant in (self.linear_plant, self.plant)]
 
     def zone_at_sensor(self) -> list[Floats]:
         """Return the starts for a zone at the sensor."""
         return [join_place_numbers(self.plant, self.n, sensor=self.widths)]
 
     def input_levels(self) -> list[tuple[Floats, Floats]]:
-        """Return start plants and levels in units of the input."""
+        """Return start plants, each with widths of a zone in rms of the input (2)."""
         widths = self.widths / self.gain
-        sizes: list[Floats] = [np.clip(part * widths, 0.02, 1.5) for part in (1.0, 0.4)]
-        begun = [(self.plant, size) for size in sizes]
+        levels: list[Floats] = [np.clip(share * widths, 0.02, 1.5) for share in (1.0, 0.4)]
+        starts = [(self.plant, level) for level in levels]
         for level in (0.3, 0.8):
-            plant = self.plain.copy()
+            plant = self.linear_plant.copy()
             plant[self.simulator.layout.numerators] *= 1 + 0.5 * level
-            begun.append((plant, np.full(2, level)))
-        return begun
+            starts.append((plant, np.full(2, level)))
+        return starts
 
     def zone_at_input(self) -> list[Floats]:
         """Return the starts for zones of the input."""
@@ -322,38 +354,44 @@ class PlaceStarts:
 
     def friction_at_input(self) -> list[Floats]:
         """Return the starts for friction at the input's location: c = b / b_1."""
-        begun = []
+        starts = []
         for plant, level in self.input_levels():
-            moved, n = plant.copy(), self.n
-            if moved[n] <= 1e-3:
-                moved[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
-            begun.append(join_place_numbers(moved, n, inner=level * moved[n]))
-        return begun
+            numbers = plant.copy()
+            n = self.n
+            if numbers[n] <= 1e-3:  # b_1, by which c is divided
+                numbers[n] = 0.05 * np.abs(plant[n : 2 * n]).max() + 1e-3
+            starts.append(join_place_numbers(numbers, n, inner=level * numbers[n]))
+        return starts
 
     def friction_elsewhere(self, fits: dict[str, PlaceFit]) -> list[Floats]:
-        """Return the starts for friction elsewhere, by c = b / b_1 or the product of all
-        poles but one.
+        """Return the starts for friction at another location than the input.
+
+        Args:
+            fits: fits of friction at the input and of a sensor zone, by name, if available.
         """
-        begun = []
+        starts = []
         for name in ("friction", "sensor"):
             if name not in fits:
                 continue
-            model, theta = fits[name].model, fits[name].theta
-            a, b = theta[: self.n], theta[self.n : 2 * self.n]
-            static = b.sum() / (1 + a.sum())
+            model = fits[name].model
+            theta = fits[name].theta
+            a = theta[: self.n]
+            b = theta[self.n : 2 * self.n]
+            dc_gain = b.sum() / (1 + a.sum())
             if name == "friction":
                 level = model.part_numbers(theta, "inner") / max(abs(b[0]), 1e-9)
             else:
-                level = model.part_numbers(theta, "sensor") / max(abs(static), 1e-6)
+                level = model.part_numbers(theta, "sensor") / max(abs(dc_gain), 1e-6)
             for c in self._friction_shapes(a, b):
                 total = c.sum()
-                force = abs(b.sum() / total) if abs(total) > 1e-6 else abs(b[0])
-                inner = np.maximum(force * level, 1e-4)
-                begun.append(join_place_numbers(theta[: model.base], self.n, c[1:], inner=inner))
-        return begun
+                # As in `friction_levels`: phi = sum(b) u / sum(c) at the limit of sticking.
+                gain = abs(b.sum() / total) if abs(total) > 1e-6 else abs(b[0])
+                inner = np.maximum(gain * level, 1e-4)
+                starts.append(join_place_numbers(theta[: model.base], self.n, c[1:], inner=inner))
+        return starts
 
     def _friction_shapes(self, a: Floats, b: Floats) -> list[Floats]:
-        """Return candidates of (1, c_1, ... c_(n-1))."""
+        """Return candidates of (1, c_1, ... c_(n-1)): b / b_1, and A(q) without one real pole."""
         shapes = [b / b[0]] if abs(b[0]) > 1e-6 else []
         poles = np.roots(np.append(1.0, a))
         real = np.abs(poles.imag) < 1e-9
@@ -364,38 +402,40 @@ class PlaceStarts:
 
     def add_breakaway(self, fitted: PlaceFit) -> list[Floats]:
         """Add breakaway above sliding friction to a fit; return the starts."""
-        begun = []
+        starts = []
         for sigma in (0.2, 0.02):
             theta = fitted.theta.copy()
             fitted.model.part_numbers(theta, "sigma")[:] = sigma
-            begun.append(theta)
-        return begun
+            starts.append(theta)
+        return starts
 
     def add_sensor_zone(self, fitted: PlaceFit) -> list[Floats]:
         """Add a zone of the sensor, of several sizes, to a fit; return the starts."""
-        begun = []
-        for part, rest in ((0.3, 0.7), (0.8, 0.3), (0.15, 1.0)):
+        starts = []
+        for sensor_share, element_share in ((0.3, 0.7), (0.8, 0.3), (0.15, 1.0)):
             theta = fitted.theta.copy()
             element = theta[fitted.model.base :]
-            element[:WIDTHS] *= rest
-            element[PARTS["sensor"]] = np.maximum(part * self.widths, 0.05)
-            begun.append(theta)
-        return begun
+            element[:WIDTHS] *= element_share
+            element[PARTS["sensor"]] = np.maximum(sensor_share * self.widths, 0.05)
+            starts.append(theta)
+        return starts
 
 
 # --- A zone of the input, and perhaps one of the sensor, measured
 
-LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))  # gain of a linear fit, and widths, to begin with
+# Start points between two zones: factor of the gain of a linear fit, factor of the widths.
+LOUDER = ((1.8, 1.0), (1.4, 0.5), (2.5, 1.3))
 ZonedTarget = ZoneObjective | LeastSquares[MapModel]
 
 
 class InputZoneFit(NamedTuple):
-    """Plant behind a zone of its input, and perhaps before a zone of the sensor.
+    """Fit of a plant between a zone of its input and perhaps a zone of the sensor.
 
     Attributes:
-        fit: by least squares, to simulate it.
-        stages: what was maximised and its numbers: simulation errors, or the likelihood of single
-            samples; then prediction errors, or the likelihood of pairs where noise falls silent.
+        fit: model of least squares, to simulate the plant.
+        stages: objective and maximum of two stages of the fit. The first one has simulation errors,
+            or the likelihood of single samples; the second one has prediction errors, or the
+            likelihood of pairs if noise enters ahead of the sensor's zone.
     """
 
     fit: FittedModel[MapModel]
@@ -403,83 +443,88 @@ class InputZoneFit(NamedTuple):
 
 
 def fit_input_zone(fits: Sequence[ZoneFit]) -> InputZoneFit | None:
-    """Fit plants behind a zone of the input; return that of least BIC, None without a fit.
+    """Fit plants behind a zone of the input; return the fit of least BIC.
 
     Args:
-        fits: of every order, with a zone of the sensor, where climbs start.
+        fits: fits with a zone of the sensor, one per order, which give the start points.
+
+    Returns:
+        The fit; None if no start point is admissible.
     """
-    tops = []
-    for one in fits:
-        starts = PlaceStarts(refit_longest_record(one))
+    candidates = []
+    for zone_fit in fits:
+        starts = PlaceStarts(refit_longest_record(zone_fit))
         simulator = PlantSimulator(starts.simulator.data, starts.n, zoned=True)
         squares = LeastSquares(MapModel(simulator, "input_zone", identity_map))
-        tops.append(squares.fit_from_starts([np.append(*begun) for begun in starts.input_levels()]))
-    best = min(filter(None, tops), key=lambda one: one.bic, default=None)
+        points = [np.append(*start) for start in starts.input_levels()]
+        candidates.append(squares.fit_from_starts(points))
+    best = min(filter(None, candidates), key=lambda fit: fit.bic, default=None)
     if best is None:
         return None
-    last = best.squares.minimise_prediction_errors(best.theta)
-    return InputZoneFit(best._replace(theta=last[1]), [(best.squares, best.theta), last])
+    last_stage = best.squares.minimise_prediction_errors(best.theta)
+    stages = [(best.squares, best.theta), last_stage]
+    return InputZoneFit(best._replace(theta=last_stage[1]), stages)
 
 
-def fit_input_and_sensor(fits: Sequence[ZoneFit], known: PlaceFit) -> InputZoneFit | None:
-    """Fit plants between zones of input and sensor; return that of least BIC, None without a
-    fit.
+def fit_input_and_sensor(fits: Sequence[ZoneFit], two_zones: PlaceFit) -> InputZoneFit | None:
+    """Fit plants between zones of input and sensor; return the fit of least BIC.
 
     Args:
-        fits: of every order, with a zone of the sensor.
-        known: both zones behind a plant of one order, by least squares.
+        fits: fits with a zone of the sensor alone, one per order.
+        two_zones: least-squares fit with both zones, of one order, which gives the start points.
+
+    Returns:
+        The fit; None if no start point is admissible.
     """
-    ends = []
-    for one in fits:
-        old = one.objective
+    candidates = []
+    for zone_fit in fits:
+        old = zone_fit.objective
         simulator = PlantSimulator(old.data, old.layout.n, zoned=True)
         kind: Kind = "behind" if old.kind == "behind" else "singles"
         objective = ZoneObjective(simulator, kind, old.limits)
-        top = best_maximum(
-            objective, _starts_between_zones(fit_linear(old.simulator), objective, known), 10, 60
-        )
-        if top is not None:
-            ends.append(ZoneFit(objective, *top))
-    if not ends:
+        starts = _starts_between_zones(fit_linear(old.simulator), objective, two_zones)
+        maximum = best_maximum(objective, starts, 10, 60)
+        if maximum is not None:
+            candidates.append(ZoneFit(objective, *maximum))
+    if not candidates:
         return None
-    best = min(ends, key=lambda one: one.bic)
+    best = min(candidates, key=lambda fit: fit.bic)
     squares = LeastSquares(MapModel(best.objective.simulator, "two_zones", dead_zone_map))
-    last: tuple[ZonedTarget, Floats] = squares.minimise_prediction_errors(
+    last_stage: tuple[ZonedTarget, Floats] = squares.minimise_prediction_errors(
         best.theta[: squares.model.base + 2]
     )
     if best.objective.kind != "behind":
         pairs = refit_likelihood(best, "pairs")
-        best = refit_likelihood(
-            pairs, "singles"
-        )  # once more: kinks of the edges stop a climb early
-        last = pairs.objective, pairs.theta
-    theta = last[1][: squares.model.base + 2]
+        # The likelihood of single samples has kinks at the edges, which stop a maximisation early.
+        best = refit_likelihood(pairs, "singles")
+        last_stage = pairs.objective, pairs.theta
+    theta = last_stage[1][: squares.model.base + 2]
     fit = FittedModel(squares, theta, squares.autoregressive_density(theta))
-    return InputZoneFit(fit, [(best.objective, best.theta), last])
+    return InputZoneFit(fit, [(best.objective, best.theta), last_stage])
 
 
 def _starts_between_zones(
-    plain: ZoneFit, objective: ZoneObjective, known: PlaceFit
+    linear: ZoneFit, objective: ZoneObjective, two_zones: PlaceFit
 ) -> list[Floats]:
-    """Return start points (parameters each): a plant between zones of its input and its sensor.
+    """Return start points for a plant between a zone of its input and one of its sensor (P each).
 
-    Both zones make the gain of a linear fit too small, so that it is raised.
+    Both zones make the gain of a linear fit too small, so the gain is raised.
 
     Args:
-        plain: the linear plant.
-        objective: whose parameters the starts have.
-        known: an earlier fit with both zones, whose widths are scaled.
+        linear: fit of a linear plant.
+        objective: the likelihood that will be maximised.
+        two_zones: earlier fit with both zones, whose widths are scaled.
     """
-    layout, begun = objective.layout, list[Floats]()
-    for gain, size in LOUDER:
+    layout = objective.layout
+    starts = list[Floats]()
+    for gain_factor, width_factor in LOUDER:
         theta = np.zeros(layout.parameter_count)
-        theta[layout.denominator], theta[layout.numerators] = (
-            plain.theta[layout.denominator],
-            gain * plain.theta[layout.numerators],
-        )
-        theta[layout.input_widths] = size * known.model.part_numbers(known.theta, "input")
-        sensor = size * known.model.part_numbers(known.theta, "sensor")
+        theta[layout.denominator] = linear.theta[layout.denominator]
+        theta[layout.numerators] = gain_factor * linear.theta[layout.numerators]
+        input_widths = two_zones.model.part_numbers(two_zones.theta, "input")
+        theta[layout.input_widths] = width_factor * input_widths
+        sensor = width_factor * two_zones.model.part_numbers(two_zones.theta, "sensor")
         # d_r, d_l, and the logarithm of the rms of the noise
-        theta[layout.right : layout.right + 3] = *sensor, math.log(max(known.density.rms, 1e-3))
-        begun.append(theta)
-    return begun
+        theta[layout.right : layout.right + 3] = *sensor, math.log(max(two_zones.density.rms, 1e-3))
+        starts.append(theta)
+    return starts

@@ -1,6 +1,4 @@
-"""Records, a sampled plant A(q) z = B(q) u + x(0) along the records, and noise through the
-plant.
-"""
+"""Records, a sampled plant A(q) z = B(q) u + x(0), and disturbances that pass the plant."""
 
 from __future__ import annotations
 
@@ -20,18 +18,20 @@ from undeadzone.util.arrays import Flags, Floats, Integers, shift_rows
 from undeadzone_identify.models.estimates import CachedMaxima, cache_latest
 from undeadzone_identify.models.likelihood import Readings, dead_zone
 
-MANY = 10_000  # samples of a log from which what costs many fits takes a part of it
-STRETCH = 5_000  # samples of a stretch of that part
-
-RINGING = 0.5  # the same for poles that ring: with x(0) they are a free sine, which is no offset
-FAR = 1e100  # a coefficient beyond which no root can be computed
-SLOWER = 1.2  # times that poles settle within a record, from which they do for certain
-CREDIBLE = 1.02  # times the least error of all orders: those that may be right as well
-SLOW = 6.0  # poles slower than this many of their time constants a record are an offset in disguise
+MANY = 10_000  # largest number of samples for methods that need many fits
+STRETCH = 5_000  # samples of a stretch of a longer log
+# A record must last for so many time constants of a pole. With x(0) a slower real pole equals an
+# offset, and a slower oscillating pole a free sine.
+SLOW = 6.0
+RINGING = 0.5  # the same for oscillating poles
+SLOWER = 1.2  # factor of these limits above which a pole certainly settles
+FAR = 1e100  # largest coefficient of which roots are computed
+CREDIBLE = 1.02  # an order is credible if its error is below so many times the least error
 COLOURS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98)  # correlations over one sample
-LAGS = 60
-LENGTH = 16_000  # samples from which the autocorrelation of each colour is taken
-SETTLED = 500  # samples after which the plant has forgotten its beginning
+RADIUS = 0.98  # largest absolute value of a pole at a start
+LAGS = 60  # lags of an autocovariance
+LENGTH = 16_000  # samples of a simulated disturbance
+SETTLED = 500  # samples after which the transient of the plant has decayed
 
 # --- Records
 
@@ -42,12 +42,12 @@ class RecordData(NamedTuple):
     Attributes:
         u: inputs (N x m), rms 1 each.
         y: readings (N), rms 1, 0 if missing.
-        ok: whether there is a reading (N).
+        ok: flags of the readings that are not missing (N).
         start: first sample of each record (R).
         side: +1, 0, -1 (N).
         silent_zeros: whether readings inside the zone are exact zeros: noise ahead of the zone.
         u_scale, y_scale: divisors of u (m) and y.
-        climbs: those that were kept on disk; None: none are.
+        climbs: cache of maxima on disk; None: none.
     """
 
     u: Floats
@@ -61,16 +61,14 @@ class RecordData(NamedTuple):
     climbs: CachedMaxima | None = None
 
     def select_readings(self, use: Flags | None = None) -> Readings:
-        """Return the readings for the likelihoods; `use` (N) marks the samples, default
-        all.
-        """
+        """Return the readings for the likelihoods; `use` (N) flags the samples (None: all)."""
         ok = self.ok if use is None else self.ok & use
         before = np.concatenate([[False], ok[:-1]])
         before[self.start] = False
         return Readings(self.y, self.side, ok, before)
 
     def record_slices(self) -> list[slice]:
-        """Return the samples of each record."""
+        """Return the slice of each record."""
         ends = np.append(self.start[1:], self.y.size)
         return [slice(int(a), int(b)) for a, b in zip(self.start, ends, strict=True)]
 
@@ -80,32 +78,34 @@ def delay_inputs(data: RecordData, samples: int) -> RecordData:
 
     Args:
         data: the records.
-        samples: by how many; negative: earlier.
+        samples: delay [samples]; negative: an advance.
     """
     return data._replace(u=shift_rows(data.u, samples, data.start))
 
 
 def busiest_stretches(data: RecordData, longest: int = STRETCH) -> RecordData:
-    """Return the busiest stretches of a log, `MANY` samples in all; a shorter log is
-    unchanged.
+    """Return the stretches of a log that pass the edges most often, `MANY` samples in all.
+
+    A shorter log is returned unchanged.
 
     Args:
         data: the records.
-        longest: samples of a stretch.
+        longest: largest number of samples of a stretch.
     """
     if data.y.size <= MANY:
         return data
     stretches = []
     for record in data.record_slices():
         stretches += _cut_record(record, longest)
-    stretches.sort(key=lambda one: _count_passages(data, one), reverse=True)
-    kept, count = stretches[:1], stretches[0].stop - stretches[0].start
-    for one in stretches[1:]:
-        count += one.stop - one.start
+    stretches.sort(key=lambda stretch: _count_passages(data, stretch), reverse=True)
+    busiest = stretches[:1]
+    count = stretches[0].stop - stretches[0].start
+    for stretch in stretches[1:]:
+        count += stretch.stop - stretch.start
         if count > MANY:
             break
-        kept.append(one)
-    return select_samples(data, sorted(kept, key=lambda one: one.start))
+        busiest.append(stretch)
+    return select_samples(data, sorted(busiest, key=lambda stretch: stretch.start))
 
 
 def _cut_record(record: slice, longest: int) -> list[slice]:
@@ -116,7 +116,7 @@ def _cut_record(record: slice, longest: int) -> list[slice]:
 
 
 def _count_passages(data: RecordData, part: slice) -> tuple[int, int]:
-    """Count how often a stretch passes its rarer edge, and both edges."""
+    """Count the passages of a stretch over its rarer edge, and over both edges."""
     side = data.side[part][data.ok[part]]
     right, left = (int(np.count_nonzero(np.diff(1 * (side == sign)) > 0)) for sign in (1, -1))
     return min(right, left), right + left
@@ -129,19 +129,19 @@ def select_samples(data: RecordData, parts: Sequence[slice]) -> RecordData:
         data: the records.
         parts: within records, in order.
     """
-    kept = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    rows = np.concatenate([np.arange(part.start, part.stop) for part in parts])
     sizes = [part.stop - part.start for part in parts]
     return data._replace(
-        u=data.u[kept],
-        y=data.y[kept],
-        ok=data.ok[kept],
-        side=data.side[kept],
+        u=data.u[rows],
+        y=data.y[rows],
+        ok=data.ok[rows],
+        side=data.side[rows],
         start=np.cumsum([0, *sizes[:-1]]),
     )
 
 
 def longest_record_of(data: RecordData) -> RecordData:
-    """Return the longest record, at most its busiest stretches; the log itself if that is all.
+    """Return the longest record, or its busiest stretches if it is long.
 
     Args:
         data: the records.
@@ -157,15 +157,16 @@ def longest_record_of(data: RecordData) -> RecordData:
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of the parameters in theta = [a, b, x0, the input's zone, d_r, d_l, log s, atanh
-    rho].
+    """Places of the parameters in theta.
+
+    theta = [a, b, x0, widths of the input's zone, d_r, d_l, log s, atanh rho].
 
     Attributes:
-        n: poles, and numerator terms from delay 1 of each input.
-        m: inputs.
-        records: records, each with n numbers for its initial state.
-        integrators: how many of the poles are known to be integrators; a holds the others.
-        zoned: whether the one input passes a dead zone, whose widths are two numbers.
+        n: number of poles, and of numerator terms of each input, from delay 1 on.
+        m: number of inputs.
+        records: number of records, each with n parameters for its initial state.
+        integrators: number of known integrators; a contains the other poles.
+        zoned: whether the only input passes a dead zone, with two widths.
     """
 
     n: int
@@ -200,13 +201,11 @@ class Layout:
         return self.input_widths.stop
 
     def full_denominator(self, a: Floats) -> Floats:
-        """Return the coefficients 1, a_1 to a_n of the denominator, integrators included
-        (n + 1).
-        """
-        whole = np.concatenate([[1.0], a])
+        """Return the coefficients 1, a_1 to a_n of the denominator with its integrators (n + 1)."""
+        coefficients = np.concatenate([[1.0], a])
         for _ in range(self.integrators):
-            whole = np.convolve(whole, [1.0, -1.0])
-        return whole
+            coefficients = np.convolve(coefficients, [1.0, -1.0])
+        return coefficients
 
     @cached_property
     def parameter_count(self) -> int:
@@ -217,8 +216,8 @@ class Layout:
         """Return the parameters of the same plant along other records that begin at rest.
 
         Args:
-            other: layout of the numbers.
-            theta: a, b, x0, and further numbers.
+            other: layout of theta.
+            theta: a, b, x0, and further parameters.
         """
         x0 = np.zeros(self.n * self.records)
         return np.concatenate([theta[: other.numerators.stop], x0, theta[other.x0.stop :]])
@@ -230,8 +229,8 @@ class PlantSimulator:
     Args:
         data: the records.
         n: number of poles.
-        integrators: how many of them are integrators.
-        zoned: whether the one input passes a dead zone.
+        integrators: number of integrators among them.
+        zoned: whether the only input passes a dead zone.
     """
 
     def __init__(self, data: RecordData, n: int, integrators: int = 0, zoned: bool = False) -> None:
@@ -242,7 +241,7 @@ class PlantSimulator:
         self.lagged = self._lag_inputs(data.u)
 
     def _lag_inputs(self, u: Floats) -> Floats:
-        """Return the last n samples of each input (N x m n)."""
+        """Return the last n samples of each input (N x m n), 0 before a record."""
         n = self.layout.n
         lagged = np.zeros((len(u), n * u.shape[1]))
         for part in self.records:
@@ -256,7 +255,8 @@ class PlantSimulator:
 
     def pass_inputs(self, theta: Floats) -> Floats:
         """Return the inputs after their dead zone (N x m)."""
-        u, zone = self.data.u, theta[self.layout.input_widths]
+        u = self.data.u
+        zone = theta[self.layout.input_widths]
         return dead_zone(u, *zone) if self.layout.zoned else u
 
     def simulate_z(self, theta: Floats) -> Floats:
@@ -270,7 +270,7 @@ class PlantSimulator:
         denominator = layout.full_denominator(theta[layout.denominator])
         x0 = theta[layout.x0].reshape(layout.records, layout.n)
         lagged = self._lag_inputs(self.pass_inputs(theta)) if layout.zoned else self.lagged
-        z = lagged @ theta[layout.numerators]  # what drives it, at first
+        z = lagged @ theta[layout.numerators]  # B(q) u; filtered by 1 / A(q) in place below
         for part, state in zip(self.records, x0, strict=True):
             own = z[part]
             own[: layout.n] += state[: own.size]
@@ -279,18 +279,21 @@ class PlantSimulator:
         return z
 
     def z_gradient(self, theta: Floats, z: Floats) -> Floats:
-        """Return dz/dtheta (N x P), exact: one filter for a, one for x(0), one for each
-        input.
+        """Return the exact dz/dtheta (N x P).
+
+        Since A(q) z = B(q) u + x(0), the derivatives are delayed copies of z / A, u / A and of the
+        impulse response of 1 / A.
         """
         layout = self.layout
         n = layout.n
-        whole, u = layout.full_denominator(theta[layout.denominator]), self.pass_inputs(theta)
+        denominator = layout.full_denominator(theta[layout.denominator])
+        u = self.pass_inputs(theta)
         slopes = np.zeros((z.size, layout.parameter_count))
         for r, part in enumerate(self.records):
             size = part.stop - part.start
             by_a = lfilter([1.0], np.append(1.0, theta[layout.denominator]), z[part])
             sources = np.column_stack([u[part], np.eye(size, 1)])
-            filtered = lfilter([1.0], whole, sources, axis=0)
+            filtered = lfilter([1.0], denominator, sources, axis=0)
             own = slopes[part]
             for i in range(layout.denominator.stop):
                 own[i + 1 :, i] = -by_a[: size - 1 - i]
@@ -300,25 +303,28 @@ class PlantSimulator:
                     : size - 1 - i, :-1
                 ]
             if layout.zoned:
-                moved = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
-                gain = np.append(0.0, theta[layout.numerators])
-                own[:, layout.input_widths] = lfilter(gain, whole, moved, axis=0)
+                by_widths = np.hstack([-1.0 * (u[part] > 0), 1.0 * (u[part] < 0)])
+                numerator = np.append(0.0, theta[layout.numerators])
+                own[:, layout.input_widths] = lfilter(numerator, denominator, by_widths, axis=0)
         return slopes
 
     def dc_gain(self, theta: Floats) -> Floats:
-        """Return the DC gain from each input to z (m); with integrators, to their input."""
+        """Return the DC gain from each input to z, or to the integrators if there are any (m)."""
         layout = self.layout
         numerators = theta[layout.numerators].reshape(layout.m, layout.n)
         return numerators.sum(axis=1) / (1 + theta[layout.denominator].sum())
 
     def plant_poles(self, theta: Floats) -> Any:
         """Return the poles of the sampled plant (n), complex; integrators last."""
-        moving = polynomial_roots(theta[self.layout.denominator])
-        return np.append(moving, np.ones(self.layout.integrators))
+        poles = polynomial_roots(theta[self.layout.denominator])
+        return np.append(poles, np.ones(self.layout.integrators))
 
     def has_settling_poles(self, theta: Floats, margin: float = 1.0) -> bool:
-        """Return whether the poles are stable and settle, `margin` times over, within a
-        record.
+        """Return whether the poles are stable and settle within the longest record.
+
+        Args:
+            theta: parameters, a first (P).
+            margin: factor of the time constants that a record must last.
         """
         if not np.isfinite(theta).all():
             return False
@@ -333,7 +339,7 @@ class PlantSimulator:
         return not self.has_settling_poles(theta, SLOWER)
 
     def settling_constants(self, theta: Floats) -> float:
-        """Return the time constants of the slowest pole within the longest record [1]."""
+        """Return the longest record's duration in time constants of the slowest pole [1]."""
         slowest = np.abs(polynomial_roots(theta[self.layout.denominator])).max(initial=1e-300)
         return float(-np.log(slowest) * self.longest)
 
@@ -342,27 +348,25 @@ def polynomial_roots(a: Floats) -> Any:
     """Return the roots of z^n + a_1 z^(n-1) + ... + a_n (n), complex if needed.
 
     Args:
-        a: coefficients (n); of such as are not finite, or too odd, all roots are infinite.
+        a: coefficients (n). If they are not finite, or too large, all roots are infinite.
     """
     if not a.size or not np.abs(a).max() < FAR:
         return np.full(a.size, np.inf)
     companion = np.eye(a.size, k=-1)
     companion[0] = -a
     real, imaginary, *_, failed = dgeev(companion, compute_vl=False, compute_vr=False)
-    found = real + 1j * imaginary if imaginary.any() else real
-    return np.full(a.size, np.inf) if failed else found
+    roots = real + 1j * imaginary if imaginary.any() else real
+    return np.full(a.size, np.inf) if failed else roots
 
 
-def stabilise_poles(a: Floats, radius: float = 0.98) -> Floats:
-    """Return denominator coefficients a_1.. with poles beyond `radius` moved to it, for
-    starts.
-    """
+def stabilise_poles(a: Floats) -> Floats:
+    """Return denominator coefficients (n) with poles beyond RADIUS moved to it."""
     poles = polynomial_roots(a)
     if not np.isfinite(poles).all():
         return np.zeros(a.size)
     size = np.abs(poles)
-    moved = np.where(size > radius, poles / np.maximum(size, 1e-12) * radius, poles)
-    return np.atleast_1d(np.real(np.poly(moved)))[1:]
+    stable = np.where(size > RADIUS, poles / np.maximum(size, 1e-12) * RADIUS, poles)
+    return np.atleast_1d(np.real(np.poly(stable)))[1:]
 
 
 # --- Noise through the plant
@@ -372,9 +376,9 @@ class InputDisturbance(NamedTuple):
     """First-order disturbance at the plant's first input.
 
     Attributes:
-        rms: of what it makes of z, in the scale of the fit.
-        phi: its correlation over one sample.
-        at_input: its own rms.
+        rms: rms of its response at z, in the scale of the fit.
+        phi: its correlation over one sample [1].
+        at_input: its rms at the input.
     """
 
     rms: float
@@ -388,19 +392,18 @@ def find_input_disturbance(
     """Find the first-order input disturbance whose response matches the residual.
 
     The autocovariance of its response at z is fitted to that of the residual by least squares.
+    Lag 0 is left out, since it contains the white noise of the readings.
 
     Args:
-        layout: of the plant's numbers.
-        plant: a, b, ...
-        residual: y less the simulation (N); 0 if a reading is missing.
-        ok: whether there is a reading (N).
-
-    Returns:
-        The disturbance; lag 0 is not looked at, so that white noise of the readings is none of it.
+        layout: layout of the parameters.
+        plant: parameters a, b, ...
+        residual: readings less simulation (N); 0 if a reading is missing.
+        ok: flags of the readings that are not missing (N).
     """
     lags = max(2, min(LAGS, residual.size // 10))
     measured = mean_lag_products(residual, ok, lags)[1:]
-    best, error = InputDisturbance(0.0, 0.0, 0.0), math.inf
+    best = InputDisturbance(0.0, 0.0, 0.0)
+    error = math.inf
     for phi in COLOURS:
         w = plant_response(layout, plant, first_order_noise(1, LENGTH, phi))[0]
         shape = mean_lag_products(w, np.ones(w.size, bool), lags)
@@ -408,7 +411,8 @@ def find_input_disturbance(
         misfit = float(np.sum((measured - power * shape[1:]) ** 2))
         if misfit < error:
             rms = math.sqrt(power * shape[0])
-            best, error = InputDisturbance(rms, phi, math.sqrt(power)), misfit
+            best = InputDisturbance(rms, phi, math.sqrt(power))
+            error = misfit
     return best
 
 

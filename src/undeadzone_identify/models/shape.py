@@ -47,7 +47,8 @@ def measure_shape(fit: ChainFit, y_scale: float, step: float) -> SensorShape:
         y_scale: rms of y [y].
         step: of the log [s].
     """
-    model, later = fit.model, fit.prediction_fit
+    model = fit.model
+    later = fit.prediction_fit
 
     def numbers(theta: Floats) -> Floats:
         """Return slope and lag [samples]."""
@@ -73,17 +74,21 @@ def profile_rounding(fit: ChainFit) -> Interval:
     held.free = held.free[held.free != place]
     squares = LeastSquares(held, fit.squares.past)
     grid = FINEST * float(fit.theta[held.edges].sum()) * GRID
-    own, values = float(fit.theta[place]), {}
+    own = float(fit.theta[place])
+    values = {}
     for side in (grid[grid >= own], [*grid[grid < own][::-1], SHARPEST]):
         theta = fit.theta.copy()
         for rounding in side:
             theta[place] = rounding
             top = maximise_likelihood(squares, theta, STEPS)
-            values[float(rounding)], theta = top.value, top.theta.copy()
+            values[float(rounding)] = top.value
+            theta = top.theta.copy()
     least_first = np.array([values[key] for key in sorted(values)])
-    roundings, fallen = np.append(0.0, grid), least_first.max() - least_first
+    roundings = np.append(0.0, grid)
+    fallen = least_first.max() - least_first
     within = np.flatnonzero(fallen < DROP)
-    low, high = max(within[0] - 1, 0), min(within[-1] + 1, grid.size)
+    low = max(within[0] - 1, 0)
+    high = min(within[-1] + 1, grid.size)
     best = roundings[int(np.argmin(fallen))]
     least = 0.0 if within[0] == 0 else float(roundings[low])
     most = math.inf if within[-1] == grid.size else float(roundings[high])

@@ -3,8 +3,8 @@
 The valve's position v follows the controller's output u through a dead band and stick band S and a
 slip jump J; J = 0 is a play of width S. In a loop u answers to y, so that simulation errors favour
 whatever resembles the disturbance. Errors of prediction one step ahead do not, as long as the plant
-is late by a sample: y is regressed on its own past and on past positions. An oscillation from
-outside and a linear loop near its limit look alike and are asked beside it.
+is late by a sample: y is regressed on its own past and on past positions. An external oscillation
+and a loop near its stability limit give similar readings, so they are fitted as rivals.
 
 References:
     M. Kano and others (2004), IFAC World Congress
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -25,26 +26,31 @@ from scipy.special import softmax
 
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
-from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.models.least_squares import Density, build_gaussian_density
 
-ORDERS = (1, 2, 3, 4, 6, 8, 12)  # readings before one that foretell it
-MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples over which older ones are averaged, which do so too
+ORDERS = (1, 2, 3, 4, 6, 8, 12)  # autoregressive orders of the readings
+MEMORY = (3.0, 8.0, 20.0, 60.0)  # samples of the exponential averages that are regressors as well
 MORE = 2  # lags of the position beyond those of the reading
-LATEST = 30  # samples that a plant may be late
-HARMONICS = (1, 2, 3)  # of an oscillation from outside
-BREAKS = 2  # numbers that the breaks of a valve cost besides
-FINEST, TRIED = 0.005, 60  # least S, of the range of u, and how many from there to the range
+LATEST = 30  # largest delay of a plant [samples]
+HARMONICS = (1, 2, 3)  # of an external oscillation
+BREAKS = 2  # parameters that the breakpoints of a valve count for, beside S and J
+# least S [range of u], and the number of S of a grid up to the range
+FINEST = 0.005
+TRIED = 60
 RATIOS = (0.08, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)  # J / S
 LARGEST = 1.6  # J / S at most
-KANO, HE = "Kano", "He"
-ROUNDS, TOPS = 3, 8  # refinements, and grid points that they begin with
-PAIRS = 300  # S, J around the best, for the interval
-FAR = 1.6  # logarithm of S over the best, that is tried
-SCATTER = 3.0  # how much larger than by one log differences of logs are taken
-DRAWS = 500  # of logs that might have been recorded
+KANO = "Kano"
+HE = "He"
+# refinements of a grid, and grid points at which they start
+ROUNDS = 3
+TOPS = 8
+PAIRS = 300  # pairs (S, J) about the best one, for the interval
+FAR = 1.6  # largest |ln(S / best S)| of these
+SCATTER = 3.0  # safety factor of the standard deviation of differences of log likelihoods
+DRAWS = 500  # draws of the log likelihoods
 CHUNK = 48  # positions that are regressed at once
-TURN = 0.25  # of the range of u, by which it turns back at least to count
-BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # plays that may act beside u itself [range of u]
+TURN = 0.25  # least reversal of u that counts [range of u]
+BESIDE = (0.1, 0.16, 0.25, 0.4, 0.63, 1.0)  # widths of plays that are regressors beside u [range]
 
 
 def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Floats:
@@ -54,59 +60,91 @@ def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Flo
         u: output of the controller (N).
         stick: S of each valve (K) [u].
         jump: J of each valve (K) [u].
-        account: whether it slides on after a jump (Kano), or sticks at every sample (He).
+        account: model of the valve: KANO slides after its jump, HE sticks at every sample.
     """
     return (_slide_on if account == KANO else _stick_again)(u, stick, jump)
 
 
 def _slide_on(u: Floats, stick: Floats, jump: Floats) -> Floats:
-    """Return positions that slide until u turns or stands still (N x K)."""
-    position, rested_at = np.full(stick.size, u[0]), np.full(stick.size, u[0])
-    direction, rests = np.zeros(stick.size), np.ones(stick.size, bool)
-    out = np.empty((u.size, stick.size))
-    out[0] = position
-    lost, first = (stick - jump) / 2, (stick + jump) / 2
+    """Return the positions of valves by Kano's model (N x K).
+
+    A valve slides until u reverses or stops. It then rests until u has moved by S against the last
+    direction, or by J along it; the first time by (S + J) / 2. A sliding valve is (S - J) / 2
+    behind u.
+
+    Args:
+        u: output of the controller (N).
+        stick: S of each valve (K) [u].
+        jump: J of each valve (K) [u].
+    """
+    position = np.full(stick.size, u[0])
+    stopped_at = np.full(stick.size, u[0])
+    direction = np.zeros(stick.size)
+    rests = np.ones(stick.size, bool)
+    positions = np.empty((u.size, stick.size))
+    positions[0] = position
+    distance = (stick - jump) / 2
+    first_slip = (stick + jump) / 2
     for t in range(1, u.size):
         stops = ~rests & (direction * (u[t] - u[t - 1]) <= 0)
-        rested_at = np.where(stops, u[t - 1], rested_at)
+        stopped_at = np.where(stops, u[t - 1], stopped_at)
         rests |= stops
-        away = u[t] - rested_at
-        back, begins = -direction * away > stick, (direction == 0) & (np.abs(away) > first)
-        goes = rests & (back | (direction * away > jump) | begins)
-        turned = np.where(goes & back, -direction, direction)
-        direction = np.where(goes & begins, np.sign(away), turned)
-        rests &= ~goes
-        position = np.where(rests, position, u[t] - direction * lost)
-        out[t] = position
-    return out
+        travel = u[t] - stopped_at
+        reverses = -direction * travel > stick
+        starts = (direction == 0) & (np.abs(travel) > first_slip)
+        slips = rests & (reverses | (direction * travel > jump) | starts)
+        direction = np.where(
+            slips & starts, np.sign(travel), np.where(slips & reverses, -direction, direction)
+        )
+        rests &= ~slips
+        position = np.where(rests, position, u[t] - direction * distance)
+        positions[t] = position
+    return positions
 
 
 def _stick_again(u: Floats, stick: Floats, jump: Floats) -> Floats:
-    """Return positions of valves whose friction is static at every sample (N x K)."""
-    position, left = np.full(stick.size, u[0]), np.zeros(stick.size)
-    out = np.empty((u.size, stick.size))
-    out[0] = position
-    static, kinetic = (stick + jump) / 2, (stick - jump) / 2
+    """Return the positions of valves by He's model (N x K).
+
+    The spring force (in units of u) moves the valve if it exceeds static friction, (S + J) / 2.
+    The kinetic friction, (S - J) / 2, remains. Friction is static again at every sample.
+
+    Args:
+        u: output of the controller (N).
+        stick: S of each valve (K) [u].
+        jump: J of each valve (K) [u].
+    """
+    position = np.full(stick.size, u[0])
+    force = np.zeros(stick.size)
+    positions = np.empty((u.size, stick.size))
+    positions[0] = position
+    static = (stick + jump) / 2
+    kinetic = (stick - jump) / 2
     for t in range(1, u.size):
-        push = left + (u[t] - u[t - 1])
-        kept = np.where(np.abs(push) > static, np.sign(push) * kinetic, push)
-        position = np.where(np.abs(push) > static, position + push - kept, position)
-        left = kept
-        out[t] = position
-    return out
+        force = force + (u[t] - u[t - 1])
+        remaining = np.where(np.abs(force) > static, np.sign(force) * kinetic, force)
+        position = np.where(np.abs(force) > static, position + force - remaining, position)
+        force = remaining
+        positions[t] = position
+    return positions
 
 
 class Regression:
-    """Readings regressed on a constant and their past; the rest is asked of positions.
+    """Regression of the readings on a constant, their past, and positions of a valve.
 
-    The past is a few lags and averages of all older samples: in a loop u is the controller's sum of
-    all past errors, and would foretell readings by itself if their own past were short.
+    The past consists of a few lags, and of exponential averages of all older samples. In a loop u
+    is the controller's integral of all past errors, so u would predict readings by itself if the
+    regressors held only a short past.
 
     Args:
         y: readings (N).
-        ok: whether there is a reading (N).
-        order: readings before one that foretell it.
-        first: first sample that counts.
+        ok: flags of the readings that are not missing (N).
+        order: lags of the readings.
+        first: first sample that is predicted.
+
+    Attributes:
+        rows: samples that are predicted (n).
+        past: lags and averages of the readings (n x L).
+        y: readings that are predicted (n).
     """
 
     def __init__(self, y: Floats, ok: Flags, order: int, first: int) -> None:
@@ -122,113 +160,121 @@ class Regression:
         self.y = y[self.rows]
         own = np.column_stack([np.ones(self.rows.size), self.past])
         self._basis = np.linalg.qr(own)[0]
-        self._left = self._without_past(self.y)
+        self._target = self._project_out_past(self.y)
 
-    def _without_past(self, columns: Floats) -> Floats:
-        """Return columns without the part that the constant and the past explain."""
+    def _project_out_past(self, columns: Floats) -> Floats:
+        """Return columns (n x L) without the part that the constant and the past explain.
+
+        Regressing these on each other gives the coefficients of the full regression (Frisch, Waugh
+        and Lovell).
+        """
         return np.asarray(columns - self._basis @ (self._basis.T @ columns))
 
     def lagged(self, v: Floats, lags: range) -> Floats:
-        """Return positions at lags, and their averages up to the first of these (n x K x L).
+        """Return lagged positions, and their averages up to the first lag (n x K x L).
 
         Args:
-            v: the positions (N x K).
-            lags: of each.
+            v: positions (N x K).
+            lags: lags [samples].
         """
         late = [v[self.rows - k][:, :, None] for k in lags]
         return np.concatenate([*late, _averages(v)[self.rows - lags[0]]], axis=2)
 
-    def errors(self, v: Floats, lags: range, more: Floats | None = None) -> Floats:
-        """Return prediction errors behind one position, perhaps with more columns (n).
+    def prediction_errors(self, v: Floats, lags: range, others: Floats | None = None) -> Floats:
+        """Return the one-step prediction errors of the readings for a position (n).
 
         Args:
-            v: the position (N).
-            lags: of it.
-            more: columns (N x M).
+            v: position (N).
+            lags: lags of the position [samples].
+            others: further regressors (N x M); None: none.
         """
         columns = self.lagged(v[:, None], lags)[:, 0]
-        if more is not None:
-            columns = np.hstack([columns, more[self.rows]])
-        columns = self._without_past(columns)
+        if others is not None:
+            columns = np.hstack([columns, others[self.rows]])
+        columns = self._project_out_past(columns)
         return np.asarray(
-            self._left - columns @ np.linalg.lstsq(columns, self._left, rcond=1e-9)[0]
+            self._target - columns @ np.linalg.lstsq(columns, self._target, rcond=1e-9)[0]
         )
 
-    def errors_of_each(self, v: Floats, lags: range) -> Floats:
-        """Return prediction errors behind each of many positions (n x K).
+    def prediction_errors_of_each(self, v: Floats, lags: range) -> Floats:
+        """Return the one-step prediction errors for each of several positions (n x K).
 
         Args:
-            v: the positions (N x K).
-            lags: of each.
+            v: positions (N x K).
+            lags: lags of the positions [samples].
         """
-        out = np.empty((self.rows.size, v.shape[1]))
+        errors = np.empty((self.rows.size, v.shape[1]))
         for begin in range(0, v.shape[1], CHUNK):
             part = v[:, begin : begin + CHUNK]
             columns = self.lagged(part, lags)
-            flat = self._without_past(columns.reshape(len(columns), -1))
-            each = flat.reshape(columns.shape).transpose(1, 0, 2)
+            flat = self._project_out_past(columns.reshape(len(columns), -1))
+            each = flat.reshape(columns.shape).transpose(1, 0, 2)  # of each position (K x n x L)
+            # Normal equations of all positions at once, with a ridge against collinear columns.
             gram = np.matmul(each.transpose(0, 2, 1), each)
             trace = np.trace(gram, axis1=1, axis2=2)[:, None, None]
             gram += 1e-10 * (trace + 1e-12) * np.eye(gram.shape[1])
-            asked = np.matmul(each.transpose(0, 2, 1), self._left[:, None])
-            told = np.matmul(each, np.linalg.solve(gram, asked))[:, :, 0]
-            out[:, begin : begin + CHUNK] = self._left[:, None] - told.T
-        return out
+            moments = np.matmul(each.transpose(0, 2, 1), self._target[:, None])
+            explained = np.matmul(each, np.linalg.solve(gram, moments))[:, :, 0]
+            errors[:, begin : begin + CHUNK] = self._target[:, None] - explained.T
+        return errors
 
     def response(self, v: Floats, lags: range, z: complex) -> complex:
-        """Return the plant's frequency response by the regression, at a backward shift z.
+        """Return the frequency response from the position of the valve to y.
+
+        The regression is y = past(q^-1) y + through(q^-1) v, so the response is
+        through / (1 - past), with z in place of q^-1.
 
         Args:
-            v: the position (N).
-            lags: of it.
-            z: exp(-i w).
+            v: position (N).
+            lags: lags of the position [samples].
+            z: exp(-i w), with w the frequency [rad/sample].
         """
         columns = np.hstack(
             [self.past, self.lagged(v[:, None], lags)[:, 0], np.ones((self.rows.size, 1))]
         )
-        found = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
+        coefficients = np.linalg.lstsq(columns, self.y, rcond=1e-9)[0]
         decay = np.exp(-1 / np.array(MEMORY))
-        averaged = (1 - decay) / (1 - decay * z)
+        averaged = (1 - decay) / (1 - decay * z)  # response of each exponential average
         past = np.append(z ** np.arange(1, self.order + 1), z * averaged)
         through = np.append(z ** np.array(lags), z ** lags[0] * averaged)
-        num = complex(found[past.size : -1] @ through)
-        return num / complex(1 - found[: past.size] @ past)
+        numerator = complex(coefficients[past.size : -1] @ through)
+        return numerator / complex(1 - coefficients[: past.size] @ past)
 
 
 def _averages(x: Floats) -> Floats:
-    """Return exponential averages of signals over each memory (N x K x M)."""
-    out = np.empty((*x.shape, len(MEMORY)))
+    """Return the exponential averages of signals x (N x K) over each memory (N x K x M)."""
+    averages = np.empty((*x.shape, len(MEMORY)))
     for k, samples in enumerate(MEMORY):
         decay = math.exp(-1 / samples)
-        begun = decay * x[:1]
-        out[:, :, k] = lfilter([1 - decay], [1.0, -decay], x, axis=0, zi=begun)[0]
-    return out
+        at_rest = decay * x[:1]  # filter state if x was constant before
+        averages[:, :, k] = lfilter([1 - decay], [1.0, -decay], x, axis=0, zi=at_rest)[0]
+    return averages
 
 
 class Structure(NamedTuple):
-    """Order and delay of a plant, with the oscillation from outside that suits the log.
+    """Order and delay of the regression, with the external oscillation that suits the log.
 
     Attributes:
-        order: readings before one that foretell it.
-        lags: of the position.
-        first: first sample that counts.
-        line: sines and cosines (N x 2 K); None: nothing swings.
+        order: lags of the readings.
+        lags: lags of the position [samples].
+        first: first sample that is predicted.
+        oscillation: sines and cosines of its harmonics (N x 2 K); None without an oscillation.
     """
 
     order: int
     lags: range
     first: int
-    line: Floats | None
+    oscillation: Floats | None
 
 
 class ValveFit(NamedTuple):
-    """Valve ahead of a plant, fitted.
+    """Fit of a valve ahead of a plant.
 
     Attributes:
-        word: the verdict's: input_play or stiction.
-        account: of the valve, Kano's or He's.
+        word: class of the verdict: input_play or stiction.
+        account: model of the valve: KANO or HE.
         stick, jump: S and J [range of u].
-        density: of the readings.
+        density: log densities of the readings.
     """
 
     word: str
@@ -248,94 +294,112 @@ class ValveFit(NamedTuple):
 
 
 def _density(name: str, e: Floats, numbers: int) -> Density:
-    """Return normal log densities of prediction errors."""
-    variance = max(float(np.mean(e**2)), 1e-20)
-    value = -0.5 * e**2 / variance - 0.5 * math.log(2 * math.pi * variance)
-    return Density(name, value, numbers, math.sqrt(variance))
+    """Return the Gaussian log densities of prediction errors (n), with their parameter count."""
+    return build_gaussian_density(name, e, numbers, max(float(np.mean(e**2)), 1e-20))
 
 
 def _bic_of(e: Floats, numbers: Floats | Integers | int) -> Floats:
-    """Return BIC of prediction errors (n, or n x K), up to a constant."""
+    """Return the BIC of prediction errors (n, or n x K for K models), up to a constant."""
     size = len(e)
     return np.asarray(size * np.log(np.mean(e**2, axis=0)) + numbers * math.log(size))
 
 
 class LoopLog:
-    """Record of a loop, scaled: u over its range, y over its deviation.
+    """Scaled log of a control loop: u over its range, y over its standard deviation.
 
     Args:
         u: output of the controller (N).
         y: readings (N).
-        ok: whether there is a reading (N).
+        ok: flags of the readings that are not missing (N).
         r: set point (N), NaN if missing; None: not recorded.
+
+    Attributes:
+        range, deviation: divisors of u and y.
+        error: control error y - r, without its mean (N).
+        regularity, period: of its oscillation, as `oscillation_of` returns them.
     """
 
     def __init__(self, u: Floats, y: Floats, ok: Flags, r: Floats | None) -> None:
-        self.range, self.deviation = float(np.ptp(u)), float(y[ok].std())
+        self.range = float(np.ptp(u))
+        self.deviation = float(y[ok].std())
         self.u = (u - u.mean()) / self.range
         self.y = np.where(ok, (y - y[ok].mean()) / self.deviation, 0.0)
         self.ok = ok
-        known = (
-            np.zeros(y.size) if r is None else np.nan_to_num((r - y[ok].mean()) / self.deviation)
-        )
-        self.error = np.where(ok, self.y - known, 0.0)
+        set_point = np.zeros(y.size)
+        if r is not None:
+            set_point = np.nan_to_num((r - y[ok].mean()) / self.deviation)
+        self.error = np.where(ok, self.y - set_point, 0.0)
         self.error -= self.error.mean()
         self.regularity, self.period = oscillation_of(self.error)
 
     @property
     def step(self) -> float:
-        """Return the rms by which u moves in a sample: less of a valve is not seen."""
+        """Return the rms change of u in a sample [range of u]; a smaller S cannot be identified."""
         return math.sqrt(float(np.mean(np.diff(self.u) ** 2)))
 
     @property
     def turns(self) -> int:
-        """Return how often u turned by more than a part of its range: only there a valve shows."""
+        """Return the number of reversals of u by more than TURN of its range.
+
+        Only a reversal shows the fault of a valve.
+        """
         v = valve_positions(self.u, np.array([TURN]), np.zeros(1), KANO)[:, 0]
         moves = np.sign(np.diff(v))
         return int(np.count_nonzero(np.diff(moves[moves != 0])))
 
     @property
     def orders(self) -> list[int]:
-        """Return the orders that the log is long enough for."""
+        """Return the orders for which the log has enough samples."""
         return [k for k in ORDERS if 8 * (2 * k + MORE) < self.y.size]
 
     def regress(self, order: int, first: int) -> Regression:
-        """Return the regression of the readings on their past."""
+        """Return the regression of an order, with `first` the first predicted sample."""
         return Regression(self.y, self.ok, order, first)
 
     def find_structure(self, valves: Floats) -> Structure:
-        """Find order and delay: behind u as it is, or behind one of a few valves.
+        """Find order and delay by BIC, for u itself and for several valves.
 
         Args:
-            valves: their positions (N x K).
+            valves: positions of the valves (N x K) [range of u].
         """
         longest = min(LATEST, self.y.size // 20)
-        latest = int(min(longest, max(self.period / 2, 4) + 1))  # else a period late looks alike
+        # In an oscillation a delay cannot be distinguished from one that is a period longer.
+        latest = int(min(longest, max(self.period / 2, 4) + 1))
         first = longest + MORE + max(self.orders) + 6
         positions = np.column_stack([self.u, valves])
-        brief = self.regress(4, first)
-        price = 4 * (np.arange(positions.shape[1]) > 0)
-        tried = []
+        low_order = self.regress(4, first)
+        valve_numbers = 4 * (np.arange(positions.shape[1]) > 0)
+        candidates = []
         for delay in range(1, latest):
-            cost = _bic_of(brief.errors_of_each(positions, range(delay, delay + 3)), price)
-            tried.append((float(cost.min()), delay, int(np.argmin(cost))))
-        _, delay, best = min(tried)
+            errors = low_order.prediction_errors_of_each(positions, range(delay, delay + 3))
+            cost = _bic_of(errors, valve_numbers)
+            candidates.append((float(cost.min()), delay, int(np.argmin(cost))))
+        _, delay, best = min(candidates)
         lag = max(1, delay - 1)
-        line = self._find_line(brief, range(lag, lag + 4 + MORE))
+        oscillation = self._find_oscillation(low_order, range(lag, lag + 4 + MORE))
         sources: list[tuple[Floats, Floats | None, int]] = [(positions[:, best], None, 0)]
-        if line is not None:
-            sources.append((self.u, line, 1 + line.shape[1]))
+        if oscillation is not None:
+            sources.append((self.u, oscillation, 1 + oscillation.shape[1]))
         costs = []
         for order in self.orders:
-            regression, lags = self.regress(order, first), range(lag, lag + order + MORE)
-            for v, more, numbers in sources:
-                e = regression.errors(v, lags, more)
+            regression = self.regress(order, first)
+            lags = range(lag, lag + order + MORE)
+            for v, others, numbers in sources:
+                e = regression.prediction_errors(v, lags, others)
                 costs.append((float(_bic_of(e, 2 * order + numbers)), order))
         order = min(costs)[1]
-        return Structure(order, range(lag, lag + order + MORE), first, line)
+        return Structure(order, range(lag, lag + order + MORE), first, oscillation)
 
-    def _find_line(self, regression: Regression, lags: range) -> Floats | None:
-        """Return the oscillation from outside about the period that explains most (N x 2 K)."""
+    def _find_oscillation(self, regression: Regression, lags: range) -> Floats | None:
+        """Find the external oscillation of least BIC, with a period near that of the error.
+
+        Args:
+            regression: regression of the readings.
+            lags: lags of u [samples].
+
+        Returns:
+            Sines and cosines of its harmonics (N x 2 K); None if the log has fewer than 4 periods.
+        """
         if self.period > self.y.size / 4:
             return None
         t = np.arange(self.y.size)
@@ -345,30 +409,30 @@ class LoopLog:
             phase = 2 * np.pi / self.period * factor * t
             waves = [f(k * phase) for k, f in itertools.product(HARMONICS, (np.sin, np.cos))]
             for count in (2 * k for k in HARMONICS):
-                line = np.column_stack(waves[:count])
-                cost = _bic_of(regression.errors(self.u, lags, line), count)
-                best = min(best, (float(cost), line), key=lambda one: one[0])
+                oscillation = np.column_stack(waves[:count])
+                cost = _bic_of(regression.prediction_errors(self.u, lags, oscillation), count)
+                best = min(best, (float(cost), oscillation), key=itemgetter(0))
         return best[1]
 
     def fit_all(self, structure: Structure, thinned: int, rounds: int) -> LoopFits:
-        """Fit the loop without a valve's fault, with an oscillation from outside, with valves.
+        """Fit the loop with an ideal valve, with an external oscillation, and with faulty valves.
 
         Args:
-            structure: order and delay.
-            thinned: each so manyth pair of the grid is tried.
-            rounds: refinements.
+            structure: order and delay of the regression.
+            thinned: stride of the grid of S and J / S.
+            rounds: number of refinements of the grid.
         """
         regression = self.regress(structure.order, structure.first)
         lags = structure.lags
         numbers = 2 + structure.order + len(lags) + 2 * len(MEMORY)
-        densities = {"none": _density("none", regression.errors(self.u, lags), numbers)}
-        if structure.line is not None:
-            e = regression.errors(self.u, lags, structure.line)
-            swings = numbers + structure.line.shape[1] + 1
-            densities["external"] = _density("external", e, swings)
-        every = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
-        plays = np.column_stack([every, 0 * every])
-        ratios = itertools.product(every[::thinned], RATIOS[::thinned])
+        densities = {"none": _density("none", regression.prediction_errors(self.u, lags), numbers)}
+        if structure.oscillation is not None:
+            e = regression.prediction_errors(self.u, lags, structure.oscillation)
+            count = numbers + structure.oscillation.shape[1] + 1
+            densities["external"] = _density("external", e, count)
+        widths = np.geomspace(max(FINEST, self.step), 1.0, TRIED)
+        plays = np.column_stack([widths, 0 * widths])
+        ratios = itertools.product(widths[::thinned], RATIOS[::thinned])
         sticks = np.array([(s, s * ratio) for s, ratio in ratios])
         fits = []
         for word, account, pairs in (
@@ -376,47 +440,58 @@ class LoopLog:
             ("stiction", KANO, sticks),
             ("stiction", HE, sticks),
         ):
-            pair = self._climb(regression, lags, account, pairs, rounds)
+            pair = self._refine_grid(regression, lags, account, pairs, rounds)
             fit = ValveFit(word, account, *pair, densities["none"])
-            more = BREAKS + 1 + (word == "stiction")
-            e = regression.errors(fit.position(self.u), lags)
-            fits.append(fit._replace(density=_density(word, e, numbers + more)))
+            valve_numbers = BREAKS + 1 + (word == "stiction")
+            e = regression.prediction_errors(fit.position(self.u), lags)
+            fits.append(fit._replace(density=_density(word, e, numbers + valve_numbers)))
         return LoopFits(self, structure, regression, densities, tuple(fits))
 
-    def _climb(
+    def _refine_grid(
         self, regression: Regression, lags: range, account: str, pairs: Floats, rounds: int
     ) -> tuple[float, float]:
-        """Return the best S, J of a grid, refined about its best few."""
+        """Return the S and J of least squared prediction errors, by a grid that is refined.
+
+        Args:
+            regression: regression of the readings.
+            lags: lags of the position [samples].
+            account: model of the valve.
+            pairs: grid of S and J (K x 2) [range of u].
+            rounds: number of refinements about the best pairs.
+        """
         is_play = not pairs[:, 1].any()
         best: list[tuple[float, float, float]] = []
         for k in range(rounds + 1):
             v = valve_positions(self.u, pairs[:, 0], pairs[:, 1], account)
-            cost = np.sum(regression.errors_of_each(v, lags) ** 2, axis=0)
+            cost = np.sum(regression.prediction_errors_of_each(v, lags) ** 2, axis=0)
             best += [(float(c), float(s), float(j)) for c, (s, j) in zip(cost, pairs, strict=True)]
             best = sorted(best)[: TOPS if k == 0 else 3]
             width = 0.09 / 2.5**k
             moves = itertools.product(
                 best, width * np.linspace(-1, 1, 7), width * np.linspace(-2, 2, 1 if is_play else 5)
             )
-            pairs = np.array([_moved(s, j, a, b, is_play) for (_, s, j), a, b in moves])
+            pairs = np.array([_shift_pair(s, j, a, b, is_play) for (_, s, j), a, b in moves])
         return best[0][1:]
 
 
-def _moved(stick: float, jump: float, a: float, b: float, is_play: bool) -> tuple[float, float]:
-    """Return S, J moved by shares of S."""
-    kept = 0.0 if is_play else float(np.clip(jump + stick * b, 0.02 * stick, LARGEST * stick))
-    return stick * (1 + a), kept
+def _shift_pair(
+    stick: float, jump: float, a: float, b: float, is_play: bool
+) -> tuple[float, float]:
+    """Return S (1 + a) and J + b S, within the limits of J / S; J = 0 if it is a play."""
+    if is_play:
+        return stick * (1 + a), 0.0
+    return stick * (1 + a), float(np.clip(jump + stick * b, 0.02 * stick, LARGEST * stick))
 
 
 class LoopFits(NamedTuple):
-    """Fits of a loop, all of the same readings.
+    """Fits of a loop, all to the same readings.
 
     Attributes:
-        log: the loop.
-        structure: order and delay.
-        regression: of the readings.
-        densities: without a valve's fault: none, external.
-        valves: with one.
+        log: log of the loop.
+        structure: order and delay of the regression.
+        regression: regression of the readings.
+        densities: densities of the models with an ideal valve, by class: none, external.
+        valves: fits with a faulty valve.
     """
 
     log: LoopLog
@@ -427,65 +502,75 @@ class LoopFits(NamedTuple):
 
     @property
     def best(self) -> ValveFit:
-        """Return the best valve."""
-        return min(self.valves, key=lambda one: one.density.bic)
+        """Return the valve of least BIC."""
+        return min(self.valves, key=lambda fit: fit.density.bic)
 
     @property
     def family(self) -> dict[str, Density]:
-        """Return the best density of each word."""
-        ranked = sorted(self.valves, key=lambda one: -one.density.bic)
-        return self.densities | {one.word: one.density for one in ranked}
+        """Return the density of least BIC of each class."""
+        ranked = sorted(self.valves, key=lambda fit: -fit.density.bic)  # the last of a class stays
+        return self.densities | {fit.word: fit.density for fit in ranked}
 
     def chance_of_play(self) -> float:
-        """Return p of what the position of a play explains beside u itself [1].
+        """Return the p value of a play: of its position as a regressor beside u itself [1].
 
-        The play that explains most counts, for as many as are tried.
+        It is a likelihood ratio test of the play that explains most, with Bonferroni's correction
+        for the number of plays.
         """
-        u, lags = self.log.u, self.structure.lags
-        without = float(np.sum(self.regression.errors(u, lags) ** 2))
+        u = self.log.u
+        lags = self.structure.lags
+        squares = float(np.sum(self.regression.prediction_errors(u, lags) ** 2))
         plays = np.array(BESIDE)
-        least = without
+        least_squares = squares
         for v in valve_positions(u, plays, 0 * plays, KANO).T:
             late = np.column_stack([np.roll(v, lags[0]), np.roll(v, lags[-1])])
-            least = min(least, float(np.sum(self.regression.errors(u, lags, late) ** 2)))
-        fallen = (least / without) ** (0.5 * self.regression.rows.size)  # of two numbers each
-        return min(plays.size * fallen, 1.0)
+            with_play = float(np.sum(self.regression.prediction_errors(u, lags, late) ** 2))
+            least_squares = min(least_squares, with_play)
+        # Two regressors a play: chi squared of 2 degrees exceeds x by chance exp(-x / 2), which is
+        # the likelihood ratio itself.
+        ratio = (least_squares / squares) ** (0.5 * self.regression.rows.size)
+        return min(plays.size * ratio, 1.0)
 
     def intervals(self, fit: ValveFit) -> tuple[Interval, Interval]:
-        """Return S and J with 95 % intervals: all pairs that the readings do not tell from a fit.
+        """Return S and J with 95 % intervals [range of u].
 
-        A pair is told from it by more than chance lets the sum of both log densities differ. Both
-        accounts are asked, and pairs far away, as S and J may stand for each other.
+        They are quantiles of the posterior over pairs of S and J about the fit, of both models of
+        a valve. Some pairs are far away, since S and J may compensate each other.
 
         Args:
-            fit: the valve.
+            fit: fit of the valve.
         """
-        u, lags = self.log.u, self.structure.lags
+        u = self.log.u
+        lags = self.structure.lags
         stick, jump = _pairs_around(fit)
-        e = [self.regression.errors(fit.position(u), lags)[:, None]]
+        e = [self.regression.prediction_errors(fit.position(u), lags)[:, None]]
         for account in (KANO, HE):
             positions = valve_positions(u, stick, jump, account)
-            e.append(self.regression.errors_of_each(positions, lags))
+            e.append(self.regression.prediction_errors_of_each(positions, lags))
         errors = np.hstack(e)
         variance = np.mean(errors**2, axis=0)
         values = -0.5 * errors**2 / variance - 0.5 * np.log(variance)
         weight = _bagged_weights(values)
-        unseen = 0.5 * self.log.step
+        resolution = 0.5 * self.log.step
         widths, jumps = (
-            _weighted_range(np.concatenate([[value], tried, tried]), weight, unseen)
-            for value, tried in ((fit.stick, stick), (fit.jump, jump))
+            _weighted_range(np.concatenate([[value], trials, trials]), weight, resolution)
+            for value, trials in ((fit.stick, stick), (fit.jump, jump))
         )
         return widths, jumps if fit.word == "stiction" else Interval(0.0, 0.0, 0.0)
 
     def sensitivity(self, v: Floats) -> float:
-        """Return the largest |1 / (1 + C G)| about the period of the oscillation [1].
+        """Return the peak of the sensitivity |1 / (1 + C G)| near the oscillation's frequency [1].
+
+        The controller C is fitted to the log as a difference equation of u and the error. G is the
+        plant by the regression. It is 0 if the loop does not oscillate.
 
         Args:
-            v: position of the valve (N).
+            v: position of the valve (N) [range of u].
         """
         if not math.isfinite(self.log.period):
             return 0.0
-        e, u = self.log.error, self.log.u
+        e = self.log.error
+        u = self.log.u
         t = np.arange(3, u.size)
         moves = np.column_stack([e[t], e[t - 1], e[t - 2], u[t - 1] - u[t - 2]])
         c = np.linalg.lstsq(moves, u[t] - u[t - 1], rcond=None)[0]
@@ -499,7 +584,7 @@ class LoopFits(NamedTuple):
 
 
 def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:
-    """Return S and J of pairs about a fit, half of them far away (PAIRS each)."""
+    """Return random S and J about a fit (PAIRS each), half of them far away [range of u]."""
     rng = np.random.default_rng(1)
     near = rng.uniform(-1, 1, (2, PAIRS // 2)) * rng.uniform(0, 1, (2, PAIRS // 2)) ** 2
     far = rng.uniform(-1, 1, PAIRS - PAIRS // 2)
@@ -511,48 +596,60 @@ def _pairs_around(fit: ValveFit) -> tuple[Floats, Floats]:
 
 
 def _bagged_weights(values: Floats) -> Floats:
-    """Return posterior weights, in the mean over logs that might have been recorded (K).
+    """Return the posterior weights of K models, averaged over the sampling error of the log (K).
+
+    The log likelihoods are drawn with the covariance that their long-run variance estimates
+    (BayesBag), so that a single log does not overrule close rivals.
 
     Args:
         values: log densities of each reading (n x K).
     """
     gains = values - values[:, :1]
-    slow = cosine_coefficients(gains)
+    slow = cosine_coefficients(gains)  # root of the long-run covariance
     noise = np.random.default_rng(0).standard_normal((DRAWS, len(slow)))
     drawn = gains.sum(axis=0) + SCATTER * noise @ slow * math.sqrt(len(gains) / len(slow))
     return np.asarray(softmax(drawn, axis=1).mean(axis=0))
 
 
-def _weighted_range(values: Floats, weight: Floats, more: float) -> Interval:
-    """Return the first value with the 95 % range of all by weight, and a margin."""
+def _weighted_range(values: Floats, weight: Floats, margin: float) -> Interval:
+    """Return the first value with the weighted 95 % interval of all values, not below 0.
+
+    Args:
+        values: values, the first one being that of the fit (K).
+        weight: their weights, of sum 1 (K).
+        margin: least half width of the interval.
+    """
     order = np.argsort(values)
-    share = np.cumsum(weight[order])
-    low, high = (float(np.interp(level, share, values[order])) for level in (0.025, 0.975))
+    cumulative = np.cumsum(weight[order])
+    low, high = (float(np.interp(level, cumulative, values[order])) for level in (0.025, 0.975))
     value = float(values[0])
-    return Interval(value, max(min(low, value - more), 0.0), max(high, value + more))
+    return Interval(value, max(min(low, value - margin), 0.0), max(high, value + margin))
 
 
 def fit_loop(log: LoopLog) -> LoopFits:
-    """Fit a loop: first its structure, then all models behind that.
+    """Fit all models of a loop, in two rounds: a coarse grid of valves, then the best of them.
 
     Args:
-        log: its record.
+        log: log of the loop.
     """
     coarse = np.array(list(itertools.product(np.geomspace(0.02, 1.0, 18), (0.0, 0.4, 1.0))))
     valves = valve_positions(log.u, coarse[:, 0], coarse[:, 0] * coarse[:, 1], KANO)
-    begun = log.fit_all(log.find_structure(valves), 3, 0)
-    near = np.column_stack([one.position(log.u) for one in begun.valves])
-    return log.fit_all(log.find_structure(near), 1, ROUNDS)
+    first = log.fit_all(log.find_structure(valves), 3, 0)
+    best = np.column_stack([fit.position(log.u) for fit in first.valves])
+    return log.fit_all(log.find_structure(best), 1, ROUNDS)
 
 
 def oscillation_of(e: Floats) -> tuple[float, float]:
-    """Return how regular an oscillation is, and its period [samples].
+    """Return the regularity of an oscillation [1], and its period [samples].
+
+    Both follow from the zero crossings of the autocorrelation (Thornhill and others 2003).
 
     Args:
-        e: the control error (N).
+        e: control error (N).
 
     Returns:
-        Thornhill's r (above 1: regular), by zeros of the autocorrelation; the period, inf without.
+        r = mean / (3 std) of the half periods, above 1 for a regular oscillation; and the period,
+        inf without an oscillation.
     """
     window = max(3, e.size // 5)
     e = e - np.convolve(e, np.ones(window) / window, "same")

@@ -20,9 +20,9 @@ class WidthLimits(NamedTuple):
     """Prior limits of the widths.
 
     Attributes:
-        right, left: least and largest value, in rms of y; equal ones fix a width.
-        zone: whether there is a zone at all; else minus d_r is the level about which y lies.
-        tied: whether d_l = d_r, since z has no zero of its own.
+        right, left: least and largest value [rms of y]; equal ones fix a width.
+        zone: whether there is a zone; else minus d_r is a constant offset of y.
+        tied: whether d_l = d_r, since the centre of the zone is not identifiable.
     """
 
     right: tuple[float, float] = (-np.inf, np.inf)
@@ -42,13 +42,14 @@ class ZoneObjective:
     """Log likelihood of theta = [a, b, x0, input's zone, d_r, d_l, log s, atanh rho].
 
     Args:
-        simulator: the plant, with its data.
+        simulator: linear plant with its data.
         kind: singles (L1), pairs (L2), or behind: noise behind the zone.
-        limits: of the widths.
-        use: samples that count (N); default all with a reading.
+        limits: prior limits of the widths.
+        use: flags of the samples that count (N); default all readings.
     """
 
-    gain, longest = 1e-4, math.inf
+    gain = 1e-4
+    longest = math.inf
 
     def __init__(
         self,
@@ -89,7 +90,7 @@ class ZoneObjective:
         return likelihood.ZoneNoise(float(right), float(left), math.exp(min(log_s, 50.0)), rho)
 
     def is_admissible(self, theta: Floats) -> bool:
-        """Return whether theta has a likelihood worth computing."""
+        """Return whether the widths, the noise and the poles of theta are admissible."""
         right, left, log_s, atanh_rho = theta[self.layout.right :]
         if self.limits.zone and right + left < 0:
             return False
@@ -132,8 +133,9 @@ class ZoneObjective:
         return theta
 
     def sample_scores(self, theta: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return log densities (N), scores (N x P), dz/dtheta (N x P); constant columns
-        are 0.
+        """Return log densities (N), scores (N x P) and dz/dtheta (N x P).
+
+        Scores by constant parameters are 0.
         """
         z, terms = self.z_and_terms(theta)
         slope = self.simulator.z_gradient(theta, z)
@@ -155,23 +157,25 @@ class ZoneObjective:
         return self.sample_scores(theta)[1].sum(axis=0)
 
     def quadratic_model(self, theta: Floats) -> tuple[float, Floats, Floats]:
-        """Return value, score, and a positive Hessian of -log likelihood, for the free
-        parameters.
+        """Return log likelihood, score (F), and an approximate negative Hessian (F x F).
 
-        Gauss-Newton where a sample speaks, outer products of scores where it is silent.
+        The Hessian is that of Gauss and Newton for samples outside the zone, and the outer product
+        of the scores for samples inside.
         """
         values, scores, slope = self.sample_scores(theta)
-        rows, quiet = self._gauss_newton_rows(theta, slope)
+        rows, inside = self._gauss_newton_rows(theta, slope)
         hessian = rows.T @ rows
         right = self.layout.right
-        spread = scores[quiet]
-        spread[:, right + 2 :] = 0.0
-        hessian += spread.T @ spread
-        speaking = int(self.readings.ok.sum() - quiet.sum())
-        hessian[right + 2, right + 2] = 2 * speaking + float((scores[quiet, right + 2] ** 2).sum())
+        inside_scores = scores[inside]
+        inside_scores[:, right + 2 :] = 0.0
+        hessian += inside_scores.T @ inside_scores
+        # The information of a Gaussian sample on log s is 2.
+        outside_count = int(self.readings.ok.sum() - inside.sum())
+        by_inside = float((scores[inside, right + 2] ** 2).sum())
+        hessian[right + 2, right + 2] = 2 * outside_count + by_inside
         if self.kind == "pairs":
-            both = scores[:, right + 2 : right + 4]
-            hessian[right + 2 :, right + 2 :] = both.T @ both + 1e-9 * np.eye(2)
+            noise_scores = scores[:, right + 2 : right + 4]
+            hessian[right + 2 :, right + 2 :] = noise_scores.T @ noise_scores + 1e-9 * np.eye(2)
         x0 = np.arange(self.layout.x0.start, self.layout.x0.stop)
         hessian[x0, x0] += self.x0_weight
         value = float(values.sum()) - self._initial_state_penalty(theta)
@@ -179,12 +183,16 @@ class ZoneObjective:
         return value, scores.sum(axis=0)[free], hessian[np.ix_(free, free)]
 
     def _gauss_newton_rows(self, theta: Floats, slope: Floats) -> tuple[Floats, Flags]:
-        """Return derivatives of outside samples over their rms (M x P), and the flags
-        inside (N).
+        """Return whitened derivatives of samples outside the zone (M x P), and flags inside (N).
+
+        Args:
+            theta: parameters (P).
+            slope: dz/dtheta (N x P).
         """
-        noise, ok = self.zone_noise(theta), self.readings.ok
+        noise = self.zone_noise(theta)
+        ok = self.readings.ok
         side = self.branch_sides(theta)
-        speaks = ok & (side != 0)
+        outside = ok & (side != 0)
         change = slope.copy()
         change[:, self.layout.right] -= side > 0
         change[:, self.layout.right + 1] += side < 0
@@ -192,18 +200,19 @@ class ZoneObjective:
             change[:, self.layout.right] += change[:, self.layout.right + 1]
         rows = change / noise.s
         if noise.rho != 0.0:
-            chained = speaks & self.readings.before
-            chained[1:] &= speaks[:-1]
-            at = np.flatnonzero(chained)
-            spread = noise.s * math.sqrt(1 - noise.rho**2)
-            rows[at] = (change[at] - noise.rho * change[at - 1]) / spread
-        return rows[speaks], ok & ~speaks & (self.kind != "behind")
+            consecutive = outside & self.readings.before
+            consecutive[1:] &= outside[:-1]
+            at = np.flatnonzero(consecutive)
+            innovation_rms = noise.s * math.sqrt(1 - noise.rho**2)
+            rows[at] = (change[at] - noise.rho * change[at - 1]) / innovation_rms
+        return rows[outside], ok & ~outside & (self.kind != "behind")
 
     def branch_sides(self, theta: Floats) -> Integers:
         """Return +1, 0, -1 (N): of the readings, or of z if noise is behind the zone."""
         if self.kind != "behind":
             return self.readings.side
-        z, noise = self.z_and_terms(theta)[0], self.zone_noise(theta)
+        z = self.z_and_terms(theta)[0]
+        noise = self.zone_noise(theta)
         if not self.limits.zone:
             return np.ones(z.size, int)
         return 1 * (z > noise.right) - 1 * (z < -noise.left)
@@ -215,14 +224,14 @@ class ZoneObjective:
         return estimates.sandwich_covariance(scores[:, self.free], self.negative_hessian(theta))
 
     def negative_hessian(self, theta: Floats) -> Floats:
-        """Return minus the Hessian of the log likelihood (F x F) in the free parameters.
+        """Return minus the Hessian of the log likelihood, made positive definite (F x F).
 
-        It is made positive definite. It has central differences of the score, over 0.01 standard
-        deviations. If noise enters behind the zone, or if the input has a zone, where scores jump
-        at the edges, it is the Gauss-Newton matrix.
+        It consists of central differences of the score over 0.01 standard deviations. The score is
+        discontinuous at the edges if noise enters behind the zone, or if the input has a zone. Then
+        the Gauss-Newton matrix is returned.
 
         Args:
-            theta: all parameters.
+            theta: parameters (P).
         """
         _, _, approximate = self.quadratic_model(theta)
         approximate = approximate + 1e-12 * np.eye(self.free.size)
@@ -232,34 +241,34 @@ class ZoneObjective:
         rows = np.empty_like(approximate)
         for place, index in enumerate(self.free):
             step = 1e-2 * scale[place]
-            ahead = self._move_number(theta, int(index), step)
-            back = self._move_number(theta, int(index), -step)
+            upper = self._shift_number(theta, int(index), step)
+            lower = self._shift_number(theta, int(index), -step)
             rows[place] = approximate[place]
-            if self.is_admissible(ahead) and self.is_admissible(back):
-                difference = self.total_score(ahead) - self.total_score(back)
+            if self.is_admissible(upper) and self.is_admissible(lower):
+                difference = self.total_score(upper) - self.total_score(lower)
                 rows[place] = -difference[self.free] / (2 * step)
         return estimates.raise_eigenvalues(rows)
 
-    def _move_number(self, theta: Floats, index: int, step: float) -> Floats:
-        """Return theta with a single parameter changed, and its tied parameter."""
-        moved = theta.copy()
-        moved[index] += step
+    def _shift_number(self, theta: Floats, index: int, step: float) -> Floats:
+        """Return theta (P) with one parameter changed by a step; tied widths stay equal."""
+        shifted = theta.copy()
+        shifted[index] += step
         if self.limits.tied:
-            moved[self.layout.right + 1] = moved[self.layout.right]
-        return moved
+            shifted[self.layout.right + 1] = shifted[self.layout.right]
+        return shifted
 
     def width_weights(self, right: float, left: float) -> Floats:
-        """Return the row of weights of d_r and d_l over the free parameters; (1, 1) for
-        the width.
-        """
-        size, first = self.layout.parameter_count, self.layout.right
+        """Return c (F) with c' theta_free = right d_r + left d_l, so (1, 1) for the width."""
+        size = self.layout.parameter_count
+        first = self.layout.right
         return estimates.weight_row(self.free, size, first, (right, left), self.limits.tied)
 
     def unexplained_readings(self, theta: Floats) -> Floats:
         """Return the residual (N): e outside the zone, y - Dz(z) for noise behind."""
-        z, noise = self.simulator.simulate_z(theta), self.zone_noise(theta)
+        z = self.simulator.simulate_z(theta)
+        noise = self.zone_noise(theta)
         if self.kind != "behind":
-            return likelihood.zone_residual(self.readings, z, noise.right, noise.left)
+            return likelihood.zone_residual(self.readings, z, noise)
         if not self.limits.zone:
             return self.readings.y - z + noise.right
         return self.readings.y - likelihood.dead_zone(z, noise.right, noise.left)

@@ -21,9 +21,9 @@ from undeadzone_identify.models.plant import (
 )
 from undeadzone_identify.models.zone import Kind, WidthLimits, ZoneObjective
 
-SHARES = (0.15, 0.5, 1.2)  # widths tried first, in rms of y
-SLOWEST = (0.14, 0.05, 0.02, 0.007)  # time constants tried first, in samples of a record
-FEW = 3  # runs a side, per number to be found, for the start from an ARX model a side
+SHARES = (0.15, 0.5, 1.2)  # start values of the widths [rms of y]
+SLOWEST = (0.14, 0.05, 0.02, 0.007)  # start values of the slowest time constant [record length]
+FEW = 3  # least number of runs on a side, per parameter, for the ARX model of a side
 
 
 class ZoneFit(NamedTuple):
@@ -31,7 +31,7 @@ class ZoneFit(NamedTuple):
 
     Attributes:
         objective: the likelihood that was maximised.
-        theta: where its top is.
+        theta: parameters of its maximum (P).
         value: the log likelihood there.
     """
 
@@ -77,8 +77,11 @@ class ZoneFit(NamedTuple):
 
 
 def mean_reading(fit: ZoneFit) -> Floats:
-    """Return E[y given z] (N): the zone's characteristic, rounded by noise ahead."""
-    z, right, left, s = fit.z, fit.right, fit.left, fit.disturbance_rms
+    """Return E[y | z] (N), scaled: noise ahead of the zone makes its characteristic smooth."""
+    z = fit.z
+    right = fit.right
+    left = fit.left
+    s = fit.disturbance_rms
     if not fit.objective.limits.zone:
         return z - right
     if fit.objective.kind == "behind":
@@ -87,7 +90,7 @@ def mean_reading(fit: ZoneFit) -> Floats:
 
 
 def _mean_excess(x: Floats) -> Floats:
-    """Return E max(x + e, 0) of a unit Gaussian e."""
+    """Return E max(x + e, 0) with e a unit Gaussian, for each x (N)."""
     return np.exp(-0.5 * x**2) / math.sqrt(2 * math.pi) + x * ndtr(x)
 
 
@@ -100,39 +103,52 @@ def fit_zone(simulator: PlantSimulator, kind: Kind, limits: WidthLimits) -> Zone
         limits: bounds of the widths.
 
     Returns:
-        The best of the starts, all for 10 steps and the best two to the end.
+        The fit of the largest maximum.
     """
     objective = ZoneObjective(simulator, kind, limits)
-    begun = zone_starts(objective)
-    clearly = 0.02 * objective.readings.ok.sum()
-    top = best_maximum(objective, begun, 10, 50, clearly)
-    best = ZoneFit(objective, *(top or Maximum(objective.project_to_bounds(begun[0]), -math.inf)))
+    starts = zone_starts(objective)
+    clear_lead = 0.02 * objective.readings.ok.sum()
+    maximum = best_maximum(objective, starts, 10, 50, clear_lead)
+    if maximum is None:
+        maximum = Maximum(objective.project_to_bounds(starts[0]), -math.inf)
+    best = ZoneFit(objective, *maximum)
     return improve_fit(best, _centre_zone(objective, best.theta)) if limits.zone else best
 
 
 def refit_likelihood(
     fit: ZoneFit, kind: Kind, use: Flags | None = None, steps: int = 60
 ) -> ZoneFit:
-    """Fit another likelihood or other samples, started from a fit."""
+    """Fit another likelihood, or other samples, starting at a fit.
+
+    Args:
+        fit: fit of the same plant.
+        kind: singles, pairs or behind.
+        use: flags of the samples that count (N); None: all readings.
+        steps: largest number of steps.
+    """
     old = fit.objective
     objective = ZoneObjective(old.simulator, kind, old.limits, use)
     theta = fit.theta.copy()
     if kind == "pairs" and fit.rho == 0.0:
         theta[-1] = math.atanh(outside_correlation(fit))
-    top = maximise_likelihood(objective, theta, steps)
-    if (old.kind, kind) == ("singles", "pairs") and top.value < fit.value:  # as rho = 0 is (L1)
-        top = maximise_likelihood(objective, fit.theta, steps)
-    return ZoneFit(objective, *top)
+    maximum = maximise_likelihood(objective, theta, steps)
+    # (L2) with rho = 0 is (L1), so its maximum is at least as large.
+    if (old.kind, kind) == ("singles", "pairs") and maximum.value < fit.value:
+        maximum = maximise_likelihood(objective, fit.theta, steps)
+    return ZoneFit(objective, *maximum)
 
 
 def improve_fit(fit: ZoneFit, theta: Floats) -> ZoneFit:
-    """Return the fit, or a better fit that starts from other parameters."""
-    top = maximise_likelihood(fit.objective, theta, 60)
-    return ZoneFit(fit.objective, *top) if top.value > fit.value else fit
+    """Return the better of a fit and of the one that starts from other parameters (P)."""
+    maximum = maximise_likelihood(fit.objective, theta, 60)
+    return ZoneFit(fit.objective, *maximum) if maximum.value > fit.value else fit
 
 
 def remove_odd_poles(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
-    """Remove the least real poles, or the least of all, from a fit; return its parameters."""
+    """Return the parameters of a fit reduced to the order of a simulator (P).
+
+    The poles that are removed are the smallest real ones, then the smallest of all.
+    """
     poles = polynomial_roots(fit.theta[fit.objective.layout.denominator]).astype(complex)
     order = np.lexsort((poles.real, np.abs(poles.imag) > 1e-9))
     kept = poles[order[poles.size - simulator.layout.denominator.stop :]]
@@ -140,28 +156,30 @@ def remove_odd_poles(fit: ZoneFit, simulator: PlantSimulator) -> Floats:
 
 
 def nearest_numbers(fit: ZoneFit, simulator: PlantSimulator, a: Floats) -> Floats:
-    """Return parameters with new poles, and numerators for which z is nearest to its old
-    values.
+    """Return parameters with new poles (P), with z as near as possible to that of a fit.
 
     Args:
-        fit: with the zone and the noise.
-        simulator: of the numbers.
-        a: the poles' coefficients.
+        fit: the fit, of which zone and noise are kept.
+        simulator: simulator of the result's order.
+        a: denominator coefficients of the new poles.
     """
     layout = simulator.layout
     theta = np.zeros(layout.parameter_count)
-    theta[layout.denominator], theta[layout.right :] = a, fit.theta[fit.objective.layout.right :]
+    theta[layout.denominator] = a
+    theta[layout.right :] = fit.theta[fit.objective.layout.right :]
     linear = slice(layout.numerators.start, layout.x0.stop)  # z is linear in b and x(0)
     columns = simulator.z_gradient(theta, fit.z)[:, linear]
     theta[linear] = np.linalg.lstsq(columns, fit.z, rcond=1e-10)[0]
-    missed = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
-    theta[layout.right + 2] = 0.5 * math.log(fit.disturbance_rms**2 + missed)
+    error = float(np.mean((columns @ theta[linear] - fit.z) ** 2))
+    theta[layout.right + 2] = 0.5 * math.log(fit.disturbance_rms**2 + error)
     return theta
 
 
 def polish_fit(fit: ZoneFit) -> ZoneFit:
     """Return the fit after up to three Newton steps with the numerical Hessian."""
-    objective, theta, value = fit.objective, fit.theta, fit.value
+    objective = fit.objective
+    theta = fit.theta
+    value = fit.value
     if objective.kind == "behind":
         return fit
     for _ in range(3):
@@ -174,9 +192,10 @@ def polish_fit(fit: ZoneFit) -> ZoneFit:
         reached = objective.total_log_likelihood(trial)
         if not reached > value:
             break
-        gained = reached - value
-        theta, value = trial, reached
-        if gained < 1e-6:
+        gain = reached - value
+        theta = trial
+        value = reached
+        if gain < 1e-6:
             break
     return ZoneFit(objective, theta, value)
 
@@ -190,79 +209,84 @@ def fit_linear(simulator: PlantSimulator, use: Flags | None = None) -> ZoneFit:
     theta[objective.layout.denominator] = stabilise_poles(a)
     theta[objective.layout.numerators] = b
     if simulator.layout.integrators and a.size:
-        theta = _of_slow_poles(objective, theta)
+        theta = _start_with_slow_poles(objective, theta)
     above = simulator.simulate_z(theta) - simulator.data.y
     theta[objective.layout.right] = np.clip(above[objective.readings.ok].mean(), *level)
     theta[objective.layout.right + 2] = math.log(0.5)
     return ZoneFit(objective, *maximise_likelihood(objective, theta, 40))
 
 
-def _of_slow_poles(objective: ZoneObjective, begun: Floats) -> Floats:
-    """Return numbers of a linear plant that leave least, of those begun and of slow poles.
+def _start_with_slow_poles(objective: ZoneObjective, start: Floats) -> Floats:
+    """Return the start of least squares (P), among a given one and some with slow poles.
 
-    Noise hides the slow poles of an integrating plant from differences of its readings. For given
-    poles the rest is linear.
+    Noise hides the slow poles of an integrating plant in differences of its readings. For given
+    poles the other parameters follow by linear least squares.
 
     Args:
-        objective: of a linear plant.
-        begun: numbers by differences.
+        objective: likelihood of a linear plant.
+        start: start from an ARX model of the differences (P).
     """
-    simulator, layout, use = objective.simulator, objective.layout, objective.readings.ok
+    simulator = objective.simulator
+    layout = objective.layout
+    use = objective.readings.ok
     y = simulator.data.y
 
-    def left(theta: Floats) -> float:
-        """Return the sum of squares that a plant leaves about its mean."""
+    def residual_variance(theta: Floats) -> float:
+        """Return the variance of the residuals of a plant."""
         return float(np.var((y - simulator.simulate_z(theta))[use]))
 
-    best: Floats = begun
-    least = left(begun)
+    best: Floats = start
+    least = residual_variance(start)
     linear = slice(layout.numerators.start, layout.x0.stop)
     for share in SLOWEST:
         pole = math.exp(-1 / (share * simulator.longest))
         poles = pole ** (4.0 ** np.arange(layout.denominator.stop))
-        theta = begun.copy()
+        theta = start.copy()
         theta[layout.denominator] = np.real(np.poly(poles))[1:]
         columns = simulator.z_gradient(theta, simulator.simulate_z(theta))[:, linear]
         theta[linear] = np.linalg.lstsq(columns[use], y[use], rcond=1e-10)[0]
-        if simulator.has_settling_poles(theta) and left(theta) < least:
-            best, least = theta, left(theta)
+        if simulator.has_settling_poles(theta) and residual_variance(theta) < least:
+            best = theta
+            least = residual_variance(theta)
     return best
 
 
 def outside_correlation(fit: ZoneFit) -> float:
-    """Return the correlation of e over a sample, from consecutive outside samples; 0.05 if
-    few.
+    """Return the correlation of e over a sample [1], from consecutive samples outside the zone.
+
+    It is 0.05 if there are fewer than 10 of them.
     """
     readings = fit.objective.readings
     e = fit.objective.unexplained_readings(fit.theta)
-    speaks = readings.ok & (readings.side != 0)
-    both = np.flatnonzero(speaks & readings.before)
-    both = both[speaks[both - 1]]
-    if both.size < 10:
+    outside = readings.ok & (readings.side != 0)
+    second = np.flatnonzero(outside & readings.before)
+    second = second[outside[second - 1]]
+    if second.size < 10:
         return 0.05
-    rho = float(np.mean(e[both] * e[both - 1]) / np.mean(e[both] ** 2))
+    rho = float(np.mean(e[second] * e[second - 1]) / np.mean(e[second] ** 2))
     return float(np.clip(rho, -0.9, 0.99)) or 0.05
 
 
 def zone_starts(objective: ZoneObjective) -> list[Floats]:
-    """Return start points: an ARX model per side, and the linear fit with widths of several
-    sizes.
-    """
-    simulator, layout = objective.simulator, objective.layout
+    """Return start points (P each): ARX models of both sides, a linear fit with several widths."""
+    simulator = objective.simulator
+    layout = objective.layout
     use = objective.readings.ok
     linear = fit_linear(simulator, use)
-    sided = start_by_branch(objective)
-    begun = [] if sided is None else [sided]
-    silent = float(np.mean(objective.readings.side[use] == 0))
-    of_silence = float(np.quantile(np.abs(linear.z), silent))
-    for share in (*SHARES, *([of_silence] if simulator.data.silent_zeros else [])):
+    by_branch = start_by_branch(objective)
+    starts = [] if by_branch is None else [by_branch]
+    halves = [*SHARES]
+    if simulator.data.silent_zeros:
+        inside_share = float(np.mean(objective.readings.side[use] == 0))
+        halves.append(float(np.quantile(np.abs(linear.z), inside_share)))
+    for share in halves:
         theta = linear.theta.copy()
         theta[layout.numerators] *= 1 + 0.9 * share
         theta[layout.right : layout.right + 2] = widths_about_level(linear, share)
         theta[layout.right + 2] = math.log(0.4)
         theta[layout.right + 3] = 0.0
-        begun.append(theta)
-    return begun
+        starts.append(theta)
+    return starts
 
 
 def widths_about_level(linear: ZoneFit, half: float) -> Floats:
@@ -271,18 +295,21 @@ def widths_about_level(linear: ZoneFit, half: float) -> Floats:
 
 
 def start_by_branch(objective: ZoneObjective) -> Floats | None:
-    """Return an ARX start on runs of a single side, with a constant per side for the width."""
+    """Return a start point (P) from an ARX model on runs outside the zone; None if they are few.
+
+    The model has a constant for each side. Behind A(q), their difference is the width.
+    """
     layout = objective.layout
     if layout.integrators:
-        return None  # differences hold no levels
+        return None  # differences of the readings contain no constants
     a, b, levels = fit_arx(objective.simulator, objective.readings.side, objective.readings.ok)
     if levels is None:
         return None
-    total = 1 + a.sum()
-    if abs(total) < 1e-9:
+    gain = 1 + a.sum()
+    if abs(gain) < 1e-9:
         return None
-    width = np.clip((levels[1] - levels[0]) / total, 0.02, 6.0)
-    shift = (levels[1] + levels[0]) / total / 2
+    width = np.clip((levels[1] - levels[0]) / gain, 0.02, 6.0)
+    shift = (levels[1] + levels[0]) / gain / 2
     theta = np.zeros(layout.parameter_count)
     theta[layout.denominator] = stabilise_poles(a)
     theta[layout.numerators] = b
@@ -298,63 +325,67 @@ def fit_arx(
     """Fit y_t on past y and u by least squares; for integrators, differences of y.
 
     Args:
-        simulator: the order and the lagged inputs.
-        side: sides (N); with them only runs of n + 1 samples of one side count, and each side has
-            a constant of its own.
-        use: samples that count (N).
+        simulator: plant of the order, with the lagged inputs.
+        side: side of each sample (N): only runs of n + 1 samples outside the zone on one side
+            count, and each side has a constant. None: all samples count, with one constant.
+        use: flags of the samples that count (N).
 
     Returns:
-        a (n), b (m n), and the constants of right and left; None where too few runs speak.
+        a (n), b (m n), and the constants of right and left (2); None without sides, or if too few
+        runs are outside the zone.
     """
-    data, layout = simulator.data, simulator.layout
-    n, free = layout.n, layout.denominator.stop
-    good = data.ok if use is None else data.ok & use
+    data = simulator.data
+    layout = simulator.layout
+    n = layout.n
+    free = layout.denominator.stop
+    valid = data.ok if use is None else data.ok & use
     y = data.y
     for _ in range(layout.integrators):
         y = y - np.roll(y, 1)
     past = np.column_stack([np.roll(y, i) for i in range(1, free + 1)] or [np.empty((y.size, 0))])
-    whole = good.copy()
+    usable = valid.copy()
     for i in range(1, n + 1):
-        whole &= np.roll(good, i)
+        usable &= np.roll(valid, i)
         if side is not None:
-            whole &= np.roll(side, i) == side
-    whole &= rows_since_start(data.start, y.size) >= n
+            usable &= np.roll(side, i) == side
+    usable &= rows_since_start(data.start, y.size) >= n
     columns = [-past, simulator.lagged]
     if side is not None:
-        right, left = whole & (side > 0), whole & (side < 0)
-        whole = right | left
-        need = FEW * (n + simulator.lagged.shape[1])
-        if right.sum() < need or left.sum() < need:
+        right = usable & (side > 0)
+        left = usable & (side < 0)
+        usable = right | left
+        fewest = FEW * (n + simulator.lagged.shape[1])
+        if right.sum() < fewest or left.sum() < fewest:
             return np.zeros(free), np.zeros(simulator.lagged.shape[1]), None
         columns += [1.0 * right[:, None], 1.0 * left[:, None]]
     else:
         columns.append(np.ones((y.size, 1)))
-    matrix = np.hstack(columns)[whole]
-    solution = np.linalg.lstsq(matrix, y[whole], rcond=1e-10)[0]
+    matrix = np.hstack(columns)[usable]
+    solution = np.linalg.lstsq(matrix, y[usable], rcond=1e-10)[0]
     levels = solution[-2:] if side is not None else None
     return solution[:free], solution[free : free + simulator.lagged.shape[1]], levels
 
 
 def _centre_zone(objective: ZoneObjective, theta: Floats) -> Floats:
-    """Return the parameters with equal widths and the plant at rest at first."""
+    """Return the parameters (P) with both widths equal to their mean, and x(0) = 0."""
     layout = objective.layout
-    again = theta.copy()
-    again[layout.right : layout.right + 2] = max(
+    centred = theta.copy()
+    centred[layout.right : layout.right + 2] = max(
         theta[layout.right : layout.right + 2].mean(), 1e-3
     )
-    again[layout.x0] = 0.0
-    return again
+    centred[layout.x0] = 0.0
+    return centred
 
 
 # --- Other records of the same plant
 
 
 def refit_along(fit: ZoneFit, data: RecordData) -> ZoneFit:
-    """Fit other records of the same plant, started from a fit.
+    """Fit other records of the same plant, starting at a fit.
 
     Args:
-        fit: of some records.
-        data: the others.
+        fit: fit of some records.
+        data: the other records.
     """
     objective = fit.objective.objective_along(data)
     theta = objective.layout.at_rest(fit.objective.layout, fit.theta)

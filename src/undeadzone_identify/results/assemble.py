@@ -212,7 +212,8 @@ class Answer(NamedTuple):
     def plant_numbers(self) -> tuple[Layout, Floats, Floats, Floats]:
         """Return layout, a, b in units of y and u, and their joint covariance."""
         simulator, theta = self.plant
-        layout, data = simulator.layout, simulator.data
+        layout = simulator.layout
+        data = simulator.data
         told = self.fit.objective.robust_covariance(theta) if self.element is None else self.element
         count = layout.numerators.stop
         scale = np.ones(count)
@@ -224,8 +225,10 @@ class Answer(NamedTuple):
     @property
     def disturbance(self) -> Disturbance:
         """Return the disturbance of z, in units of the log."""
-        step, scale = self.case.grid.step, self.scale
-        element, fit = self.element, self.fit
+        step = self.case.grid.step
+        scale = self.scale
+        element = self.element
+        fit = self.fit
         if element is not None and element.is_at_rest:
             return Disturbance(element.rms * scale, None, None, None, False)
         if element is not None:
@@ -267,9 +270,11 @@ def to_answer(case: Case, found: Findings) -> Answer:
         verdict = build_verdict("undecided", *found.verdict.reasons, doubt)
         found = found._replace(element=None, verdict=verdict, odds={})
     found = found._replace(odds=_odds_of_word(found))
-    data, chosen = case.record_data, _validate_findings(case, found)
+    data = case.record_data
+    chosen = _validate_findings(case, found)
     found = withhold_poor_fit(found, chosen.share)
-    best, orders = next(iter(found.kalman), None), credible_orders(case.fitted.fits)
+    best = next(iter(found.kalman), None)
+    orders = credible_orders(case.fitted.fits)
     widths = find_widths(
         case.chosen, orders, case.fitted.alike, best, case.quantum, case.offset_prior
     )
@@ -327,7 +332,9 @@ OPTIONS = {  # by which a user who knows the class says so
 
 def _find_possible(answer: Answer) -> dict[str, Possible]:
     """Find the measured classes that the odds do not exclude, beside the one that is named."""
-    case, found, possible = answer.case, answer.found, {}
+    case = answer.case
+    found = answer.found
+    possible = {}
     for word, share in found.odds.items():
         fit = fit_of(case, found, word)
         if share < UNLIKELY or word == answer.verdict or word not in MEASURED or fit is None:
@@ -345,7 +352,8 @@ def _odds_of_word(found: Findings) -> dict[str, float]:
     Larger models count for the word where their element is no matter for it, and so do zones below
     the rounding of the readings.
     """
-    word, odds = found.verdict.word, found.odds
+    word = found.verdict.word
+    odds = found.odds
     if isinstance(found.element and found.element.fit, ServoGap) or not odds:
         return odds
     if word == "undecided":
@@ -385,7 +393,8 @@ def withhold_poor_fit(found: Findings, share: float) -> Findings:
 
 def _validate_findings(case: Case, found: Findings) -> OrderFit:
     """Return the chosen order with the held-out check of the final findings."""
-    chosen, held_out = case.chosen, case.options.held_out
+    chosen = case.chosen
+    held_out = case.options.held_out
     if found.valve is not None:
         return chosen._replace(**found.valve.held_out._asdict())
     if found.element is not None:
@@ -444,7 +453,8 @@ def _has_white_innovations(kalman: KalmanFit, held_out: float) -> bool:
 
 def _delay_remarks(answer: Answer) -> list[str]:
     """Return the remark on an input delay, empty without a delay."""
-    delay, grid = answer.found.delay, answer.case.grid
+    delay = answer.found.delay
+    grid = answer.case.grid
     if not delay:
         return []
     time = "" if grid.counted else f" ({delay * grid.step:.4g} s)"
@@ -453,7 +463,8 @@ def _delay_remarks(answer: Answer) -> list[str]:
 
 def _add_feedback(answer: Answer) -> Answer:
     """Return the answer with the evidence of feedback and its consequences."""
-    servo, loop = answer.servo, detect_feedback(answer.case)
+    servo = answer.servo
+    loop = detect_feedback(answer.case)
     holds = "Widths of a sensor's zone and of the input's hold in a loop; those of a play may be"
     holds += " off by more than their intervals where a disturbance is strong"
     if servo is not None:
@@ -545,10 +556,12 @@ def _jump_widths(case: Case) -> Shown:
     """
     if case.jump_edges is None:
         return {}
-    scale, sides = case.record_data.y_scale, []
+    scale = case.record_data.y_scale
+    sides = []
     for edge in case.jump_edges:
         wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
-        low, high = edge.low * scale - wider, edge.high * scale + wider
+        low = edge.low * scale - wider
+        high = edge.high * scale + wider
         sides.append(Interval(edge.value * scale, low, high))
     right, left = sides
     if absent_edges(case):
@@ -576,7 +589,8 @@ def absent_edges(case: Case) -> list[str]:
 
 def _log_unit_widths(answer: Answer, wider: float) -> Shown:
     """Return the widths in the units of the log; an unreached edge has only a lower bound."""
-    case, scale = answer.case, answer.scale
+    case = answer.case
+    scale = answer.scale
     shown: Shown = {}
     for name in DIRECTIONS:
         shown[name] = getattr(answer.widths, name).scale_by(scale).stretch_by(wider)
@@ -621,7 +635,8 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     assert isinstance(edge, Interval)
     low, high = answer.case.options.parse_bounds(side)
     told = _interval_of_prior(answer, side, edge)
-    low, high = max(told.low, low, 0.0), min(told.high, high)
+    low = max(told.low, low, 0.0)
+    high = min(told.high, high)
     if not math.isfinite(high):
         raise InputError(
             f"scenario: the log gives no upper bound of d_{side}. Bound it by --{side} LOW,HIGH"
@@ -650,7 +665,8 @@ def _interval_growth(degrees: float) -> float:
 
 def _interval_of_prior(answer: Answer, side: str, edge: Interval) -> Interval:
     """Return the 99.9 % interval of a width [y]."""
-    jumps, element = answer.case.jump_edges, answer.element
+    jumps = answer.case.jump_edges
+    element = answer.element
     if jumps is not None:
         jump = jumps[0] if side == "right" else jumps[1]
         below = edge.value - edge.low + (jump.low - jump.lowest) * answer.scale

@@ -94,7 +94,8 @@ def jump_of_reading(case: Case, valve: ValveFindings) -> Interval | None:
     plant = valve.plant
     if plant is None or plant.model.simulator.is_at_limit(plant.theta):
         return None
-    simulator, theta = plant.model.simulator, plant.theta
+    simulator = plant.model.simulator
+    theta = plant.theta
     if simulator.layout.integrators:
         return None
     gain = float(simulator.dc_gain(theta)[0])

@@ -48,7 +48,10 @@ class IdentifiedMotion:
 
     @property
     def width(self) -> Interval | None:
-        """Return the same in units of the output; None if nothing is lost."""
+        """Return the lost motion with its 95 % interval, in units of the output [y].
+
+        It is None if the verdict is not play.
+        """
         lost = self.answer.gap.scale_by(abs(self.answer.found.gain))
         return lost if self.verdict == "play" else None
 
@@ -68,7 +71,9 @@ class IdentifiedMotion:
 
     def numbers(self) -> dict[str, Any]:
         """Return all numbers of the answer, as `--json` prints."""
-        one, found, width = self.answer, self.answer.found, self.width
+        one = self.answer
+        found = self.answer.found
+        width = self.width
         half = HALF_95 * one.gain_error
         parts = one.parts
         return dict(
@@ -121,8 +126,10 @@ class IdentifiedMotion:
 
     def summary(self) -> dict[str, Any]:
         """Return the answer in words, as the command prints."""
-        one, found = self.answer, self.answer.found
-        of_input, of_output = unit_suffix(one.log.input_unit), unit_suffix(one.log.output_units[0])
+        one = self.answer
+        found = self.answer.found
+        of_input = unit_suffix(one.log.input_unit)
+        of_output = unit_suffix(one.log.output_units[0])
         names = f"{one.log.inputs[0]}{_bracketed(one.log.input_unit)}, {one.log.outputs[0]}"
         steps = np.diff(one.data.t)
         lines: dict[str, Any] = {

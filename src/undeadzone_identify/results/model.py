@@ -69,7 +69,8 @@ def simulate_answer(answer: Answer, u: Any) -> Simulated:
         inputs = sensor.deadzone(inputs, right, left)
     if answer.verdict == "input_play":
         inputs = follow_play(inputs[:, 0], right, left)[:, None]
-    z, late = np.zeros(len(inputs)), answer.found.delay
+    z = np.zeros(len(inputs))
+    late = answer.found.delay
     rest = np.vstack([np.zeros((late, layout.m)), inputs])[: len(inputs)]
     for column, numerator in zip(rest.T, b.reshape(layout.m, layout.n), strict=True):
         z += lfilter(np.append(0.0, numerator), layout.full_denominator(a), column)
@@ -88,7 +89,8 @@ def follow_play(z: Floats, right: float, left: float) -> Floats:
         z: its input (N).
         right, left: half gaps c_r, c_l.
     """
-    level, levels = 0.0, np.empty_like(z)
+    level = 0.0
+    levels = np.empty_like(z)
     for k, at in enumerate(z):
         level = min(max(level, at - right), at + left)
         levels[k] = level
@@ -104,7 +106,9 @@ def _require_widths(answer: Answer) -> tuple[float, float]:
             f"simulate: the verdict is {answer.verdict}, and no model of it is simulated. "
             "`--kind` and `--place` of identify ask for another one"
         )
-    right, left, width = answer.right, answer.left, answer.width
+    right = answer.right
+    left = answer.left
+    width = answer.width
     if right is None and left is None and width is not None:
         return width.value / 2, width.value / 2
     if right is None or left is None or not np.isfinite([right.value, left.value]).all():

@@ -34,7 +34,9 @@ from undeadzone_identify.selection.alternatives import Element
 from undeadzone_identify.selection.servo import build_servo_element
 
 SECONDS = 30.0  # that the next log lasts
-FEWEST, MOST = 300, 20_000  # samples of it
+# samples of it
+FEWEST = 300
+MOST = 20_000
 PERIODS = (1.0, 4.0, 16.0)  # of candidates, in the slowest time constant of the plant
 SIZES = (1.0, 0.5, 0.25)  # of the amplitude of the log's input
 FURTHER = 1.2  # than z moved in the log, that it may move
@@ -90,14 +92,16 @@ class ModelAccount(NamedTuple):
     def account_along(self, data: RecordData) -> ModelAccount:
         """Return the same model at rest, at the start of another record."""
         model = self.model.along(data)
-        layout, own = model.simulator.layout, self.model.simulator.layout
+        layout = model.simulator.layout
+        own = self.model.simulator.layout
         return ModelAccount(model, layout.at_rest(own, self.theta))
 
     def information_rows(self, begins_at_rest: bool) -> tuple[Floats, Floats]:
         """Return the readings (N) and their derivatives without those by the start (N x
         K).
         """
-        model, x0 = self.model, self.model.simulator.layout.x0
+        model = self.model
+        x0 = self.model.simulator.layout.x0
         ok = model.simulator.data.ok
         y, slopes = (part[ok] for part in model.slopes(self.theta))
         of_start = (model.free >= x0.start) & (model.free < x0.stop)
@@ -112,8 +116,10 @@ class ModelAccount(NamedTuple):
         """Return the row of right, left, width or centre, parameters of the start left
         out.
         """
-        model, x0 = self.model, self.model.simulator.layout.x0
-        first, size = model.base, self.theta.size
+        model = self.model
+        x0 = self.model.simulator.layout.x0
+        first = model.base
+        size = self.theta.size
         if isinstance(model, MapModel) and model.shape is identity_map:
             first = model.simulator.layout.input_widths.start
         tied = isinstance(model, PlayModel) and model.tied
@@ -159,7 +165,8 @@ def _require_gain(best: NextLog | None, what: str) -> NextLog:
 
 def _least_known_width(answer: Answer) -> tuple[str, ModelAccount] | None:
     """Return the least known width and its model; None without a width."""
-    servo, element = answer.case.servo, answer.element
+    servo = answer.case.servo
+    element = answer.element
     if element is None and servo is not None and servo.has_few_reversals:
         element = build_servo_element(answer.case, servo)
     if element is not None:
@@ -190,7 +197,8 @@ def _element_account(element: Element) -> ModelAccount:
     if isinstance(element.fit, FittedModel):
         return ModelAccount(element.fit.model, element.fit.theta)
     model = PlayModel(element.simulator)
-    gap, scale = element.widths["width"], model.data.y_scale
+    gap = element.widths["width"]
+    scale = model.data.y_scale
     assert gap is not None
     half = gap.value / 2 / scale
     return ModelAccount(model, np.append(element.theta[: model.base], [half, half, 0.0, 0.0]))
@@ -210,7 +218,8 @@ def _likeliest_pair(answer: Answer) -> tuple[str, str]:
 
 def _accounts_by_word(answer: Answer) -> dict[str, ModelAccount]:
     """Return models of the log by their classes."""
-    fit, found = answer.fit, answer.found
+    fit = answer.fit
+    found = answer.found
     plain = fit_linear(fit.objective.simulator, fit.objective.readings.ok)
     model = MapModel(fit.objective.simulator, "none", identity_map)
     accounts = {
@@ -226,10 +235,12 @@ def _accounts_by_word(answer: Answer) -> dict[str, ModelAccount]:
 
 def _score_by_interval(answer: Answer, name: str, account: ModelAccount) -> Iterator[NextLog]:
     """Yield the candidates with the share of an interval that each leaves."""
-    row, (_, rows) = account.interval_weights(name), account.information_rows(begins_at_rest=False)
+    row = account.interval_weights(name)
+    (_, rows) = account.information_rows(begins_at_rest=False)
     told = rows.T @ rows
     scale = 1 / np.sqrt(np.diag(told) + 1e-300)
-    told, row = told * np.outer(scale, scale) + 1e-12 * np.eye(scale.size), row * scale
+    told = told * np.outer(scale, scale) + 1e-12 * np.eye(scale.size)
+    row = row * scale
     before = float(row @ np.linalg.solve(told, row))
     for kind, data in _candidate_records(answer, account):
         new = account.account_along(data).information_rows(begins_at_rest=True)[1] * scale
@@ -240,7 +251,8 @@ def _score_by_interval(answer: Answer, name: str, account: ModelAccount) -> Iter
 def _score_by_separation(answer: Answer, first: str, second: str) -> Iterator[NextLog]:
     """Yield the candidates with the nats by which each separates two classes."""
     known = _accounts_by_word(answer)
-    one, other = known[first], known[second]
+    one = known[first]
+    other = known[second]
     _, rows = other.information_rows(begins_at_rest=False)
     told = rows.T @ rows + 1e-9 * np.eye(rows.shape[1])
     noise = max(answer.chosen.error, answer.case.quantum / math.sqrt(12), 1e-6)
@@ -269,7 +281,8 @@ def _to_next_log(
 
 def _candidate_records(answer: Answer, account: ModelAccount) -> Iterator[tuple[str, RecordData]]:
     """Yield inputs within the log's limits that move z no further (name, record)."""
-    own, step = account.model.simulator.data, answer.case.grid.step
+    own = account.model.simulator.data
+    step = answer.case.grid.step
     size = int(np.clip(round(SECONDS / step), FEWEST, MOST))
     reach = FURTHER * float(np.ptp(answer.z))
     blank = np.zeros(size)
@@ -302,7 +315,8 @@ def _slowest_constant(answer: Answer) -> float:
 
 def _unit_patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
     """Yield signals between -1 and 1 (name, N)."""
-    k, draw = np.arange(size), np.random.default_rng(0)
+    k = np.arange(size)
+    draw = np.random.default_rng(0)
     periods = {float(np.clip(share * slowest, 20, size / 6)) for share in PERIODS}
     for period in sorted(periods):
         halves = draw.uniform(0.3, 1.0, math.ceil(size / period))
@@ -314,12 +328,17 @@ def _unit_patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
 
 def _limit_pattern(own: Floats, pattern: Floats, integrates: bool) -> Floats:
     """Limit a pattern to the amplitude and the rate of an input (N)."""
-    low, high = float(own.min()), float(own.max())
-    middle, reach = (low + high) / 2, (high - low) / 2
+    low = float(own.min())
+    high = float(own.max())
+    middle = (low + high) / 2
+    reach = (high - low) / 2
     if integrates or low * high < 0:  # about 0, which keeps z from running away
-        middle, reach = 0.0, min(-low, high)
-    wanted, most = middle + max(reach, 0.0) * pattern, float(np.abs(np.diff(own)).max())
-    u, now = np.empty(wanted.size), middle
+        middle = 0.0
+        reach = min(-low, high)
+    wanted = middle + max(reach, 0.0) * pattern
+    most = float(np.abs(np.diff(own)).max())
+    u = np.empty(wanted.size)
+    now = middle
     for place, value in enumerate(wanted.tolist()):
         now += min(max(value - now, -most), most)
         u[place] = now

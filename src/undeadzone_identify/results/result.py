@@ -172,18 +172,23 @@ class Identified:
             The smoothed states where a disturbance was found ahead of the zone, else those of the
             simulation.
         """
-        answer, scale = self.answer, self.answer.scale
-        t, kalman = answer.case.grid.t, answer.found.kalman
+        answer = self.answer
+        scale = self.answer.scale
+        t = answer.case.grid.t
+        kalman = answer.found.kalman
         if answer.element is None and kalman and kalman[0].model != 0:
             smoothed, std = smooth_with_deviation(kalman[0])
             return States(t, smoothed.z * scale, std * scale, smoothed.x[:, : self.order] * scale)
         simulator, theta = answer.plant
         slope = simulator.z_gradient(theta, answer.z)
         if answer.element is None:
-            objective, unseen = answer.fit.objective, 0.0
-            slope, V = slope[:, objective.free], objective.robust_covariance(theta).V
+            objective = answer.fit.objective
+            unseen = 0.0
+            slope = slope[:, objective.free]
+            V = objective.robust_covariance(theta).V
         else:
-            slope, V = slope[:, : len(answer.element.V)], answer.element.V
+            slope = slope[:, : len(answer.element.V)]
+            V = answer.element.V
             unseen = answer.element.disturbance_rms
         variance = np.maximum(np.einsum("tp,pq,tq->t", slope, V, slope), 0.0)
         x = _simulate_states(simulator, theta)
@@ -333,7 +338,8 @@ class Identified:
 
 def _simulate_states(simulator: PlantSimulator, theta: Floats) -> Floats:
     """Simulate the states in observer form (N x n), scaled."""
-    layout, data = simulator.layout, simulator.data
+    layout = simulator.layout
+    data = simulator.data
     F, B, _ = observer_matrices(theta[layout.denominator], theta[layout.numerators], layout)
     drive = data.u @ B.T
     x0 = theta[layout.x0].reshape(layout.records, layout.n)

@@ -102,7 +102,8 @@ def continuous_with_spread(
     """
     plant = to_continuous_plant(a, b, layout, step)
     values, vectors = np.linalg.eigh(0.5 * (V + V.T))
-    variance_A, variance_B = np.zeros_like(plant.A), np.zeros_like(plant.B)
+    variance_A = np.zeros_like(plant.A)
+    variance_B = np.zeros_like(plant.B)
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 0:
             continue

@@ -35,7 +35,9 @@ from undeadzone_identify.servo.gap import ServoGap
 SIDES = ("right", "left")
 REPEATED = 0.02  # of the noise: of coarser steps one reading in 200 repeats the one before
 FINEST = 1e-6  # rms of y: noise that is told is no smaller, where there is any
-LEAST, MOST = 1e-3, 0.5  # tolerance of an entry
+# tolerance of an entry
+LEAST = 1e-3
+MOST = 0.5
 
 
 def scenario_text(answers: Sequence[Answer], title: str) -> str:
@@ -56,7 +58,8 @@ def scenario_text(answers: Sequence[Answer], title: str) -> str:
     plants, spreads_A, spreads_B = zip(
         *[_plant_with_spread(answer) for answer in answers], strict=True
     )
-    first, plant = answers[0], _join_plants(plants)
+    first = answers[0]
+    plant = _join_plants(plants)
     step = first.case.grid.step
     driven = plant.B.shape[1] >= len(answers)
     words: dict[str, Any] = {
@@ -94,7 +97,8 @@ def _zone_fields(answers: Sequence[Answer]) -> dict[str, str]:
     Raises:
         InputError: a width that no scenario has.
     """
-    first, none = answers[0], ("", "")
+    first = answers[0]
+    none = ("", "")
     if first.verdict == "input_play":
         empty = dict.fromkeys(("sensor", "told_sensor", "told_actuator"), "")
         return empty | {"actuator": _gap_of_actuator(first)}
@@ -172,7 +176,8 @@ def _range_lines(ranges: Sequence[Sequence[tuple[float, float]]], where: str = "
 
 def _gap_fields(answer: Answer) -> dict[str, str]:
     """Return the gap of a play ahead of the dead zone; empty without a play. Raise InputError."""
-    element, gap = answer.element, answer.width
+    element = answer.element
+    gap = answer.width
     if answer.verdict != "both":
         return {"gap": ""}
     if element is None or gap is None:
@@ -235,10 +240,12 @@ def _toml_list(texts: Sequence[str]) -> str:
 
 def _require_edges(answer: Answer) -> tuple[Interval, Interval]:
     """Return both widths. Raise InputError if a width is unknown."""
-    right, left = answer.right, answer.left
+    right = answer.right
+    left = answer.left
     if answer.element is not None and answer.element.edges is not None:
         right, left = answer.element.edges
-    absent, far = absent_edges(answer.case), Interval(*[FAR_EDGE * answer.scale] * 3)
+    absent = absent_edges(answer.case)
+    far = Interval(*[FAR_EDGE * answer.scale] * 3)
     if right is None and "right" in absent:
         right = far
     if left is None and "left" in absent:
@@ -270,28 +277,37 @@ def _require_nonnegative(
 
 
 def _noise_fields(answers: Sequence[Answer]) -> dict[str, str]:
-    """Return sensor noise beside rounding, threshold, quantum; empty without noise."""
-    cases = [one.case for one in answers]
+    """Return the texts of sensor noise ahead of and behind the zone, quantum and threshold.
+
+    A text is empty if all its numbers are 0. A quantum counts only if it is large enough beside the
+    noise that readings repeat. Its variance, q^2 / 12, is then subtracted from that of the noise.
+
+    Args:
+        answers: the answer of each output (p).
+    """
+    cases = [answer.case for answer in answers]
     rms = np.array([_noise_rms_pair(answer) for answer in answers]).T
-    quanta = np.array([rounding_step(one.grid.y[one.grid.ok]) for one in cases])
+    quanta = np.array([rounding_step(case.grid.y[case.grid.ok]) for case in cases])
     quanta = np.where(quanta > REPEATED * rms.max(axis=0), quanta, 0.0)
-    silent = [max(0.5 * one.grid.quantum, one.options.threshold or 0.0) for one in cases]
-    rounding = quanta * [one.verdict not in MEMORY for one in answers]  # a play's noise has none
+    thresholds = [max(0.5 * case.grid.quantum, case.options.threshold or 0.0) for case in cases]
+    # The noise of a play was estimated without the rounding already.
+    rounding = quanta * [answer.verdict not in MEMORY for answer in answers]
     ahead, behind = np.sqrt(np.maximum(rms**2 - rounding**2 / 12, 0.0))
     noise = {"ahead": ahead, "behind": behind, "quantum": quanta}
-    shown = {name: bool(values.any()) * _toml_numbers(values) for name, values in noise.items()}
-    return shown | {"threshold": bool(rms[0].any()) * _toml_numbers(silent)}
+    texts = {name: bool(values.any()) * _toml_numbers(values) for name, values in noise.items()}
+    return texts | {"threshold": bool(rms[0].any()) * _toml_numbers(thresholds)}
 
 
 def _range_field(answers: Sequence[Answer]) -> str:
-    """Return the range ends of all outputs' readings; empty if no reading sticks."""
+    """Return the text of the measuring ranges of all outputs; empty if no reading saturates."""
     ends = [one.case.fitted.prepared.ends for one in answers]
     return any(ends) * _toml_list([one or "[-inf, inf]" for one in ends])
 
 
 def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
-    """Return the rms of white noise ahead of the sensor's zone and behind; other elements:
-    behind.
+    """Return the rms of white noise ahead of the sensor's zone, and behind it.
+
+    One of them is 0. The noise of other elements is behind.
     """
     disturbance = answer.disturbance
     white = disturbance.rms if disturbance.white is None else disturbance.white
@@ -302,8 +318,9 @@ def _noise_rms_pair(answer: Answer) -> tuple[float, float]:
 
 
 def _reference_frequency(answer: Answer, A: Floats) -> float:
-    """Return a frequency that plant and samples follow [Hz]; integrators alone: that of the
-    log.
+    """Return a frequency of a reference that plant and sample time can follow [Hz].
+
+    It is half of the slowest pole's. For integrators alone it is that of the output in the log.
     """
     rates = np.abs(np.linalg.eigvals(A))
     moving = rates[rates > 1e-6 * rates.max()]
@@ -373,7 +390,8 @@ def _element_disturbance_prior(
         return None
     unseen = UNSEEN * element.noise
     if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
-        layout, theta = element.simulator.layout, element.theta
+        layout = element.simulator.layout
+        theta = element.theta
         gain = input_noise_gain(
             theta[layout.denominator], theta[layout.numerators][: layout.n], layout.n, 0.0
         )

@@ -39,8 +39,10 @@ def servo_numbers(answer: Answer) -> dict[str, Any] | None:
     servo = answer.servo
     if servo is None or answer.verdict in WITHOUT_GAP:
         return None
-    log, one = servo.log, servo.servo
-    theta, parts = one.theta, one.structure.parts
+    log = servo.log
+    one = servo.servo
+    theta = one.theta
+    parts = one.structure.parts
     rate = log.step / log.seconds
     gain = float(theta[At.GAIN]) * log.y_scale / log.u_scale
     return {
@@ -66,12 +68,15 @@ def servo_joints(answer: Answer) -> list[Joint]:
     Args:
         answer: of a log whose input is a torque [N m] and whose output is an angle [rad].
     """
-    servo, numbers = answer.servo, servo_numbers(answer)
+    servo = answer.servo
+    numbers = servo_numbers(answer)
     if servo is None or numbers is None or not numbers["inertia"] or answer.verdict != "play":
         return []
-    gap, inertia = servo.gap, 1 / abs(numbers["gain"])
+    gap = servo.gap
+    inertia = 1 / abs(numbers["gain"])
     words = f"gap {gap.value:.4g} rad [{gap.low:.4g}, {gap.high:.4g}], if y is in rad, u in N m"
-    half, motor = gap.value / 2, (numbers["friction"], numbers["damping"] * inertia)
+    half = gap.value / 2
+    motor = (numbers["friction"], numbers["damping"] * inertia)
     return [Joint("q", words, half, half, inertia, *motor, link=(numbers["load_friction"], 0.0))]
 
 
@@ -93,7 +98,8 @@ def crossing_columns(answer: Answer) -> dict[str, Floats]:
 
 def describe_crossings(answer: Answer, unit: str) -> list[str]:
     """Describe the first crossings, and the median and range of all."""
-    columns, servo = crossing_columns(answer), answer.servo
+    columns = crossing_columns(answer)
+    servo = answer.servo
     if servo is None or not columns or not columns["t"].size:
         return []
     lines = []
@@ -168,7 +174,8 @@ def answer_numbers(answer: Answer) -> dict[str, Any]:
         zone, verdict, right, left, width, centre (each [value, low, high] or None), order,
         alternatives, held_out, and more.
     """
-    grid, chosen = answer.case.grid, answer.chosen
+    grid = answer.case.grid
+    chosen = answer.chosen
     at_input = None if answer.element is None else answer.element.input
     return {
         "zone": answer.zone,
@@ -283,7 +290,8 @@ def headline(answer: Answer) -> str:
     Args:
         answer: to a log.
     """
-    grid, word = answer.case.grid, answer.verdict
+    grid = answer.case.grid
+    word = answer.verdict
     at_input = word in ("input_zone", "friction", *VALVE)
     unit = unit_suffix(grid.input_unit if at_input else grid.output_unit)
     sides = [one for one in (answer.right, answer.left) if one is not None]
@@ -335,7 +343,8 @@ def summarise_answer(answer: Answer) -> dict[str, Any]:
 
 def _describe_ends(answer: Answer, zero: float) -> str:
     """Describe both ends of a zone of an input that counts from elsewhere."""
-    unit, ends = unit_suffix(answer.case.grid.input_unit), []
+    unit = unit_suffix(answer.case.grid.input_unit)
+    ends = []
     for interval, sign in ((answer.left, -1.0), (answer.right, 1.0)):
         if interval is not None:
             low, high = sorted(zero + sign * end for end in interval[1:])
@@ -349,7 +358,8 @@ def _describe_shape(shape: SensorShape, unit: str) -> str:
     rounding = f"edges round over at most {shape.rounding.high:.3g}{unit}"
     if shape.rounding.low > 0:
         rounding = f"edges round over {describe_interval(shape.rounding, unit)}"
-    slope, lag = describe_interval(shape.slope, ""), f"at most {max(shape.lag.high, 0.0):.3g} s"
+    slope = describe_interval(shape.slope, "")
+    lag = f"at most {max(shape.lag.high, 0.0):.3g} s"
     if shape.lag.low > 0:
         lag = describe_interval(shape.lag, " s")
     return f"{rounding}; slope of the left side over the right {slope}; smoothed by a lag of {lag}"
@@ -357,7 +367,8 @@ def _describe_shape(shape: SensorShape, unit: str) -> str:
 
 def describe_possible(answer: Answer) -> list[str]:
     """Describe the widths under each class that is possible, and how a user says that it is so."""
-    grid, lines = answer.case.grid, []
+    grid = answer.case.grid
+    lines = []
     for word, one in answer.possible.items():
         unit = unit_suffix(grid.input_unit if word in OF_INPUT else grid.output_unit)
         sides = {name: one.widths[name] for name in ("right", "left")}
@@ -375,7 +386,8 @@ def describe_possible(answer: Answer) -> list[str]:
 
 def _describe_widths(answer: Answer) -> dict[str, str]:
     """Describe the widths of the sensor's zone or of another element, and the four offsets."""
-    element, grid = answer.element, answer.case.grid
+    element = answer.element
+    grid = answer.case.grid
     letter = "d" if element is None else LETTERS.get(element.kind, "d")
     of_input = answer.verdict in VALVE or (element is not None and element.kind in OF_INPUT)
     unit = unit_suffix(grid.input_unit if of_input else grid.output_unit)
@@ -391,7 +403,8 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
             title = "S"
         lines[title] = describe_interval(interval, unit)
         if element is None and place < 2:
-            visits, samples = answer.excitation.visits[place], answer.excitation.samples[place]
+            visits = answer.excitation.visits[place]
+            samples = answer.excitation.samples[place]
             lines[title] += f"  passed {visits} times, {samples} samples"
         if name == "centre" and not of_input and np.isfinite(interval.high):
             lines[title] += AT_ZERO
@@ -406,7 +419,8 @@ def _describe_widths(answer: Answer) -> dict[str, str]:
 
 def _describe_valve(answer: Answer, valve: ValveFindings) -> dict[str, str]:
     """Describe S and J of a valve, and the shape of PV over OP."""
-    unit, lines = unit_suffix(answer.case.grid.input_unit), {}
+    unit = unit_suffix(answer.case.grid.input_unit)
+    lines = {}
     if answer.verdict == "stiction":
         lines["J"] = describe_interval(valve.jump, unit)
     return lines | {"loop": shape_in_words(valve, answer.case.grid)}

@@ -119,14 +119,18 @@ def find_crossings(log: Observations, one: Servo, free: bool = False) -> GapCros
         one: the servo.
         free: whether z is forgotten at reversals, so that no gap is assumed.
     """
-    ticked, wider = log, 0.0
+    ticked = log
+    wider = 0.0
     if not log.ticks:
-        ticked, wider = to_schmitt_ticks(log), 2 * REACH * reading_noise_rms(log)
+        ticked = to_schmitt_ticks(log)
+        wider = 2 * REACH * reading_noise_rms(log)
     theta = one.replace_number(At.GAP, one.theta[At.GAP] + wider).theta
     seen = ServoLikelihood(ticked, free).run_predictor(theta[None], one.structure.lag)[0]
-    at, ticks = np.flatnonzero(ticked.reversal_ticks), np.flatnonzero(ticked.side)
+    at = np.flatnonzero(ticked.reversal_ticks)
+    ticks = np.flatnonzero(ticked.side)
     before = ticks[np.maximum(np.searchsorted(ticks, at) - 1, 0)]
-    side, scale = ticked.side[at], log.y_scale
+    side = ticked.side[at]
+    scale = log.y_scale
     return GapCrossings(
         at=at,
         time=at * log.seconds,

@@ -74,22 +74,24 @@ def _simulation_kernel() -> lanes.Kernel:
     return lanes.build_kernel(step, exogenous=[own], width=16, fused=True)
 
 
-def simulate_servo_logs(log: Observations, one: Servo, runs: int = RUNS) -> list[Observations]:
-    """Simulate logs of a servo with the log's input.
+def simulate_servo_logs(log: Observations, servo: Servo) -> list[Observations]:
+    """Simulate RUNS logs of a servo with the input of a log.
+
+    The torque of the motor has a white disturbance, and one of first order.
 
     Args:
-        log: as the predictor hears it.
-        one: the servo.
-        runs: how many.
+        log: observations of the predictor.
+        servo: fit of the servo.
     """
-    theta, size = one.theta, log.u.size
+    theta = servo.theta
+    size = log.u.size
     draw = np.random.default_rng(5)
-    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, runs))
-    keep = math.exp(-log.step / SLOW_TIME)
-    white = math.sqrt(1 - keep * keep) * draw.standard_normal((size, runs))
-    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -keep], white, axis=0)
+    torque = math.exp(theta[At.TORQUE]) * draw.standard_normal((size, RUNS))
+    decay = math.exp(-log.step / SLOW_TIME)
+    white = math.sqrt(1 - decay * decay) * draw.standard_normal((size, RUNS))
+    torque += math.exp(theta[At.SLOW]) * lfilter([1.0], [1.0, -decay], white, axis=0)
     rows = build_lane_numbers(
-        theta[None], log.step, log.quantum, log.ticks, False, one.structure.lag
+        theta[None], log.step, log.quantum, log.ticks, False, servo.structure.lag
     )
     signals = np.column_stack([log.kernel_inputs(log.ok)[:, : LATEST + 1], np.zeros((size, 3))])
     signals[log.start, LATEST + 1] = log.y[log.start]
@@ -214,12 +216,12 @@ class ServoGap(NamedTuple):
 
         Friction is a part of it, which changes its sign at each reversal.
         """
-        log, theta = self.log, self.servo.structure.disable_absent_parts(self.servo.theta)
-        rubs, slow = (
-            float(theta[RUBS].sum()),
-            math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET]),
-        )
-        white, rms = math.exp(theta[At.TORQUE]), math.hypot(rubs, slow)
+        log = self.log
+        theta = self.servo.structure.disable_absent_parts(self.servo.theta)
+        rubs = float(theta[RUBS].sum())
+        slow = math.hypot(math.exp(theta[At.SLOW]), theta[At.OFFSET])
+        white = math.exp(theta[At.TORQUE])
+        rms = math.hypot(rubs, slow)
         if rms < SLOW_SHARE * white:
             return white * log.u_scale, 0.5 * log.seconds
         turning = log.busiest_part(LONGEST).u.size * log.seconds / max(self.reversals, 1)
@@ -287,7 +289,8 @@ def identify_servo_gap(log: Observations | None) -> ServoGap | None:
         is_servo=False,
         has_bursts=are_errors_in_bursts(slopes.e * np.exp(-slopes.log_s)),
     )
-    moved, odd = _collect_motion_doubts(found, spread), collect_odd_errors(part, slopes)
+    moved = _collect_motion_doubts(found, spread)
+    odd = collect_odd_errors(part, slopes)
     reasons = (*moved, *_collect_gap_doubts(found, gaps), *odd)
     return found._replace(reasons=reasons, is_servo=not moved and not odd)
 
@@ -299,7 +302,8 @@ def gap_offset_interval(found: ServoGap, level: float) -> Interval | None:
         found: the gap.
         level: the first reading [y].
     """
-    log, one = found.log, found.servo
+    log = found.log
+    one = found.servo
     if found.is_integrating:
         return None
     rest = _rest_position(one)
@@ -390,7 +394,8 @@ def _correct_crossing_bias(
 
 def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
     """Collect the reasons for which the gap itself is not known."""
-    gap, reasons = found.gap, []
+    gap = found.gap
+    reasons = []
     fitted = float(found.servo.theta[At.GAP]) * found.log.y_scale
     if gap.low <= 0:
         reasons.append(
@@ -414,7 +419,9 @@ def _collect_gap_doubts(found: ServoGap, gaps: Floats) -> list[str]:
 
 def _collect_motion_doubts(found: ServoGap, spread: _GapUncertainty) -> list[str]:
     """Collect the reasons for which the motion is hardly a servo's, be there a gap or not."""
-    log, crossings, reasons = found.log, found.crossings, []
+    log = found.log
+    crossings = found.crossings
+    reasons = []
     if found.reversals < REVERSALS:
         reasons.append(
             f"the readings turn {found.reversals} times, and each crossing shows the gap once:"

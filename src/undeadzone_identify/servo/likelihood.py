@@ -47,7 +47,8 @@ def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Flo
     Returns:
         A (L x 4 x 4), B (L x 4 x 2) of u and of a torque, Q (L x 3 x 3).
     """
-    p, g = np.exp(theta[:, At.DAMPING]), theta[:, At.GAIN]
+    p = np.exp(theta[:, At.DAMPING])
+    g = theta[:, At.GAIN]
     pole, k = np.exp(theta[:, [At.POLE, At.SPRING]].T)
     electric = np.isfinite(pole)
     rate = np.where(electric, pole, 0.0)
@@ -57,11 +58,15 @@ def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Flo
         A[:, 0, 0] = -p
     else:
         A[:, 0, 1] = 1.0
-        A[:, 1, 0], A[:, 1, 1] = -k, -p
-    A[:, row, 2], A[:, row, 5] = g, g
-    A[:, row, 3], A[:, row, 4] = np.where(electric, g, 0.0), np.where(electric, 0.0, g)
+        A[:, 1, 0] = -k
+        A[:, 1, 1] = -p
+    A[:, row, 2] = g
+    A[:, row, 5] = g
+    A[:, row, 3] = np.where(electric, g, 0.0)
+    A[:, row, 4] = np.where(electric, 0.0, g)
     A[:, 2, 2] = -1 / SLOW_TIME
-    A[:, 3, 3], A[:, 3, 4] = -rate, rate
+    A[:, 3, 3] = -rate
+    A[:, 3, 4] = rate
     white = g**2 * np.exp(2 * theta[:, At.TORQUE]) * step
     slow = np.exp(2 * theta[:, At.SLOW]) * 2 / SLOW_TIME
     fastest = float(np.max(p + np.sqrt(k) + rate + 1 / SLOW_TIME))
@@ -73,7 +78,8 @@ def discretise_servo(theta: Floats, step: float, lag: bool) -> tuple[Floats, Flo
         term = term @ (A * (h / m))
         E = E + term
     density = np.zeros((len(theta), 3, 3))
-    density[:, row, row], density[:, 2, 2] = white, slow
+    density[:, row, row] = white
+    density[:, 2, 2] = slow
     # Simpson's rule over h
     half = np.eye(3) + A[:, :3, :3] * (h / 2) + A[:, :3, :3] @ A[:, :3, :3] * (h * h / 8)
     whole = half @ half
@@ -107,7 +113,8 @@ def build_lane_numbers(
     A, B, Q = discretise_servo(theta, step, lag)
     rows = np.zeros((len(theta), len(NUMBERS) + LATEST + 1))
     for place, name in enumerate(PLANT):
-        letter, at = name[0], name[1:]
+        letter = name[0]
+        at = name[1:]
         if letter in "bf":  # of u, or of a torque
             rows[:, place] = B[:, "zvdi".index(at[0]), "bf".index(letter)]
         else:
@@ -218,7 +225,8 @@ class ServoLikelihood:
     """
 
     def __init__(self, log: Observations, free: bool = False, among: Flags | None = None) -> None:
-        self.log, self.free = log, free
+        self.log = log
+        self.free = free
         counted = log.error_samples(free) if among is None else log.error_samples(free) & among
         self.used = np.flatnonzero(counted)
         self.signals = log.kernel_inputs(counted)
@@ -249,7 +257,8 @@ class ServoLikelihood:
         moves = [slope_steps(theta)[own] for theta, own in zip(points, free, strict=True)]
         rows = [perturb_each(*one) for one in zip(points, free, moves, strict=True)]
         seen, _ = self._run_kernel(self.kernel("errors"), np.concatenate(rows), lag)
-        found, row = [], 0
+        found = []
+        row = 0
         for steps in moves:
             count = steps.size
             own = seen[row : row + 1 + 2 * count].take(self.used, axis=1)

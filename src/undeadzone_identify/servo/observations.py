@@ -36,7 +36,8 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
         u: inputs (N).
         y: readings (N).
     """
-    du, dy = np.diff(u), np.diff(y)
+    du = np.diff(u)
+    dy = np.diff(y)
     rows = np.arange(LAGS, du.size)
     if rows.size < 10 * LAGS or np.mean(du == 0) > STILL:
         return 1.0
@@ -46,7 +47,9 @@ def tick_loop_p_value(u: Floats, y: Floats) -> float:
     known = np.column_stack([np.ones(rows.size), *past])
     target = du[rows]
     kept = _inlier_rows(known, target)
-    known, now, target = known[kept], now[kept], target[kept]
+    known = known[kept]
+    now = now[kept]
+    target = target[kept]
     before = regression_residual(known, target)
     if np.std(before) < LEAST * np.std(target):
         return 1.0
@@ -193,7 +196,8 @@ def build_observations(
         start: first sample of each record (R).
         step: sample time [s].
     """
-    u_scale, y_scale = float(np.std(u)), float(np.std(y[ok]))
+    u_scale = float(np.std(u))
+    y_scale = float(np.std(y[ok]))
     if not (u_scale > 0 and y_scale > 0):
         return None
     level = float(y[ok][0])
@@ -246,7 +250,8 @@ def reading_noise_rms(log: Observations) -> float:
 def to_schmitt_ticks(log: Observations) -> Observations:
     """Convert noisy readings to ticks of a Schmitt trigger; the gap grows by 2 REACH of noise."""
     reach = REACH * reading_noise_rms(log)
-    level, held = float(log.y[0]), np.empty(log.y.size)
+    level = float(log.y[0])
+    held = np.empty(log.y.size)
     for k, reading in enumerate(log.y.tolist()):
         level = min(max(level, reading - reach), reading + reach)
         held[k] = level

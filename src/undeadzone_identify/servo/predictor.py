@@ -123,7 +123,8 @@ def contact_share(lane: Lane, z: Any, v: Any, level: Any) -> Any:
         z, v: of the motor.
         level: of the load.
     """
-    apart, half = z - level, lane.gap / 2
+    apart = z - level
+    half = lane.gap / 2
     swept = ca.fabs(v) * lane.step
     beyond = ca.sign(v) * apart + swept - half
     moving = ca.sign(v) * ca.fmax(ca.fmin(beyond / ca.fmax(swept, 1e-300), 1.0), 0.0)
@@ -234,7 +235,8 @@ def tick_predictor(what: str = "all") -> lanes.Kernel:
     lane = Lane(numbers)
     side, boundary, turns, first, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
-    acting, level = ca.dot(lane.taps, inputs), state[-1]
+    acting = ca.dot(lane.taps, inputs)
+    level = state[-1]
     contact = contact_share(lane, state[0], state[1], level)
     motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
     P, _ = _propagate_covariance(lane, _from_upper_part(ca.vertsplit(state[MEAN:-1])), motion)
@@ -290,12 +292,14 @@ def noise_predictor(what: str = "all") -> lanes.Kernel:
     reading, there, starts, counts = ca.vertsplit(signals[LATEST + 1 :])
     inputs = signals[: LATEST + 1]
     upper = ca.vertsplit(state[MEAN : MEAN + len(TRIANGLE)])
-    level, of_level = state[MEAN + len(TRIANGLE)], state[MEAN + len(TRIANGLE) + 1 :]
+    level = state[MEAN + len(TRIANGLE)]
+    of_level = state[MEAN + len(TRIANGLE) + 1 :]
     contact = contact_share(lane, state[0], state[1], level)
     acting = ca.dot(lane.taps, inputs)
     motion = step_motor(lane, ca.vertsplit(state[:MEAN]), acting, lane.offset, contact)
     P, F = _propagate_covariance(lane, _from_upper_part(upper), motion)
-    with_level, own = F @ of_level[:3], of_level[3]
+    with_level = F @ of_level[:3]
+    own = of_level[3]
     R = lane.rms**2
     at_start = [reading, 0.0, 0.0, 0.0]
     x = [ca.if_else(starts, begun, one) for begun, one in zip(at_start, motion.x, strict=True)]
@@ -338,11 +342,16 @@ def dead_zone_moments(mean: Any, variance: Any, half: Any) -> tuple[Any, Any, An
         The mean, the slope, and what of the variance the slope does not explain.
     """
     s = ca.sqrt(variance)
-    a, b = (mean - half) / s, (-half - mean) / s
-    (mass_a, hazard_a), (mass_b, hazard_b) = normal_cdf_and_hazard(a), normal_cdf_and_hazard(b)
-    at_a, at_b = mass_a * hazard_a, mass_b * hazard_b
-    above, below = s * (a * mass_a + at_a), s * (b * mass_b + at_b)
+    a = (mean - half) / s
+    b = (-half - mean) / s
+    (mass_a, hazard_a) = normal_cdf_and_hazard(a)
+    (mass_b, hazard_b) = normal_cdf_and_hazard(b)
+    at_a = mass_a * hazard_a
+    at_b = mass_b * hazard_b
+    above = s * (a * mass_a + at_a)
+    below = s * (b * mass_b + at_b)
     squares = variance * ((a * a + 1) * mass_a + a * at_a + (b * b + 1) * mass_b + b * at_b)
-    passed, slope = above - below, mass_a + mass_b
+    passed = above - below
+    slope = mass_a + mass_b
     rest = ca.fmax(squares - passed**2 - slope**2 * variance, 0.0)
     return passed, slope, rest

@@ -40,7 +40,10 @@ SPRINGS = (0.1, 3.0)  # in squared rates of damping
 FRICTIONS = (0.02, 0.15)  # rms of the input
 DELAYS = (0.5, 3.0)  # samples
 TORQUES = (0.3, 0.05)  # rms of the input
-FIRST, THEN, LAST = 4, 6, 12  # steps of climbs
+# steps of climbs
+FIRST = 4
+THEN = 6
+LAST = 12
 KEPT = 4  # climbs of a structure that go on
 ROUNDS = 4  # in which parts are added or taken away
 WINDOWS = 60  # over which motion is compared
@@ -104,10 +107,8 @@ def initial_servos(log: Observations) -> list[Servo]:
     span = log.u.size * log.step
     rates = np.geomspace(max(0.5, 4 / span), min(0.5 / log.step, 150.0), POLES)
     found = []
-    motor, sprung = (
-        ServoStructure(frozenset({"friction"})),
-        ServoStructure(frozenset({"friction", "spring"})),
-    )
+    motor = ServoStructure(frozenset({"friction"}))
+    sprung = ServoStructure(frozenset({"friction", "spring"}))
     for rate, late in itertools.product(rates, DELAYS):
         for friction, share in zip(FRICTIONS, SPRINGS, strict=True):
             found.append(_initial_servo(log, motor, rate, 0.0, friction, late))
@@ -126,10 +127,14 @@ def _initial_servo(
 ) -> Servo:
     """Return a start point with the gain that suits its other parameters."""
     theta = np.zeros(len(At))
-    theta[At.DAMPING], theta[At.GAIN], theta[At.POLE] = math.log(rate), 1.0, math.inf
+    theta[At.DAMPING] = math.log(rate)
+    theta[At.GAIN] = 1.0
+    theta[At.POLE] = math.inf
     theta[At.SPRING] = math.log(spring) if spring else -math.inf
-    theta[At.SLOW], theta[At.GAP] = -math.inf, max(MEMORY * log.quantum, 1e-6)
-    theta[At.TORQUE], theta[At.DELAY] = math.log(TORQUES[0]), late
+    theta[At.SLOW] = -math.inf
+    theta[At.GAP] = max(MEMORY * log.quantum, 1e-6)
+    theta[At.TORQUE] = math.log(TORQUES[0])
+    theta[At.DELAY] = late
     z = _frictionless_output(log, theta, structure.lag)
     wide = max(5, log.u.size // WINDOWS)
     moved = np.column_stack([np.diff(z[::wide]), np.ones(z[::wide].size - 1)])
@@ -142,7 +147,8 @@ def _initial_servo(
 def _frictionless_output(log: Observations, theta: Floats, lag: bool) -> Floats:
     """Return z of a servo without friction (N)."""
     A, B, _ = discretise_servo(theta[None], log.step, lag)
-    F, b = A[0, :2, :2], B[0, :2, 0]
+    F = A[0, :2, :2]
+    b = B[0, :2, 0]
     late = shift_rows(log.u, 1 + round(theta[At.DELAY]), log.start)
     denominator = np.array([1.0, -np.trace(F), np.linalg.det(F)])
     numerator = np.array([b[0], F[0, 1] * b[1] - F[1, 1] * b[0]])

@@ -640,10 +640,10 @@ def test_the_equations_of_an_arm_hold_where_it_starts() -> None:
     """Three equations place the tip in space; the joint to spare keeps its part at 0."""
     body, start = spatial(4), np.array([0.3, 0.4, -0.6, 0.2])
     equations = equations_of(body, body.values, start)
-    place, J = (part.full() for part in equations.place(start))
+    place, J = (part.full() for part in equations.constraint(start))
     tip = body.tip(body.values, start).full().ravel()
     assert place.ravel() == pytest.approx([*tip / equations.reach, 0.0])
     assert equations.goals(tip[None]) == pytest.approx(place.T)
     assert abs(np.linalg.det(J)) > 1e-3
-    angles = nearest(equations.place, place.ravel(), start + 0.05)
+    angles = nearest(equations.constraint, place.ravel(), start + 0.05)
     assert angles == pytest.approx(start, abs=1e-9)

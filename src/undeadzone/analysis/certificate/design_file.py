@@ -138,7 +138,8 @@ class Design(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises:
             ProofError: if the proof does not hold, or the model has another size.
         """
-        n, p = len(self.A), len(self.C)
+        n = len(self.A)
+        p = len(self.C)
         if model.C.shape != (p, n):
             raise ProofError(
                 f"{what}: the design is for {n} states and {p} outputs, "
@@ -228,7 +229,8 @@ def _recompute_design(design: Design, path: str) -> Design:
     if design.Ts is not None and not 0 < design.Ts < np.inf:
         raise InputError(f"{path}: Ts: expected a sample time above 0 s, found {design.Ts:g}")
     design.require_proof(design.model, design.Ts, path)
-    n, p = len(design.A), len(design.C)
+    n = len(design.A)
+    p = len(design.C)
     errors = build_error_dynamics(design.model, design.L, design.gamma, design.Ts)
     margin, frequency = margin_of_dynamics(errors, require_vector("W", design.W, p))
     if not abs(design.margin - margin) <= TOLERANCE * max(1.0, abs(margin)):

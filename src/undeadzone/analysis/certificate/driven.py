@@ -36,7 +36,9 @@ from undeadzone.util.arrays import Floats, require_matrix, require_vector
 
 FLOOR = 1e-6  # smallest multiplier that is minimised to, in its own unit
 CEILING = 1e6  # the largest
-LOWEST, HIGHEST = 1e-12, 1e12  # the units of a multiplier, at least and at most
+# the units of a multiplier, at least and at most
+LOWEST = 1e-12
+HIGHEST = 1e12
 ROUNDS = 6  # of finding these units, at most
 NEAR = 100.0  # factor within which a multiplier suits its unit
 LARGER = 1e4  # factor on the units if nothing is feasible below the ceiling
@@ -194,7 +196,8 @@ class _Search(NamedTuple):
             if found is None:
                 low = middle
             else:
-                solution, high = found, middle
+                solution = found
+                high = middle
         return solution
 
 
@@ -212,7 +215,8 @@ def prove_inequality(
     Returns:
         The solution, checked, or None if there is none.
     """
-    search, unit = _Search(family, cost, confine), np.ones(cost.size)
+    search = _Search(family, cost, confine)
+    unit = np.ones(cost.size)
     for _ in range(ROUNDS):
         rough = search.minimise_cost(unit, passes=1)
         if rough is None:

@@ -99,14 +99,17 @@ def decay_limit(linear: Matrices, Ts: float | None = None, tolerance: float = 1e
     Returns:
         The rate, or inf if there is no limit.
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     errors = build_error_dynamics(linear, np.zeros((n, p)), np.zeros(p), Ts)
     scaling = balance_dynamics(errors)
     scaled = scaling.scale_dynamics(errors)
     size = float(np.linalg.norm(scaled.A[0], 2))
-    low, high = 0.0, size
+    low = 0.0
+    high = size
     while _has_decay_proof(scaled, high):
-        low, high = high, 2 * high
+        low = high
+        high = 2 * high
         if high > 1e4 * size:
             return np.inf
     while high - low > tolerance * high:
@@ -131,7 +134,8 @@ def _project_gain(errors: Dynamics, W: Floats, least: float) -> Floats:
     seen = [
         set[float]() for _ in errors.largest_gain_steps
     ]  # the frequencies of each step's half-spaces
-    normals, levels = np.zeros((0, L.size)), np.zeros(0)
+    normals = np.zeros((0, L.size))
+    levels = np.zeros(0)
     for _ in range(CUTS):
         done = True
         for step, frequencies in zip(errors.largest_gain_steps, seen, strict=True):
@@ -147,7 +151,8 @@ def _project_gain(errors: Dynamics, W: Floats, least: float) -> Floats:
         if done:
             break
         move, active = _least_distance(normals, levels)
-        normals, levels = normals[active], levels[active]
+        normals = normals[active]
+        levels = levels[active]
         L = errors.L + inward @ move.reshape(L.shape)
     return np.asarray(L * root)
 
@@ -178,7 +183,9 @@ def _energy_metric(errors: Dynamics, W: Floats) -> Floats:
     M M' is the observability Gramian. Directions that are hardly observable are given a least
     weight, so that M can be inverted.
     """
-    (A,), C, Ts = errors.A, errors.C * np.sqrt(W)[:, None], errors.Ts
+    (A,) = errors.A
+    C = errors.C * np.sqrt(W)[:, None]
+    Ts = errors.Ts
     motion = A if Ts is None else np.eye(len(A)) + Ts * A
     gramian = storage_of(motion, (Ts or 1.0) * C.T @ C, Ts)
     values, vectors = np.linalg.eigh(gramian)
@@ -229,7 +236,8 @@ def _has_decay_proof(errors: Dynamics, rate: float) -> bool:
         # x holds P, Y, the weights but the last (their sum is p), and how deep they lie inside.
         """Return the matrices that must be positive semidefinite."""
         of_P, of_Y, of_W = np.split(x[:-1], ends)
-        P, Y = symmetric_matrix(of_P, n), of_Y.reshape(n, p)
+        P = symmetric_matrix(of_P, n)
+        Y = of_Y.reshape(n, p)
         W = np.append(of_W, p - of_W.sum())
         M, N = _decay_inequalities(errors, rate, P, Y, W)
         return [

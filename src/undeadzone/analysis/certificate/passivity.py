@@ -209,7 +209,8 @@ def instability_reason(errors: Dynamics) -> str:
             f"the model has a chain of integrators or a repeated undamped mode{where}: "
             "while the sensor is silent the error grows, so no common V exists"
         )
-    what, then = "undamped mode", "the error can be kept bounded"
+    what = "undamped mode"
+    then = "the error can be kept bounded"
     if np.linalg.svd(A, compute_uv=False)[-1] < 1e-9 * size or size == 0:
         what = "integrator"
         then += ", but of the widths only their sum can be known"
@@ -226,7 +227,8 @@ def is_defective(A: Floats, Ts: float | None) -> bool:
         A: the matrix (n x n, delta form if sampled) [1/s].
         Ts: sample time [s] (None in continuous time).
     """
-    poles, size = np.linalg.eigvals(A), max(float(np.linalg.norm(A, 2)), 1e-300)
+    poles = np.linalg.eigvals(A)
+    size = max(float(np.linalg.norm(A, 2)), 1e-300)
     decay = np.abs(poles.real) if Ts is None else np.abs(np.abs(1 + Ts * poles) - 1) / Ts
     for s in poles[decay < 1e-6 * size]:
         multiplicity = (np.abs(poles - s) < 1e-4 * size).sum()

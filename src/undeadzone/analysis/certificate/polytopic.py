@@ -182,7 +182,8 @@ def _failure_reason(certificate: Certificate, points: Floats, n: int) -> str:
 
 def _format_point(point: Floats, n: int) -> str:
     """Format a point [x, u] as text."""
-    x, u = _format_four_digits(point[:n]), _format_four_digits(point[n:])
+    x = _format_four_digits(point[:n])
+    u = _format_four_digits(point[n:])
     return f"x = [{x}], u = [{u}]"
 
 
@@ -251,10 +252,12 @@ def build_inequality_form(
         certificate: with V that is proved at the vertices.
         entries: rows and columns of these entries (K each).
     """
-    errors, P = certificate.dynamics, certificate.P
+    errors = certificate.dynamics
+    P = certificate.P
     mean = np.mean(errors.A, axis=0)
     inequality = errors.inequality(certificate.W)._replace(A=(mean,))
-    (M,), (size,) = inequality.lmi_matrices(P), inequality.term_magnitudes(P)
+    (M,) = inequality.lmi_matrices(P)
+    (size,) = inequality.term_magnitudes(P)
     T = np.linalg.inv(np.linalg.cholesky(-M)).T  # T'(-M) T = I
     slopes = _entry_slopes(P, len(M), errors.Ts, entries)
     slope = T.T @ slopes @ T
@@ -326,22 +329,28 @@ def find_missed_points(
     vertices = np.array(certificate.dynamics.A)[:, *slopes.entries]
     enough = float(of_A.certificate_depth(vertices).min()) / 2
     weight = np.linalg.norm(of_A.slope, axis=(1, 2))
-    low, high = box.low[None], box.high[None]
+    low = box.low[None]
+    high = box.high[None]
     while low.size and parts > 0:
-        later_low, later_high = low[:-AT_ONCE], high[:-AT_ONCE]
-        low, high = low[-AT_ONCE:], high[-AT_ONCE:]
+        later_low = low[:-AT_ONCE]
+        later_high = high[:-AT_ONCE]
+        low = low[-AT_ONCE:]
+        high = high[-AT_ONCE:]
         parts -= len(low)
         centre = (low + high) / 2
         c, loose, turns, doubt = _entry_bounds(bounds, bends, low, centre, high)
         open_ = ~(of_A.depth_within(c, loose + doubt.sum(axis=1), turns) > 0)
-        low, high, centre = low[open_], high[open_], centre[open_]
+        low = low[open_]
+        high = high[open_]
+        centre = centre[open_]
         depth = of_A.certificate_depth(c[open_])
         short = depth < enough
         if short.any():
             return centre[short][np.argsort(depth[short])[:WORST]]
         effect = (np.abs(turns) + doubt)[open_] @ weight
         low, high = halve_boxes(low, centre, high, effect, box)
-        low, high = np.vstack([later_low, low]), np.vstack([later_high, high])
+        low = np.vstack([later_low, low])
+        high = np.vstack([later_high, high])
     return np.full((int(low.size > 0), box.low.size), np.nan)
 
 
@@ -354,8 +363,11 @@ def halve_boxes(
     """
     bounded = np.isfinite(effect).all(axis=1, keepdims=True)
     share = np.where(bounded, effect, (high - low) / (box.high - box.low))
-    k, split = np.arange(len(low)), np.argmax(share, axis=1)
-    below, above = high.copy(), low.copy()  # upper ends of the lower halves, lower of the upper
+    k = np.arange(len(low))
+    split = np.argmax(share, axis=1)
+    # upper ends of the lower halves, lower of the upper
+    below = high.copy()
+    above = low.copy()
     below[k, split] = above[k, split] = centre[k, split]
     return np.vstack([low, above]), np.vstack([below, high])
 
@@ -396,7 +408,8 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
     n = model.n
     p, params = tree.create_symbols(model.params, "p")
     w = ca.SX.sym("w", n + model.m)  # [x, u]
-    moved, z = model.move(params, w[:n], w[n:]), model.output(params, w[:n])
+    moved = model.move(params, w[:n], w[n:])
+    z = model.output(params, w[:n])
     if any(ca.which_depends(z, w, 2, True)):
         raise InputError("region: a certificate needs outputs that are affine in the state")
     A = ca.densify(ca.jacobian(moved, w)[:, :n])

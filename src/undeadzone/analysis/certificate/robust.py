@@ -144,11 +144,13 @@ def closed_loop(
         InputError, ShapeError: for gains of the wrong kind.
     """
     A, B, C = delta_form(model, Ts)
-    n, p = A.shape[0], C.shape[0]
+    n = A.shape[0]
+    p = C.shape[0]
     vertices = []
     for plant in plants:
         A_k, B_k, _ = delta_form(plant, Ts)
-        dA, dB = A_k - A, B_k - B
+        dA = A_k - A
+        dB = B_k - B
         vertices.append(np.block([[A_k - B_k @ K, B_k @ K], [dA - dB @ K, A + dB @ K]]))
     L = require_matrix("L", L, n, p, "states x outputs")
     of_outputs = np.hstack([np.zeros((p, n)), C])

@@ -79,7 +79,9 @@ def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]
     """Return the margin of W and the cuts that bound the margin of all weights."""
     (A,), C, L, _, Ts = errors
     root = np.sqrt(W)
-    found, over, under = [], [], []
+    found = []
+    over = []
+    under = []
     for step in errors.largest_gain_steps:
         D = np.eye(root.size) - step / 2
         G = frequency_response(A, C * root[:, None], L / root, D, Ts)
@@ -96,12 +98,15 @@ def _margin_and_cuts(errors: Dynamics, W: Floats) -> tuple[OutputWeights, _Cuts]
 
 def _next_weights(cuts: _Cuts, best: float) -> Floats | None:
     """Return the group weights that the cuts bound least, or None if `best` is as good."""
-    groups, found, level = cuts.over.shape[1], None, best + ENOUGH * max(1.0, abs(best))
+    groups = cuts.over.shape[1]
+    found = None
+    level = best + ENOUGH * max(1.0, abs(best))
     for _ in range(SEARCHES):
         q = _maximise_least_cut(cuts, level, groups)
         if q is None or not cuts.least_bound(q) > level:
             break
-        found, level = q, cuts.least_bound(q)
+        found = q
+        level = cuts.least_bound(q)
     return found
 
 
@@ -149,10 +154,11 @@ def _weights_for_vertices(errors: Dynamics) -> OutputWeights:
 
 def _deepest_weights(errors: Dynamics, shift: float) -> tuple[Floats, Floats] | None:
     """Return (P, W) of largest t such that M + 2 diag(0, shift W + t I) <= 0, or None."""
-    groups, none = errors.groups, np.zeros((errors.L.shape[0], 0))
+    groups = errors.groups
+    none = np.zeros((errors.L.shape[0], 0))
 
     def weights(q: Floats) -> Floats:
-        """Return the output weights of q (p)."""
+        """Return the output weights (p) for the free weights of groups q[:-1], whose mean is 1."""
         return groups @ np.append(q[:-1], groups.shape[1] - q[:-1].sum())
 
     def family(q: Floats) -> Inequality:
@@ -266,7 +272,8 @@ def least_eigenvalue_over_frequencies(G: Response) -> LeastEigenvalue:
     1990).
     """
     A, C, L, D, _ = G
-    n, p = A.shape[0], D.shape[0]
+    n = A.shape[0]
+    p = D.shape[0]
     poles = np.linalg.eigvals(A)
     around = np.outer(2.0 ** np.arange(-3, 4), np.abs(poles)).ravel()
     best = _least_eigenvalue_at(G, np.concatenate([[0.0, np.inf], around, np.abs(poles.imag)]))
@@ -277,7 +284,8 @@ def least_eigenvalue_over_frequencies(G: Response) -> LeastEigenvalue:
         R = D + D.T - 2 * level * np.eye(p)
         pencil = np.block([[A, zero, L], [zero, -A.T, -C.T], [C, L.T, R]])
         crossings = np.append(np.unique(np.abs(_finite_eigenvalues(pencil, 2 * n).imag)), np.inf)
-        a, b = crossings[:-2], crossings[1:-1]
+        a = crossings[:-2]
+        b = crossings[1:-1]
         lower = _least_eigenvalue_at(G, np.concatenate([crossings, (a + b) / 2, np.sqrt(a * b)]))
         if not lower.value < level:
             return best
@@ -286,8 +294,10 @@ def least_eigenvalue_over_frequencies(G: Response) -> LeastEigenvalue:
 
 def _finite_eigenvalues(pencil: Floats, n: int) -> np.ndarray:
     """Return the finite eigenvalues s of pencil - s diag(I_n, 0)."""
-    A, B = pencil[:n, :n], pencil[:n, n:]
-    C, D = pencil[n:, :n], pencil[n:, n:]
+    A = pencil[:n, :n]
+    B = pencil[:n, n:]
+    C = pencil[n:, :n]
+    D = pencil[n:, n:]
     least = np.linalg.svd(D, compute_uv=False)[-1]
     if np.linalg.norm(B) * np.linalg.norm(C) < 1e4 * np.linalg.norm(A) * least:
         return np.linalg.eigvals(A - B @ np.linalg.solve(D, C))

@@ -119,14 +119,18 @@ def falsify(
     maps = mode_transitions(errors, modes, lambda F: T @ F[np.ix_(seen, seen)] @ inverse)
     size = -(-trajectories // GROUPS)
     states = _start_errors(rng, maps, size)
-    rise, start, mode = -np.inf, states[0, 0], modes[0]
+    rise = -np.inf
+    start = states[0, 0]
+    mode = modes[0]
     log = np.zeros((GROUPS, size))  # of V along each trajectory
     for _ in range(switches):
         taken, following = _switch_modes(rng, maps, states)
         lengths = np.einsum("gij,gij->gi", following, following)
         at = np.unravel_index(np.argmax(lengths), lengths.shape)
         if lengths[at] - 1 > rise:
-            rise, start, mode = float(lengths[at] - 1), states[at], modes[taken[at]]
+            rise = float(lengths[at] - 1)
+            start = states[at]
+            mode = modes[taken[at]]
         log += np.log(np.maximum(lengths, TINY))
         states = following / np.sqrt(np.maximum(lengths, TINY))[..., None]
     worst = np.zeros(seen.size)
@@ -158,7 +162,8 @@ def _switch_modes(
     for g in range(groups // 20):
         tried = states[g] @ maps[offered].transpose(0, 2, 1)
         pick = np.argmax(np.einsum("mij,mij->mi", tried, tried), axis=0)
-        following[g], taken[g] = tried[pick, np.arange(size)], offered[pick]
+        following[g] = tried[pick, np.arange(size)]
+        taken[g] = offered[pick]
     return taken, following
 
 
@@ -179,12 +184,14 @@ def diverge(errors: Dynamics, seed: int = 0, tries: int = 2000) -> Cycle:
     modes = _mode_library(errors, rng, 120)
     maps = mode_transitions(errors, modes)
     times = np.array([mode.seconds for mode in modes])
-    chosen, fastest = np.zeros(0, int), -np.inf
+    chosen = np.zeros(0, int)
+    fastest = -np.inf
     for _ in range(tries):
         cycle = rng.integers(len(modes), size=rng.integers(1, 6))
         rate = _cycle_rate(maps[cycle], times[cycle])
         if not chosen.size or rate > fastest:
-            chosen, fastest = cycle, rate
+            chosen = cycle
+            fastest = rate
 
     def timed(logs: Floats) -> list[SwitchMode]:
         """Return the modes of the cycle with times from their logarithms."""
@@ -251,7 +258,8 @@ def _mode_library(errors: Dynamics, rng: np.random.Generator, count: int) -> lis
 
     The random ones mix vertices and have shares theta below 1.
     """
-    p, vertices = errors.C.shape[0], len(errors.A)
+    p = errors.C.shape[0]
+    vertices = len(errors.A)
     times = _mode_durations(errors, rng, count)
     corners = list(itertools.product((1, 0, -1), repeat=p))
     modes = []

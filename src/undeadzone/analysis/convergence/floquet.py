@@ -106,7 +106,8 @@ def error_decay_rates(
 def _infinite_growth_rates(unknowns: int, schedule: Schedule) -> Rates:
     """Return the rates of an error that grows beyond all numbers in a pass."""
     none = np.zeros((unknowns, 0))
-    T, periodic = schedule.total_duration, schedule.periodic
+    T = schedule.total_duration
+    periodic = schedule.periodic
     return Rates(-np.inf, np.inf, np.array([np.inf]), none, (), T, periodic, np.inf)
 
 
@@ -260,7 +261,9 @@ def integrate_spans(
     h = (schedule.spans / 2.0**halvings)[:, None, None]
     # Taylor series over h: of Phi with terms (F h)^k / k!, of G and GG with derivatives of G_t.
     power = Phi = np.eye(F.shape[-1]) + 0 * F
-    G, GG, term = 0 * H, 0 * H[:twice], H + 0 * F
+    G = 0 * H
+    GG = 0 * H[:twice]
+    term = H + 0 * F
     for k in range(1, TERMS):
         coefficient = h / k
         power = power @ F * coefficient
@@ -311,7 +314,8 @@ def _stationary_covariance(Phi: Floats, spread: Floats) -> Floats:
         covariance = _covariance_after_span(Phi, covariance, k) + spread[..., k, :, :]
     M = _total_transition(Phi)
     for _ in range(PASSES):
-        covariance, M = covariance + M @ covariance @ _transpose_last(M), M @ M
+        covariance = covariance + M @ covariance @ _transpose_last(M)
+        M = M @ M
         if not np.abs(M).max(initial=0.0) > 1e-9:
             break
     return covariance

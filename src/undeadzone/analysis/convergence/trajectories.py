@@ -182,10 +182,12 @@ def worst_settling_time(
             return None
         passes.append(passes[-1] @ passes[-1])
     # The most passes that do not suffice, by their binary digits.
-    count, done = 0, np.eye(len(M))
+    count = 0
+    done = np.eye(len(M))
     for k in range(len(passes) - 2, -1, -1):
         if _largest_error_share(passes[k] @ done, M) > share:
-            count, done = count + 2**k, passes[k] @ done
+            count = count + 2**k
+            done = passes[k] @ done
     return (count + 1) * schedule.total_duration
 
 
@@ -198,7 +200,8 @@ def _largest_error_share(E: Floats, M: Floats) -> float:
 
 def _mean_vertex_mode(errors: Dynamics, sides: Floats, seconds: float) -> SwitchMode:
     """Return a mode at the mean of the vertices with the whole innovation."""
-    vertices, p = len(errors.A), errors.C.shape[0]
+    vertices = len(errors.A)
+    p = errors.C.shape[0]
     S = branch_pattern(tuple(sides.astype(int)))
     return SwitchMode(np.full(vertices, 1 / vertices), S, np.ones(p), seconds)
 

@@ -149,7 +149,8 @@ def unknown_inputs(
     swing = _varying_part(disturbance, constant, duration)
     models = []
     for j in np.flatnonzero(swing.any(axis=0)):
-        column, rms = B[:, [j]], np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
+        column = B[:, [j]]
+        rms = np.sqrt((swing[:, [j]] ** 2).mean(axis=0))
         if not constant[j]:
             models.append(first_order_inputs(column, rms, LASTS * duration))
         tones = _sine_components(disturbance)
@@ -185,7 +186,8 @@ def _varying_part(disturbance: Disturbance | None, constant: np.ndarray, duratio
         constant: whether it has such a constant, of each input (m, bool).
         duration: of the run [s].
     """
-    m, t = constant.size, np.linspace(0.0, duration, POINTS)
+    m = constant.size
+    t = np.linspace(0.0, duration, POINTS)
     if disturbance is None or isinstance(disturbance, Random):
         return np.zeros((POINTS, m))
     values = build_exosystem("disturbance", disturbance, m).output_at(t)
@@ -222,7 +224,8 @@ def _constant_part(disturbance: Disturbance | None, m: int, duration: float) -> 
             signal = build_exosystem("disturbance", disturbance, m)
             end = duration if np.isfinite(duration) else max(float(signal.corners[-1]), 1.0)
             values = signal.output_at(np.linspace(0.0, end, POINTS))
-            mean, size = np.abs(values.mean(axis=0)), np.abs(values).max(axis=0)
+            mean = np.abs(values.mean(axis=0))
+            size = np.abs(values).max(axis=0)
             return np.where(mean > CONSTANT * size, mean, 0.0)
     return 0.0
 

@@ -187,13 +187,15 @@ def strike_response(
     A = np.array([[1.0, Ts, Ts**2 / 2], [0.0, 1.0, Ts], [0.0, 0.0, fade]])
     pushed = (1 - fade**2) * (torque / inertia) ** 2
     Q = np.diag([0.0, told.jerk * Ts, pushed])
-    P, before = np.diag([noise**2, 1.0, (torque / inertia) ** 2]), np.inf
+    P = np.diag([noise**2, 1.0, (torque / inertia) ** 2])
+    before = np.inf
     while abs(P[0, 0] - before) > SETTLED * P[0, 0]:
         before = P[0, 0]
         gain = P[:, 0] / (P[0, 0] + noise**2)
         P = A @ (P - np.outer(gain, P[0])) @ A.T + Q
     gain = P[:, 0] / (P[0, 0] + noise**2)
-    jump, energy = np.array([0.0, 1.0, 0.0]), 0.0
+    jump = np.array([0.0, 1.0, 0.0])
+    energy = 0.0
     for _ in range(round(WINDOW / Ts)):
         jump = A @ jump
         energy += jump[0] ** 2 / (P[0, 0] + noise**2)
@@ -217,14 +219,14 @@ def gap_identifiability(
         step: between two rows [s].
         told: the listener.
     """
-    body, links = gears.arm, gears.link_params(params)
-    tau, inertia = (
-        torques_along_path(body, links, path),
-        np.ravel(gears.gear_number(params, "inertia")),
-    )
+    body = gears.arm
+    links = gears.link_params(params)
+    tau = torques_along_path(body, links, path)
+    inertia = np.ravel(gears.gear_number(params, "inertia"))
     half = np.ravel(gears.gear_number(params, "half"))
     coupling = largest_couplings(body, links, path[:, 0], told.groups)
-    visits, verdicts = flank_visits(tau, step), []
+    visits = flank_visits(tau, step)
+    verdicts = []
     for i, found in enumerate(list_crossings(gears, params, x)):
         planned = 2 * half[i] * told.crossing / np.e
         strikes = _strikes(
@@ -248,7 +250,8 @@ def gap_identifiability(
         else:
             place = torque_free_position(body, links, path[:, 0].mean(axis=0), i)
             why = _gap_reasons(place, "" if body.chain.slides else " rad")
-        known, whys = not why, (why,) if why else ()
+        known = not why
+        whys = (why,) if why else ()
         verdicts.append(WidthIdentifiability(known, known, known, known, whys, crossings=heard))
     return verdicts
 

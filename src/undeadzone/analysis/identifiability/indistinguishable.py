@@ -71,7 +71,8 @@ def indistinguishable_widths(
     Returns:
         Its `right` and `left` [z], and how much `start` (n) and `input` (m) are larger there.
     """
-    change, first = least_known_change(hidden, covariance, i, widths), hidden.n + 2 * i
+    change = least_known_change(hidden, covariance, i, widths)
+    first = hidden.n + 2 * i
     moved = change[first : first + 2]
     if np.abs(moved).max() < NEAR * widths.max():
         return None

@@ -93,13 +93,16 @@ def optimal_deviations(
         schedule: of the sides.
         readings: the readings.
     """
-    states_of_plant, told, colour = linear.A.shape[0], readings.told, readings.colour
+    states_of_plant = linear.A.shape[0]
+    told = readings.told
+    colour = readings.colour
     visited = schedule.branch_visits(states_of_plant)
     prior: Floats = np.zeros(states_of_plant)
     if colour is not None:
         linear, readings = _augment_disturbance(linear, schedule.Ts, colour, readings)
         prior = np.r_[prior, 1 / colour.rms**2]
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     fisher = information_matrix(linear, schedule, readings)
     fisher[np.arange(n), np.arange(n)] += prior
     hidden = unobservable_changes(linear, visited, schedule.Ts, readings.bias)
@@ -127,7 +130,8 @@ def _augment_disturbance(
 ) -> tuple[Matrices, ReadingConditions]:
     """Return the model of `[x; w]` and its readings, with process noise and bias."""
     n, b = colour.B.shape
-    own, white = colour.A, colour.Q
+    own = colour.A
+    white = colour.Q
     if Ts is not None:
         own, white = discretise_noise(colour.A, colour.Q, Ts)
     A = np.block([[linear.A, colour.B], [np.zeros((b, n)), own]])
@@ -152,17 +156,22 @@ def information_matrix(linear: Matrices, schedule: Schedule, readings: ReadingCo
     Without process noise it is exact: the observability Gramian of the switched system divided by
     the noise. Arguments as of `deviations`.
     """
-    bias, process, step = readings.bias, readings.process, readings.step
+    bias = readings.bias
+    process = readings.process
+    step = readings.step
     least = (EXACT if process is None else BLURRED) * edge_scale(schedule.levels)
     variance = np.maximum(readings.noise, least) ** 2
     if readings.arrive is not None:
         variance = variance / readings.arrive
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     B = np.zeros((n, 0)) if bias is None else bias
     size = n + 2 * p + B.shape[1]
     # [x; d; beta]' = F [x; d; beta], with white noise of covariance Q.
-    F, Q = np.zeros((size, size)), np.zeros((size, size))
-    F[:n, :n], F[:n, n + 2 * p :] = linear.A, B
+    F = np.zeros((size, size))
+    Q = np.zeros((size, size))
+    F[:n, :n] = linear.A
+    F[:n, n + 2 * p :] = B
     if process is not None:
         Q[:n, :n] = process
     one_step = F + np.diag(np.r_[np.zeros(n), np.ones(size - n)])  # of a sampled model

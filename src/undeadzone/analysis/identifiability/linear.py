@@ -48,7 +48,8 @@ def describe_unreached_edges(schedule: Schedule, visited: np.ndarray, i: int) ->
         i: the output.
     """
     right, left = schedule.levels[i]
-    high, low = schedule.high[i], schedule.low[i]
+    high = schedule.high[i]
+    low = schedule.low[i]
     reasons = []
     if not visited[i, 0]:
         stays = f"stays below d_r, {high:.4g} against {right:.4g}" if right - high >= 0 else ""
@@ -130,7 +131,9 @@ def describe_vague_widths(
 def remedy_to_reach_edges(schedule: Schedule, i: int) -> Remedy:
     """Return the smallest change of output i that reaches both of its edges, with a margin."""
     right, left = schedule.levels[i] * (1 + MARGIN)
-    low, mean, high = schedule.low[i], schedule.mean[i], schedule.high[i]
+    low = schedule.low[i]
+    mean = schedule.mean[i]
+    high = schedule.high[i]
     mean = 0.0 if abs(mean) <= 1e-9 * (high - low) else mean
     if high - low <= 1e-9 * max(abs(high), abs(low), right, left):
         swing = max(right - mean, mean + left)
@@ -183,7 +186,8 @@ class Unobservable(NamedTuple):
             i: the output.
             name: `right`, `left`, `width` = d_r + d_l or `centre` = (d_r - d_l)/2.
         """
-        first, weights = self.n + 2 * i, np.array(DIRECTIONS[name])
+        first = self.n + 2 * i
+        weights = np.array(DIRECTIONS[name])
         change = weights / heaviest(DIRECTIONS[name]) @ self.basis[first : first + 2]
         return not bool((np.abs(change) > self.present).any())
 
@@ -207,7 +211,8 @@ class Unobservable(NamedTuple):
             i: the output.
             covariance: of the unknowns (n + 2p + b square).
         """
-        own, std = slice(self.n + 2 * i, self.n + 2 * i + 2), {}
+        own = slice(self.n + 2 * i, self.n + 2 * i + 2)
+        std = {}
         pair = covariance[own, own]
         for name, direction in DIRECTIONS.items():
             g = np.array(direction)
@@ -219,8 +224,10 @@ class Unobservable(NamedTuple):
         return self._replace(basis=self.basis @ null_space_basis(self.basis[~part], self.present))
 
     def exclude_known(self, rows: Floats) -> Unobservable:
-        """Return the changes that remain once rows on `[x(0); d]` are known beforehand (k x n +
-        2p).
+        """Return the changes that remain invisible if combinations of `[x(0); d]` are known.
+
+        Args:
+            rows: weights of each known combination (k x n + 2p); a change v remains if rows v = 0.
         """
         part = self.scale[: rows.shape[1], None] * self.basis[: rows.shape[1]]
         size = np.linalg.norm(rows * self.scale[: rows.shape[1]], axis=1, keepdims=True)
@@ -294,17 +301,22 @@ def unobservable_changes(
         drives: in place of `bias`, how beta enters x' (n x b each) in the modes that are visited.
     """
     A, _, C = delta_form(linear, Ts)
-    n, p = A.shape[0], C.shape[0]
+    n = A.shape[0]
+    p = C.shape[0]
     constant = np.zeros((n, 0)) if bias is None else bias
     B = np.stack([constant] if drives is None else drives) / (Ts or 1.0)
     # Units in which states, then rates, outputs and inputs, are of order 1.
     state = 1 / state_response_sizes(A.T, C.T)
-    A, C, B = A / state[:, None] * state, C * state, B / state[:, None]
+    A = A / state[:, None] * state
+    C = C * state
+    B = B / state[:, None]
     rounding = 0.0 if Ts is None else 1e3 * np.finfo(float).eps / Ts
     rate = max(float(np.linalg.norm(A, 2)), 1e6 * rounding, 1e-300)
     output = np.linalg.norm(C, axis=1)
     drive = np.maximum(np.linalg.norm(B, axis=1).max(axis=0), 1e-300)
-    A, C, B = A / rate, C / output[:, None], B / drive
+    A = A / rate
+    C = C / output[:, None]
+    B = B / drive
     tolerance = TOLERANCE + rounding / rate
     U = unobservable_subspace(A, C[visited.any(axis=1)], tolerance)
     beyond = np.eye(n) - U @ U.T
@@ -355,7 +367,8 @@ def _jump_identifiability(schedule: Schedule, visited: np.ndarray, i: int) -> Wi
 
     A width is known if its edge is passed.
     """
-    right, left = bool(visited[i, 0]), bool(visited[i, 1])
+    right = bool(visited[i, 0])
+    left = bool(visited[i, 1])
     both = right and left
     reasons = (
         *describe_unreached_edges(schedule, visited, i),

@@ -71,7 +71,8 @@ def linearise_run(
     inputs = [u[at] for at in places]
     if model.Ts is not None:
         inputs = [np.add.reduceat(u, first) / np.diff(first, append=len(x))[:, None]] * 3
-    of_rates, of_outputs = [], []
+    of_rates = []
+    of_outputs = []
     for at, w in zip(places, inputs, strict=True):
         A, C = _derivatives_along(rates, model, x[at], w, uncertain)
         of_rates.append(np.pad(A, [(0, 0), (0, A.shape[2] - A.shape[1]), (0, 0)]))
@@ -106,10 +107,13 @@ def _build_derivatives(
         params = ca.SX(params)
         for k, name in enumerate(uncertain):
             params[model.names.index(name)] = theta[k]
-    moved, output = move(params, x, u), ca.SX(model.output(params, x))
+    moved = move(params, x, u)
+    output = ca.SX(model.output(params, x))
     by = ca.vertcat(x, theta)
-    A, C = ca.jacobian(moved, by), ca.jacobian(output, by)
-    n, b = model.n, bias.shape[1]
+    A = ca.jacobian(moved, by)
+    C = ca.jacobian(output, by)
+    n = model.n
+    b = bias.shape[1]
     A = ca.horzcat(A[:, :n], ca.jacobian(moved, u) @ bias, A[:, n:])
     C = ca.horzcat(C[:, :n], ca.SX(model.p, b), C[:, n:])
     both = ca.densify(ca.vec(ca.vertcat(A, C)))

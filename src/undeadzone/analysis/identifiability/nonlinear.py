@@ -51,7 +51,8 @@ def prior_rows(
         centre_std: those of each (d_r - d_l)/2 (p), infinite if unknown (None: all unknown).
         least: deviation of a d_r - d_l that is known exactly [z].
     """
-    rows, eye = [], np.eye(n + 2 * p)
+    rows = []
+    eye = np.eye(n + 2 * p)
     if start_std is not None:
         known = np.flatnonzero(np.isfinite(start_std) & (start_std > 0))
         rows += [eye[i] / start_std[i] for i in known]
@@ -102,28 +103,31 @@ def width_identifiability_along(
         bias: directions (m x b) of unknown constant inputs.
         bias_std: their standard deviations, infinite if unknown (b, the default).
         uncertain: names of parameters that are unknown.
-        prior: standard deviation of x(0) (n), infinite if unknown.
-        arrived: whether each reading did (N x p) (all of them if not given).
-        centre: standard deviations of (d_r - d_l)/2 as far as it is known beforehand (p), likewise.
+        prior: prior standard deviation of x(0), infinite if unknown (n).
+        arrived: flags of the readings that are not missing (N x p) (None: all).
+        centre: prior standard deviation of each (d_r - d_l)/2, infinite if unknown (p).
     """
     arrived = np.ones(z.shape, dtype=bool) if arrived is None else arrived
     bias = np.zeros((model.m, 0)) if bias is None else bias
     diverged = np.flatnonzero(~(np.abs(np.hstack([x, u])).max(axis=1) < LIMIT))
-    whole = slice(max(1, int(diverged[0])) if diverged.size else None)
-    x, u, z, arrived = x[whole], u[whole], z[whole], arrived[whole]
+    finite = slice(max(1, int(diverged[0])) if diverged.size else None)
+    x = x[finite]
+    u = u[finite]
+    z = z[finite]
+    arrived = arrived[finite]
     schedule = schedule_of_record(z, sensor, step, model.Ts, arrived)
     if sensor.kind == "jump":
         return linear.width_identifiability(model.linear, schedule, jump=True)
     side = np.where(arrived, noiseless_reading(z, sensor).side, 0.0)
-    told = prior_rows(
+    rows = prior_rows(
         model.n, model.p, prior, centre, float(np.sqrt(reading_variance(sensor).min()))
     )
     if bias_std is not None:
         from scipy.linalg import block_diag
 
-        told = block_diag(told, np.diag(1 / bias_std)[np.isfinite(bias_std)])
+        rows = block_diag(rows, np.diag(1 / bias_std)[np.isfinite(bias_std)])
     known = observability_along(
-        model, x, u, side, step, reading_variance(sensor), bias, uncertain, told
+        model, x, u, side, step, reading_variance(sensor), bias, uncertain, rows
     )
     visited = np.stack([(side > 0).any(axis=0), (side < 0).any(axis=0)], axis=1)
     biases = bias.shape[1]
@@ -131,10 +135,8 @@ def width_identifiability_along(
     constants[:, 2 * model.p : 2 * model.p + biases] = bias
     judged = []
     for i, (right, left) in enumerate(zip(sensor.right, sensor.left, strict=True)):
-        std, most = (
-            known.output_deviations(i),
-            largest_deviations(right, left, float(np.ptp(z[:, i]))),
-        )
+        std = known.output_deviations(i)
+        most = largest_deviations(right, left, float(np.ptp(z[:, i])))
         reasons = (
             *describe_unreached_edges(schedule, visited, i),
             *_confounding_reasons_along(model, known, visited[i], i, biases, uncertain),
@@ -166,25 +168,27 @@ def _confounding_reasons_along(
 ) -> list[str]:
     """Describe why widths of output i stay unknown although their branches are visited."""
     hidden = known.hidden
-    edges = [name for name, seen in zip(("right", "left"), visited, strict=True) if seen]
-    lost = [name for name in edges if not hidden.is_width_known(i, name)]
-    if not lost:
+    edges = [
+        name for name, is_visited in zip(("right", "left"), visited, strict=True) if is_visited
+    ]
+    unknown = [name for name in edges if not hidden.is_width_known(i, name)]
+    if not unknown:
         return []
-    width = len(edges) == 2 and hidden.is_width_known(i, "width")
-    what = "centre" if width else " and ".join(f"{name} edge" for name in lost)
-    whole = "centre" if width or len(edges) == 1 else "width"
-    start = f"the {whole} is not identifiable: "
+    is_width_known = len(edges) == 2 and hidden.is_width_known(i, "width")
+    quantity = "centre" if is_width_known else " and ".join(f"{name} edge" for name in unknown)
+    subject = "centre" if is_width_known or len(edges) == 1 else "width"
+    start = f"the {subject} is not identifiable: "
     number = np.arange(hidden.scale.size)  # of each constant: widths, then biases, then parameters
     of_bias = (number >= 2 * model.p) & (number < 2 * model.p + biases)
     if _is_caused_by(of_bias, hidden, i, edges):
-        return [f"{start}constant input bias, {what} and bias cannot be told apart"]
+        return [f"{start}constant input bias, {quantity} and bias cannot be told apart"]
     if _is_caused_by(number >= 2 * model.p + biases, hidden, i, edges):
         names = ", ".join(uncertain)
-        return [f"{start}with {names} uncertain the {what} cannot be told from them"]
-    rest = f"the {what} cannot be told from a shift of the state"
-    if width:
-        rest = "only the width d_r + d_l can be known"
-    return [start + _describe_state_shift(model, known, i, lost[0], what, rest)]
+        return [f"{start}with {names} uncertain the {quantity} cannot be told from them"]
+    remainder = f"the {quantity} cannot be told from a shift of the state"
+    if is_width_known:
+        remainder = "only the width d_r + d_l can be known"
+    return [start + _describe_state_shift(model, known, i, unknown[0], quantity, remainder)]
 
 
 def _is_caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: list[str]) -> bool:
@@ -197,21 +201,28 @@ def _is_caused_by(part: np.ndarray, hidden: linear.Unobservable, i: int, edges: 
 
 
 def _describe_state_shift(
-    model: System, known: Observability, i: int, lost: str, what: str, rest: str
+    model: System, known: Observability, i: int, edge: str, quantity: str, remainder: str
 ) -> str:
-    """Describe the shift of the state that hides an edge (`lost`) of output i.
+    """Describe the shift of the state that hides an edge of output i.
 
-    what: name of the lost quantity. rest: quantities that are identifiable nevertheless.
+    Args:
+        model: the plant.
+        known: information of the run on the constants.
+        i: the output.
+        edge: edge that is not identifiable, right or left.
+        quantity: name of the quantity that is not identifiable.
+        remainder: phrase on the quantities that are identifiable nevertheless.
     """
     hidden = known.hidden
     own = hidden.restrict_to_part(np.arange(hidden.scale.size) // 2 == i)
-    alone = not own.is_width_known(i, lost)  # whether it can shift while other outputs' widths stay
+    alone = not own.is_width_known(i, edge)  # hidden even if the widths of other outputs are known
     basis = own.basis if alone else hidden.basis
-    row = 2 * i + (lost == "left")
+    # Of all hidden changes of the constants, basis basis[row] is the one that moves this edge most.
+    row = 2 * i + (edge == "left")
     change = known.follow @ (hidden.scale * (basis @ basis[row]))
     change = np.where(np.abs(change) > SHARE * np.abs(change).max(), change, 0.0)
     if not change.any():
-        return f"the {what}, bias and parameters cannot be told apart"
+        return f"the {quantity}, bias and parameters cannot be told apart"
     names = " and ".join(_state_names(model)[j] for j in np.flatnonzero(change))
     if not alone:
         return (
@@ -221,10 +232,10 @@ def _describe_state_shift(
     if symmetric(model, change):
         return (
             f"a change of {names} as a whole alters no motion (no gravity, no spring), "
-            f"{rest}; {CURES}"
+            f"{remainder}; {CURES}"
         )
     return (
-        f"along this run {names} can shift with the edges and no reading changes, {rest}; "
+        f"along this run {names} can shift with the edges and no reading changes, {remainder}; "
         f"another motion may tell, else {CURES}"
     )
 
@@ -242,14 +253,12 @@ class Observability(NamedTuple):
     """Information of a run on the constants c = `[d; beta; theta]` (2p + b + t), x(0) unknown.
 
     Attributes:
-        root: root' root is the information matrix of `[x(0); c]` (N x N).
-        hidden: the changes of c that no reading shows, if x(0) changes by `follow` times that of c.
-        follow: (n x c).
-        singular: shares of the information that c would have with x(0) known, direction by
-            direction, square roots.
-        tolerance: shares up to this count as none.
-        covariance: the least that an unbiased estimator of c has (Cramer-Rao), on the complement of
-            `hidden`.
+        root: R, with R' R the information matrix of `[x(0); c]` (N x N).
+        hidden: changes of c that no reading shows, if x(0) changes by `follow` times that of c.
+        follow: change of x(0) by a unit change of each constant (n x c).
+        singular: singular values of the scaled root of the information on c, x(0) unknown (c) [1].
+        tolerance: singular values up to this count as 0 [1].
+        covariance: Cramer-Rao bound of c, on the complement of `hidden` (c x c).
     """
 
     root: Floats
@@ -275,10 +284,9 @@ def observability_along(
     variance: Floats,
     bias: Floats | None = None,
     uncertain: Sequence[str] = (),
-    told: Floats | None = None,
+    prior: Floats | None = None,
 ) -> Observability:
-    """Return the observability Gramian over the noise along a run, as a root, with its null
-    space.
+    """Return the information of a run on widths, biases and parameters, x(0) being unknown.
 
     Args:
         model: the plant (n states, m inputs, p outputs).
@@ -286,35 +294,39 @@ def observability_along(
         u: inputs (N x m).
         side: +1, 0, -1 of each output (N x p).
         step: time between two samples [s].
-        variance: of the noise of z (p).
+        variance: variance of the noise of each output (p) [y^2].
         bias: directions (m x b) of unknown constant inputs.
         uncertain: names of unknown parameters.
-        told: prior information on `[x(0); d; beta]` (`prior_rows`), perhaps on the first ones
-            alone.
+        prior: rows (k x q) on the first q of `[x(0); d; beta; theta]` whose squares are the prior
+            information, as from `prior_rows` (None: none).
     """
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     bias = np.zeros((model.m, 0)) if bias is None else bias
     run = linearise_run(model, x, u, step, bias, uncertain)
     R = information_root(run, side, variance, n)
-    if told is not None and told.size:
-        R = _add_prior(R, told)
+    if prior is not None and prior.size:
+        R = _add_prior(R, prior)
     scale = _column_units(R, n, p)
     states, constants = np.split(R * scale, [n], axis=1)
     U, s, V = np.linalg.svd(states, full_matrices=False)
-    felt = s > ROUNDING
-    # Part of the constants' effect that changes of x(0) explain. The rest determines them.
-    U, explained = U[:, felt], U[:, felt].T @ constants
+    observable = s > ROUNDING
+    # A change of x(0) can explain part of the effect of the constants. Only the residual of this
+    # regression determines the constants.
+    U, explained = U[:, observable], U[:, observable].T @ constants
     _, singular, W = np.linalg.svd(constants - U @ explained)
     known = singular > run.tolerance
-    spread = scale[n:, None] * W[known].T / singular[known]
-    follow = -scale[:n, None] * (V[felt].T / s[felt]) @ explained / scale[n:]
+    # The Cramer-Rao bound is the inverse of the information; its root has the columns W / singular.
+    bound_root = scale[n:, None] * W[known].T / singular[known]
+    # Least-squares change of x(0) that hides a unit change of each constant.
+    follow = -scale[:n, None] * (V[observable].T / s[observable]) @ explained / scale[n:]
     hidden = linear.Unobservable(W[~known].T, scale[n:], 0, max(linear.PRESENT, 10 * run.tolerance))
-    return Observability(R, hidden, follow, singular, run.tolerance, spread @ spread.T)
+    return Observability(R, hidden, follow, singular, run.tolerance, bound_root @ bound_root.T)
 
 
-def _add_prior(R: Floats, told: Floats) -> Floats:
-    """Return the root with the prior information included."""
-    rows = np.pad(told, [(0, 0), (0, R.shape[1] - told.shape[1])])
+def _add_prior(R: Floats, prior: Floats) -> Floats:
+    """Return the root of the information (N x N) with prior rows (k x q, q <= N) included."""
+    rows = np.pad(prior, [(0, 0), (0, R.shape[1] - prior.shape[1])])
     return np.asarray(np.linalg.qr(np.vstack([R, rows]), mode="r"))
 
 
@@ -424,7 +436,8 @@ def _accumulate_backward(own: Floats, transitions: Floats, moving: Integers) -> 
     N = own.shape[2]
     size = np.linalg.norm(own, axis=(0, 1))
     size = np.where(size > 0, np.maximum(size, 1e-9 * size.max()), 1.0)
-    total, T = np.zeros((0, N)), np.eye(N)
+    total = np.zeros((0, N))
+    T = np.eye(N)
     for block in range(len(own))[::-1]:
         T[np.ix_(moving, moving)] = transitions[block]
         later = total @ (T * size[:, None] / size)

@@ -51,7 +51,8 @@ def append_gap_states(linear: Matrices, Ts: float | None) -> Matrices:
         linear: A, B, C of the plant, of one step if sampled.
         Ts: sample time [s] (None in continuous time).
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     still = np.zeros((2 * p, 2 * p)) if Ts is None else np.eye(2 * p)
     A = np.block([[linear.A, np.zeros((n, 2 * p))], [np.zeros((2 * p, n)), still]])
     taken = np.diag(np.tile([-1.0, 1.0], p))
@@ -87,11 +88,14 @@ def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) 
         readings: the readings.
         least: deviation of exactly known values [z].
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
-    unit, first = np.eye(n + 6 * p), n + 2 * p
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
+    unit = np.eye(n + 6 * p)
+    first = n + 2 * p
     rows = []
     for i in range(p):
-        right, left = first + 4 * i, first + 4 * i + 1
+        right = first + 4 * i
+        left = first + 4 * i + 1
         rows += [unit[right] - unit[right + 2], unit[left] - unit[left + 2]]
         if readings.gaps_known:
             rows += [unit[n + 2 * i], unit[n + 2 * i + 1]]
@@ -106,7 +110,9 @@ def gap_prior_rows(linear: Matrices, readings: ReadingConditions, least: float) 
 
 def _double_outputs(linear: Matrices, readings: ReadingConditions) -> ReadingConditions:
     """Return the readings with every output twice, without prior information."""
-    p, bias, colour = linear.C.shape[0], readings.bias, readings.colour
+    p = linear.C.shape[0]
+    bias = readings.bias
+    colour = readings.colour
     arrive = np.ones(p) if readings.arrive is None else readings.arrive
     return readings._replace(
         noise=np.repeat(readings.noise, 2),
@@ -127,11 +133,14 @@ def gap_and_width_information(
         schedule: of the sides and contacts.
         readings: the readings.
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
-    whole, twice = append_gap_states(linear, schedule.Ts), separate_contacts(schedule)
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
+    whole = append_gap_states(linear, schedule.Ts)
+    twice = separate_contacts(schedule)
     swing = float((schedule.high - schedule.low).max())
     least = EXACT * max(float(schedule.levels.max()), EXACT * swing) or EXACT
-    twofold, told = _double_outputs(linear, readings), gap_prior_rows(linear, readings, least)
+    twofold = _double_outputs(linear, readings)
+    told = gap_prior_rows(linear, readings, least)
     visited = twice.branch_visits(n + 2 * p)
     hidden = unobservable_changes(whole, visited, schedule.Ts, twofold.bias).exclude_known(told)
     expected = optimal_deviations(whole, twice, twofold._replace(told=told))
@@ -166,7 +175,8 @@ def state_identifiability(
 
     Arguments as of `gap_and_width_information`.
     """
-    n, p = linear.A.shape[0], linear.C.shape[0]
+    n = linear.A.shape[0]
+    p = linear.C.shape[0]
     twofold = _double_outputs(linear, readings)
     visited = separate_contacts(schedule).branch_visits(n + 2 * p)
     hidden = unobservable_changes(

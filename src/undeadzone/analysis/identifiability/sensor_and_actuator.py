@@ -23,8 +23,8 @@ class SensorActuatorIdentifiability(NamedTuple):
     """Identifiability of the widths of sensor and actuator.
 
     Attributes:
-        outputs: of each output's sensor.
-        inputs: of each input's actuator.
+        outputs: identifiability of the widths of each output's sensor (p).
+        inputs: identifiability of the widths of each input's actuator (m).
     """
 
     outputs: list[WidthIdentifiability]
@@ -36,7 +36,7 @@ def actuator_modes(u: Floats, visible: np.ndarray, drive: Drive, least: int) -> 
 
     Args:
         u: commands (N x m) [u].
-        visible: whether an output is read on a side (N).
+        visible: flags of samples at which a sensor is outside its zone (N).
         drive: the true actuator.
         least: a mode counts if it lasts, in all, for more than this many samples.
 
@@ -59,32 +59,33 @@ def sensor_actuator_identifiability(
 
     Args:
         linear: A, B, C of the plant, of one step if sampled.
-        schedule: of the sensor's sides.
-        modes: of the actuators that were visited (K x m).
+        schedule: times at which each output is on each branch of its sensor.
+        modes: branches of the actuators during the run: +1, 0, -1 of each input (K x m).
         drive: the actuator, for its slopes.
-        bias: directions (n x b) of unknown constant inputs.
+        bias: effects on x' of unknown constant inputs (n x b).
     """
     n, m = linear.B.shape
-    visited = schedule.branch_visits(n)
+    visits = schedule.branch_visits(n)
     constant = np.zeros((n, 0)) if bias is None else bias
-    drives = [np.hstack([constant, _width_inputs(linear.B, mode, drive)]) for mode in modes]
-    hidden = unobservable_changes(linear, visited, schedule.Ts, drives=drives or [constant])
-    first = n + 2 * len(visited) + constant.shape[1]
+    effects = [np.hstack([constant, _width_inputs(linear.B, mode, drive)]) for mode in modes]
+    hidden = unobservable_changes(linear, visits, schedule.Ts, drives=effects or [constant])
+    # Unknowns: state, widths of the sensors, constant inputs, then right and left actuator widths.
+    first = n + 2 * len(visits) + constant.shape[1]
     outputs = [
-        WidthIdentifiability(**hidden.width_flags(i), reasons=()) for i in range(len(visited))
+        WidthIdentifiability(**hidden.width_flags(i), reasons=()) for i in range(len(visits))
     ]
     inputs = []
     for i in range(m):
-        seen: dict[str, Any] = {}
-        for name, pair in DIRECTIONS.items():
+        flags: dict[str, Any] = {}
+        for name, weights in DIRECTIONS.items():
             direction = np.zeros(hidden.scale.size)
-            if drives:
-                direction[[first + i, first + m + i]] = pair
-            seen[name] = bool(drives) and hidden.is_combination_known(direction)
-        inputs.append(WidthIdentifiability(**seen, reasons=()))
+            if effects:
+                direction[[first + i, first + m + i]] = weights
+            flags[name] = bool(effects) and hidden.is_combination_known(direction)
+        inputs.append(WidthIdentifiability(**flags, reasons=()))
     reason = _sensor_actuator_reasons(outputs, inputs, modes)
     return SensorActuatorIdentifiability(
-        *([one._replace(reasons=reason) for one in part] for part in (outputs, inputs))
+        *([width._replace(reasons=reason) for width in widths] for widths in (outputs, inputs))
     )
 
 
@@ -98,8 +99,8 @@ def _width_inputs(B: Floats, mode: Floats, drive: Drive) -> Floats:
 def _sensor_actuator_reasons(
     outputs: list[WidthIdentifiability], inputs: list[WidthIdentifiability], modes: Floats
 ) -> tuple[str, ...]:
-    """Describe why a width stays unknown, and the remedy."""
-    centres = [one.centre for one in (*outputs, *inputs)]
+    """Describe why a centre is not identifiable, and the remedy; empty if all are."""
+    centres = [width.centre for width in (*outputs, *inputs)]
     if all(centres):
         return ()
     silent = [bool((modes[:, i] == 0).any()) for i in range(modes.shape[1])] if len(modes) else []

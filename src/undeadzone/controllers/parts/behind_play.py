@@ -1,9 +1,9 @@
-"""Reference tracking behind a backlash: z is led across the gap if r turns.
+"""Reference tracking behind a backlash: the reference of z crosses the gap when r reverses.
 
-Behind the play is y / m = z - c_r while z moves right in contact, z + c_l while it moves left. So z
-has to follow r + c_r^ while r rises and r - c_l^ while it falls. The step between both passes a
-copy of the model with all poles at -w: what z, x and u do on the way belongs to each other, and
-the gap is crossed after the turn of r (docs/play.md).
+The output behind the play is y / m = z - c_r while z moves right in contact, and z + c_l while it
+moves left. So z has to follow r + c_r^ while r rises, and r - c_l^ while it falls. The step between
+both offsets passes a filter: a copy of the model with all poles at -w. Its output, state and input
+are consistent shifts of z, x and u, and the gap is crossed after the reversal of r (docs/play.md).
 """
 
 from __future__ import annotations
@@ -24,38 +24,36 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import require_number
 
 KEY = "behind_play"
-ROUNDING = 1e-9  # share of r by which it may change without a turn
+ROUNDING = 1e-9  # relative change of r below which it does not reverse
 
 
 class State(NamedTuple):
     """State of the controller, and of the gap crossing.
 
     Attributes:
-        controller: the controller's.
-        moved: state of the filter, by which x_ref is moved (n).
-        last: r one sample ago (1) [z].
-        towards: side to which r moved last (1), 0 before it moves.
+        controller: state of the inner controller.
+        shift: state of the filter, the shift of x_ref (n).
+        last: r at the previous sample (1) [z].
+        direction: last direction of r: +1, -1, 0 before it moves (1).
     """
 
     controller: Any
-    moved: Any
+    shift: Any
     last: Any
-    towards: Any
+    direction: Any
 
 
 def lead_across_gap(
     controller: Controller, model: System, sensor: Zone, tracked: list[int], rate: float | None
 ) -> Controller:
-    """Return the controller with a reference shifted by the gap.
-
-    Without a rate return the controller itself.
+    """Return the controller with the reference shifted to the contact side of the gap.
 
     Args:
-        controller: that makes z follow a reference.
+        controller: controller with which z follows a reference.
         model: the sampled model.
         sensor: the sensor.
-        tracked: numbers of the outputs that follow the reference.
-        rate: w, of the critically damped filter [1/s].
+        tracked: indices of the outputs that follow the reference.
+        rate: w of the filter [1/s]; None: the controller is returned unchanged.
 
     Raises:
         InputError: for an invalid rate, a sensor without play, several inputs, a plant that is not
@@ -76,7 +74,8 @@ def lead_across_gap(
         )
     linear = model.linear._replace(C=model.linear.C[[tracked[0]]])
     numbers = crossing(linear, w, model.Ts, KEY)
-    zero, kind = np.zeros(1), type(controller.params)
+    zero = np.zeros(1)
+    kind = type(controller.params)
 
     def init(q: Any) -> State:
         """Return the state at t = 0."""
@@ -91,19 +90,26 @@ def lead_across_gap(
 def step_across_gap(
     controller: Controller, output: int, q: Any, s: State, estimate: Estimate, target: Target
 ) -> tuple[State, Any]:
-    """Return the next state, and u (m) for the shifted target.
+    """Return the next state, and the input u (m) of the controller for the shifted target.
 
-    Here q: the controller's parameters, then the filter's.
+    Args:
+        controller: the inner controller.
+        output: index of the tracked output.
+        q: parameters of the inner controller, then of the filter.
+        s: state.
+        estimate: estimate of the observer, with half gaps.
+        target: target of z, x and u without the shift.
     """
-    inner, numbers = tree.drop_last_field(q, type(controller.params)), q.crossing
-    moves = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
-    towards = choose_flank(moves, s.towards)
-    wanted = offset(towards, estimate.right[output], estimate.left[output])
-    push, following = step_filters(numbers, s.moved, wanted)
-    moved = target._replace(
-        r=target.r + numbers.C @ s.moved,
-        x_ref=target.x_ref + s.moved,
-        u_ff=target.u_ff + push,
+    inner = tree.drop_last_field(q, type(controller.params))
+    numbers = q.crossing
+    change = side(target.r - s.last, ROUNDING * (ca.fabs(target.r) + ca.fabs(s.last)))
+    direction = choose_flank(change, s.direction)
+    gap_offset = offset(direction, estimate.right[output], estimate.left[output])
+    input_shift, next_shift = step_filters(numbers, s.shift, gap_offset)
+    shifted = target._replace(
+        r=target.r + numbers.C @ s.shift,
+        x_ref=target.x_ref + s.shift,
+        u_ff=target.u_ff + input_shift,
     )
-    after, u = controller.step(inner, s.controller, estimate, moved)
-    return State(after, following, target.r, towards), u
+    after, u = controller.step(inner, s.controller, estimate, shifted)
+    return State(after, next_shift, target.r, direction), u

@@ -40,7 +40,8 @@ def use_gear_estimates(
         """Return the state and u (m) of the controller with the estimated parameters."""
         known = ca.SX(p.model)
         known[places] = estimate.theta
-        right, left = estimate.right[:N], estimate.left[:N]
+        right = estimate.right[:N]
+        left = estimate.left[:N]
         known[gaps] = ca.vertcat(right + left, right - left) / 2
         return controller.step(p._replace(model=known), s, estimate, target)
 

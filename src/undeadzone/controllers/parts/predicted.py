@@ -71,10 +71,12 @@ def predict_over_delay(controller: Controller, model: System, belief: Belief | N
             "model's own gaps, which are not known. Leave it out, or plant.arm.gears"
         )
     most = np.full(model.m, LARGEST) if model.limit is None else np.minimum(model.limit, LARGEST)
-    low, high = -most, most
+    low = -most
+    high = most
     if belief is not None:
         least, largest = input_range(belief.drive)
-        low, high = np.maximum(low, least), np.minimum(high, largest)
+        low = np.maximum(low, least)
+        high = np.minimum(high, largest)
     kind = type(controller.params)
 
     def init(q: Any) -> State:
@@ -96,7 +98,8 @@ def step_with_prediction(
 
     Here q: the controller's parameters, then `DelayPrediction`.
     """
-    inner, ahead = tree.drop_last_field(q, type(controller.params)), q.ahead
+    inner = tree.drop_last_field(q, type(controller.params))
+    ahead = q.ahead
     x = estimate.x
     for acting in ca.vertsplit(s.line, model.m):
         x = model.move(ahead.model, x, acting)

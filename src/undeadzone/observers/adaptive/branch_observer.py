@@ -149,7 +149,8 @@ def build_branch_observer(
         adapts=bool(gamma.any()),
         told=np.array_equal(widths, np.stack([sensor.right, sensor.left], axis=1)),
     )
-    step, project = partial(step_branch_observer, setup), partial(project_branch_state, law)
+    step = partial(step_branch_observer, setup)
+    project = partial(project_branch_state, law)
     return add_motion_detection(Observer(params, init, step, project, traits), model, sensor)
 
 
@@ -166,7 +167,8 @@ def step_branch_observer(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
     """Return the state's derivative, or its next value if sampled, and the estimate."""
-    model, law = setup.model, setup.law
+    model = setup.model
+    law = setup.law
     z = model.output(p.model, s.x)
     y = reading.y / p.slope
     active = reading.side != 0
@@ -195,19 +197,19 @@ def step_branch_observer(
 
 
 def zone_violation(setup: Setup, p: Params, s: State, z: Any, reading: Reading) -> tuple[Any, Any]:
-    """Return the excess of z^ over the right and left breakpoint if silent (p each) [z].
+    """Return the excess of z^ over both breakpoints at a sample inside the zone (p each) [z].
 
-    The first is >= 0, the second <= 0.
+    The first is >= 0 (right), the second <= 0 (left). Both are 0 outside the zone.
 
-    A censored sample implies -d_l <= z <= d_r (wider by the threshold), a play that holds implies
-    it for z - y / m. If z^ is beyond an edge, that edge or z^ is wrong.
+    A sample inside the zone implies -d_l <= z <= d_r, wider by the threshold. For a play without
+    contact z - y / m takes the place of z. If z^ is beyond a breakpoint, it or the width is wrong.
     """
     z = z - reading.level / p.slope
-    slack = p.threshold / p.slope
-    is_silent = ca.logic_and(reading.side == 0, present(reading.y))
-    silent = ca.if_else(is_silent, float(setup.silence), 0.0)
-    over = silent * ca.fmax(z - s.right - slack, 0.0)
-    under = silent * ca.fmin(z + s.left + slack, 0.0)
+    margin = p.threshold / p.slope
+    is_inside = ca.logic_and(reading.side == 0, present(reading.y))
+    use = ca.if_else(is_inside, float(setup.silence), 0.0)
+    over = use * ca.fmax(z - s.right - margin, 0.0)
+    under = use * ca.fmin(z + s.left + margin, 0.0)
     return over, under
 
 
@@ -235,7 +237,8 @@ def correct_deadzone(s: State, z: Any, y: Any, side: Any, over: Any, under: Any)
     e = ca.if_else(side != 0, y - (z - offset(side, s.right, s.left)), -over - under)
     adapt_right = ca.logic_or(side > 0, over > 0)
     adapt_left = ca.logic_or(side < 0, under < 0)
-    right, left = ca.if_else(adapt_right, -e, 0.0), ca.if_else(adapt_left, e, 0.0)
+    right = ca.if_else(adapt_right, -e, 0.0)
+    left = ca.if_else(adapt_left, e, 0.0)
     return Correction(e, WidthDrive(right, adapt_right), WidthDrive(left, adapt_left))
 
 

@@ -34,7 +34,8 @@ def innovation_gain(L: Array | None, model: System, key: str = "observer.L") -> 
     Raises:
         ShapeError: for another shape.
     """
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     if L is None:
         return default_gain(model)
     gain = require_array(key, L)
@@ -61,7 +62,8 @@ def default_gain(model: System) -> Floats:
     Raises:
         StructureError: if the model is not stable.
     """
-    linear, Ts = model.linear, model.Ts
+    linear = model.linear
+    Ts = model.Ts
     A = delta_form(linear, Ts).A
     unit = 1 / state_response_sizes(A.T, linear.C.T)
     balanced = Matrices(linear.A * unit / unit[:, None], linear.B / unit[:, None], linear.C * unit)

@@ -1,15 +1,15 @@
 """Plant model of the contact filter for an arm: all joints at once, or group by group.
 
-At once N joints have 3^N modes; joint by joint they have 3 N. Each joint then has the filter of an
-arm of one link, to which the rest of the arm is numbers of the sample: its link moves by
+A single filter for N joints has 3^N modes; filters of single joints have 3 N. Such a filter is that
+of an arm of one link. The rest of the arm enters as parameters, which are constant in a sample:
 
     m (q'' - a0) = tau - tau0 - (friction - friction0) - slope (q - q0) - weight (payload - p0)
 
-with m = 1 / (M^-1)_ii, the inertia against its own torque while the other gears transmit
-theirs. Two joints about nearly one axis make a group: m is then a matrix, and they have 9 modes.
-a0 = M^-1 (tau0 - h - friction0) is its acceleration with all joints in the mean, and tau0 the mean
-of the torques over the sample. By as much as the torques of the others are uncertain, a link is
-pushed at random; later readings of their motors correct it.
+Here m = 1 / (M^-1)_ii is the inertia against the link's own torque while the other gears transmit
+theirs. a0 = M^-1 (tau0 - h - friction0) is the acceleration if all joints are at their means, and
+tau0 the mean of the torques over the sample. Two joints about nearly the same axis form a group
+with 9 modes, for which m is a matrix. The uncertainty of the torques of other groups is process
+noise of a link. Later readings of their motors correct it.
 """
 
 from __future__ import annotations
@@ -41,23 +41,24 @@ from undeadzone.plants.robots.geared import Geared, Gears, build_geared_arm
 
 FADING = 0.2  # correlation time of the unknown torque of motors [s]
 LASTING = 0.01  # time for which the unknown torque of links lasts [s]
-SLOW = 0.05  # time for which the place of another link is off [s]
-PASSED = 0.6  # of what readings correct in the speed of a motor, the share that its gears caused
-FAINT = 1e-4  # share below which a filter is not heard
-KNOWN = 1e-9  # variance of a payload that is known [kg^2]
+SLOW = 0.05  # correlation time of an error in the position of another link [s]
+PASSED = 0.6  # share of a correction of a motor's speed that an impulse of its gears caused
+FAINT = 1e-4  # weight below which a filter is neglected
+KNOWN = 1e-9  # variance of a known payload [kg^2]
 OWN = ("f", "b", "half", "centre", "inertia", "friction", "viscous", "contact")  # of each joint
 
 
 def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) -> Drive:
-    """Return the functions of an arm with gears that the filter needs.
+    """Return the functions of an arm with gears for the contact filter.
 
     Args:
         gears: the arm.
         Ts: sample time [s].
-        substeps: steps of integration in a sample.
-        apart: whether it is one joint of several.
+        substeps: integration steps in a sample.
+        apart: whether it is an isolated group of joints of a larger arm.
     """
-    N, layout = gears.joint_count, Layout(gears.joint_count)
+    N = gears.joint_count
+    layout = Layout(gears.joint_count)
 
     def rate(params: Any, x: Any, u: Any, contact: Contacts) -> tuple[Any, Any]:
         """Return x' (entries), and the torques through the gears (N) [N m]."""
@@ -69,56 +70,65 @@ def build_drive(gears: Geared, Ts: float, substeps: int, apart: bool = False) ->
         return ca.vertcat(dx, constant, -push / FADING, 0.0), tau
 
     def implicit(params: Any, x: Any, contact: Contacts, g: Any) -> Any:
-        """Return the function that solves for a column (I - g A)^-1 times a column (entries).
+        """Return the function b -> (I - g A)^-1 b (entries).
 
-        The unknowns are reduced to the torques through the gears that are closed.
+        A has the stiff contacts and friction. The system is reduced to the torques through the
+        gears in contact, as many unknowns as there are contacts.
         """
         column = substitute_estimates(gears, params, x)
-        links, body, J = gears.link_params(column), gears.arm, gears.gear_number(column, "inertia")
+        links = gears.link_params(column)
+        body = gears.arm
+        J = gears.gear_number(column, "inertia")
         K, D = gears.contact_stiffness(column)
-        turning, v = x[layout.slice_of("motor_speed")], x[layout.slice_of("link_speed")]
-        friction = linearise(lambda each: gears.motor_friction_torque(column, each), turning)[1]
-        rubbing = linearise(lambda each: body.friction(links, each), v)[1]
+        omega = x[layout.slice_of("motor_speed")]
+        v = x[layout.slice_of("link_speed")]
+        motor_slope = linearise(lambda speed: gears.motor_friction_torque(column, speed), omega)[1]
+        link_slope = linearise(lambda speed: body.friction(links, speed), v)[1]
         M = ca.densify(body.mass(links, x[layout.slice_of("link")]))
-        motors, heavier = J + g * ca.diag(friction), M + g * ca.diag(ca.diag(rubbing))
+        # Implicit friction adds its slope, times g, to the inertia.
+        motors = J + g * ca.diag(motor_slope)
+        bodies = M + g * ca.diag(ca.diag(link_slope))
         closed = [joint for joint, side in enumerate(contact) if not ca.SX(side).is_zero()]
-        moved = solve_mass(heavier, ca.DM.eye(N)[:, closed])
-        softened = (g * K + D)[closed]
-        compliance = g * moved[closed, :] + ca.diag((g / motors)[closed] + 1 / softened)
+        by_torque = solve_mass(bodies, ca.DM.eye(N)[:, closed])
+        stiffness = (g * K + D)[closed]  # of a contact over the step, spring and damper
+        compliance = g * by_torque[closed, :] + ca.diag((g / motors)[closed] + 1 / stiffness)
 
         def solve(b: Any) -> Any:
             """Return (I - g A)^-1 b (entries)."""
-            theta, q, spin, speed, *rest = ca.vertsplit(b, [0, N, 2 * N, 3 * N, 4 * N, b.numel()])
-            spin, speed = J * spin / motors, solve_mass(heavier, M @ speed)
+            theta, q, omega, v, *rest = ca.vertsplit(b, [0, N, 2 * N, 3 * N, 4 * N, b.numel()])
+            omega = J * omega / motors
+            v = solve_mass(bodies, M @ v)
             if closed:
-                wound = (K * (theta - q))[closed]
-                tau = solve_mass(compliance, wound / softened + (spin - speed)[closed])
-                spin[closed] -= g * tau / motors[closed]
-                speed += g * moved @ tau
-            return ca.vertcat(theta + g * spin, q + g * speed, spin, speed, *rest)
+                spring = (K * (theta - q))[closed]
+                tau = solve_mass(compliance, spring / stiffness + (omega - v)[closed])
+                omega[closed] -= g * tau / motors[closed]
+                v += g * by_torque @ tau
+            return ca.vertcat(theta + g * omega, q + g * v, omega, v, *rest)
 
         return solve
 
     def mobility(params: Any, x: Any) -> Any:
-        """Return the change of [theta'; q'] (2N x N) by a unit impulse in each joint."""
+        """Return the change of [theta'; q'] by a unit impulse in each joint (2N x N)."""
         column = substitute_estimates(gears, params, x)
         M = ca.densify(gears.arm.mass(gears.link_params(column), x[layout.slice_of("link")]))
         return ca.vertcat(-ca.diag(1 / gears.gear_number(column, "inertia")), ca.inv(M))
 
-    motors, links = tuple(range(N)), tuple(range(N, 2 * N))
+    motors = tuple(range(N))
+    links = tuple(range(N, 2 * N))
     readings = {"motor": motors, "link": links, "both": (*links, *motors)}[gears.measured]
     return Drive(layout, rate, implicit, mobility, readings, Ts, substeps, apart)
 
 
 def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
-    """Return the parameters of an arm with gears, with a filter's estimates substituted.
+    """Return the parameters of an arm with gears, with the estimates of a filter in their places.
 
     Args:
         gears: the arm.
-        params: of the model.
-        x: unknowns of the filter.
+        params: parameters of the model.
+        x: estimate of the filter (entries).
     """
-    N, layout = gears.joint_count, Layout(gears.joint_count)
+    N = gears.joint_count
+    layout = Layout(gears.joint_count)
     column = ca.SX(params)
     for name in CONSTANTS:
         first = gears.names.index(f"{name}1")
@@ -130,26 +140,27 @@ def substitute_estimates(gears: Geared, params: Any, x: Any) -> Any:
 
 
 def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
-    """Return some joints of an arm with gears as an arm of its own.
+    """Return a group of joints of an arm with gears as an arm of its own.
 
-    Parameters stand for the rest of the arm.
+    Its parameters include the effect of the rest of the arm (see the module).
 
     Args:
         gears: the arm.
         group: the joints.
     """
-    size, here = len(group), list(group)
+    size = len(group)
+    joints = list(group)
 
     def rest_entries(p: Any, name: str, columns: int) -> Any:
-        """Return the entries that replace the rest of the arm (size x columns)."""
-        names = _rest_names(size)
-        return ca.reshape(ca.vertcat(*(p[each] for each in names[name])), size, columns)
+        """Return parameters that replace the rest of the arm (size x columns)."""
+        names = _rest_names(size)[name]
+        return ca.reshape(ca.vertcat(*(p[entry] for entry in names)), size, columns)
 
     def bias(p: Any, q: Any, _: Any) -> Any:
         """Return the bias torque of the links, the rest of the arm included [N m]."""
-        turned = rest_entries(p, "slope", size) @ (q - rest_entries(p, "place", 1))
-        carried = rest_entries(p, "weight", 1) * (p["payload"] - p["carried"])
-        return rest_entries(p, "load", 1) + turned + carried
+        by_angle = rest_entries(p, "slope", size) @ (q - rest_entries(p, "place", 1))
+        by_payload = rest_entries(p, "weight", 1) * (p["payload"] - p["carried"])
+        return rest_entries(p, "load", 1) + by_angle + by_payload
 
     rest = dict.fromkeys(itertools.chain(*_rest_names(size).values()), 0.0)
     rest |= {f"mass_{joint}_{joint}": 1.0 for joint in range(size)}
@@ -164,24 +175,23 @@ def isolate_joints(gears: Geared, group: Sequence[int]) -> Geared:
         plane=(0, 1),
         **Chain.fields_without_limits(size),
     )
-    one = build_geared_arm(link, Gears(half=0.0, inertia=1.0, measured=gears.measured), gears.rest)
-    return one._replace(stiffness=gears.stiffness[here], damping=gears.damping[here])
+    own_gears = Gears(half=0.0, inertia=1.0, measured=gears.measured)
+    isolated = build_geared_arm(link, own_gears, gears.rest)
+    return isolated._replace(stiffness=gears.stiffness[joints], damping=gears.damping[joints])
 
 
 def _rest_names(size: int) -> dict[str, list[str]]:
-    """Return the names of the numbers that stand for the rest of an arm, column by column."""
+    """Return the names of the parameters that replace the rest of an arm, column by column."""
     joints = range(size)
-    each = {name: [f"{name}_{joint}" for joint in joints] for name in ("load", "place", "weight")}
+    names = {name: [f"{name}_{joint}" for joint in joints] for name in ("load", "place", "weight")}
     for name in ("mass", "slope"):
-        each[name] = [f"{name}_{row}_{column}" for column, row in itertools.product(joints, joints)]
-    return each
+        pairs = itertools.product(joints, joints)
+        names[name] = [f"{name}_{row}_{column}" for column, row in pairs]
+    return names
 
 
 def group_entries(layout: Layout, group: Sequence[int]) -> list[int]:
-    """Return the places of a group's quantities among all joints'.
-
-    The order is that of the group's own layout.
-    """
+    """Return the entries of a group's quantities in x of all joints, in the order of its own x."""
     places: list[int] = []
     for name in QUANTITIES:
         places += [layout.slice_of(name).start + joint for joint in group]
@@ -189,7 +199,7 @@ def group_entries(layout: Layout, group: Sequence[int]) -> list[int]:
 
 
 def group_readings(group: Sequence[int], size: int, readings: int) -> list[int]:
-    """Return the places of a group's readings among all.
+    """Return the indices of a group's readings among all readings.
 
     Args:
         group: the joints.
@@ -200,94 +210,113 @@ def group_readings(group: Sequence[int], size: int, readings: int) -> list[int]:
 
 
 def group_numbers(q: Numbers, layout: Layout, group: Sequence[int]) -> Numbers:
-    """Return the parameters of a filter: of a group, or all for a single filter."""
+    """Return the parameters of the filter of a group.
+
+    Args:
+        q: parameters of a filter of all joints.
+        layout: its layout.
+        group: the joints.
+    """
     if len(group) == layout.size:
         return q
-    here, joints = group_entries(layout, group), list(group)
+    entries = group_entries(layout, group)
+    joints = list(group)
     return q._replace(
-        Q=q.Q[here],
+        Q=q.Q[entries],
         R=q.R[group_readings(group, layout.size, q.R.shape[0])],
-        low=q.low[here],
-        high=q.high[here],
-        most=q.most[here],
+        low=q.low[entries],
+        high=q.high[entries],
+        most=q.most[entries],
         torque=q.torque[joints],
         rest=q.rest[joints],
         least=q.least[joints],
     )
 
 
-def contact_balance(drive: Drive, told: Posterior) -> Any:
-    """Return the probability of the right less the left flank of each joint [1]."""
-    filters = len(told.chances) // len(drive.layout.contact_combinations)
+def contact_balance(drive: Drive, posterior: Posterior) -> Any:
+    """Return the probability of the right flank less that of the left flank of each joint (N) [1].
+
+    Args:
+        drive: functions of the plant.
+        posterior: posterior of one filter, or of several filters in sequence.
+    """
+    filters = len(posterior.chances) // len(drive.layout.contact_combinations)
     sides = filters * [list(mode) for mode in drive.layout.contact_combinations]
-    return ca.DM(sides).T @ ca.vertcat(*told.chances)
+    return ca.DM(sides).T @ ca.vertcat(*posterior.chances)
 
 
 def join_posteriors(
-    layout: Layout, groups: Sequence[Sequence[int]], told: Sequence[Posterior]
+    layout: Layout, groups: Sequence[Sequence[int]], posteriors: Sequence[Posterior]
 ) -> Posterior:
-    """Return the posterior of all joints, their groups taken as independent.
+    """Return the posterior of all joints, with independent groups.
 
-    Their payload errors count as a single error.
-
-    Each group has a payload of its own. One is shown: each counts by its variance, and their errors
-    are taken to be one and the same.
+    Each group estimates the payload. The estimates are averaged with the inverses of their
+    variances as weights, and their errors count as fully correlated.
 
     Args:
-        layout: of all joints.
+        layout: layout of all joints.
         groups: joints of each filter.
-        told: of each group.
+        posteriors: posterior of each group.
     """
-    if len(told) == 1:
-        return told[0]
-    mean, cov = ca.SX(layout.entry_count, 1), ca.SX(layout.entry_count, layout.entry_count)
-    news, readings = ca.SX(layout.entry_count, 1), sum(one.e.numel() for one in told)
-    e, std = ca.SX(readings, 1), ca.SX(readings, 1)
-    for group, one in zip(groups, told, strict=True):
-        here, seen = group_entries(layout, group), group_readings(group, layout.size, readings)
-        mean[here], cov[here, here], news[here] = one.whole.mean, one.whole.cov, one.news
-        e[seen], std[seen] = one.e, one.std
-    payloads = [one.whole.mean[-1] for one in told]
-    variances = [ca.fmax(one.whole.cov[-1, -1], KNOWN) for one in told]
+    if len(posteriors) == 1:
+        return posteriors[0]
+    mean = ca.SX(layout.entry_count, 1)
+    cov = ca.SX(layout.entry_count, layout.entry_count)
+    news = ca.SX(layout.entry_count, 1)
+    readings = sum(group.e.numel() for group in posteriors)
+    e = ca.SX(readings, 1)
+    std = ca.SX(readings, 1)
+    for group, posterior in zip(groups, posteriors, strict=True):
+        entries = group_entries(layout, group)
+        rows = group_readings(group, layout.size, readings)
+        mean[entries] = posterior.whole.mean
+        cov[entries, entries] = posterior.whole.cov
+        news[entries] = posterior.news
+        e[rows] = posterior.e
+        std[rows] = posterior.std
+    payloads = [posterior.whole.mean[-1] for posterior in posteriors]
+    variances = [ca.fmax(posterior.whole.cov[-1, -1], KNOWN) for posterior in posteriors]
     total = sum(1 / variance for variance in variances)
     mean[-1] = sum(p / variance for p, variance in zip(payloads, variances, strict=True)) / total
-    cov[-1, :], cov[:, -1] = 0, 0
+    cov[-1, :] = 0
+    cov[:, -1] = 0
     cov[-1, -1] = (sum(1 / ca.sqrt(variance) for variance in variances) / total) ** 2
     return Posterior((), (), Gaussian(mean, cov), news, e, std)
 
 
-def mix_posteriors(told: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
-    """Return the mixture of the posteriors of a joint's filters, weighted by their shares.
+def mix_posteriors(posteriors: Sequence[Posterior], shares: tuple[Any, Any]) -> Posterior:
+    """Return the mixture of the posteriors of K filters for the same joints.
 
     Args:
-        told: of each filter (K).
-        shares: before and after the readings (K each).
+        posteriors: posterior of each filter (K).
+        shares: weights of the filters before and after the readings (K each).
     """
-    if len(told) == 1:
-        return told[0]
+    if len(posteriors) == 1:
+        return posteriors[0]
     before, after = map(ca.vertsplit, shares)
-    heard = normalise_weights([ca.if_else(share > FAINT, share, 0.0) for share in after])
+    weights = normalise_weights([ca.if_else(share > FAINT, share, 0.0) for share in after])
     chances: list[Any] = []
     beliefs: list[Gaussian] = []
-    for share, one in zip(heard, told, strict=True):
-        chances += [share * chance for chance in one.chances]
-        beliefs += one.beliefs
-    whole = mix_gaussians(heard, [one.whole for one in told])
-    news = mean_of_models(heard, [one.news for one in told])
-    return Posterior(tuple(chances), tuple(beliefs), whole, news, *mixture_innovation(before, told))
+    for weight, posterior in zip(weights, posteriors, strict=True):
+        chances += [weight * chance for chance in posterior.chances]
+        beliefs += posterior.beliefs
+    whole = mix_gaussians(weights, [posterior.whole for posterior in posteriors])
+    news = mean_of_models(weights, [posterior.news for posterior in posteriors])
+    innovation = mixture_innovation(before, posteriors)
+    return Posterior(tuple(chances), tuple(beliefs), whole, news, *innovation)
 
 
 class Posture(NamedTuple):
-    """Arm with all its joints at the mean.
+    """Arm with all joints at their means.
 
     Attributes:
         gears: the arm.
         params: its parameters.
-        q, v: angles and speeds of the links (N).
-        closing: speeds of motors against links (N).
+        q, v: angles [rad] and speeds [rad/s] of the links (N).
+        closing: speeds of motors relative to links (N) [rad/s].
         push: torque of the motors less their friction (N) [N m].
-        rubbed: friction of the links (N).
-        needed: torque that the links need to keep their speed (N).
+        link_friction: friction of the links (N) [N m].
+        needed: torque at constant speed of the links: bias and friction (N) [N m].
         mass, inverse: M and M^-1 (N x N).
     """
 
@@ -297,76 +326,80 @@ class Posture(NamedTuple):
     v: Any
     closing: Any
     push: Any
-    rubbed: Any
+    link_friction: Any
     needed: Any
     mass: Any
     inverse: Any
 
 
 def mean_posture(gears: Geared, model: Any, mean: Any, u: Any) -> Posture:
-    """Return the posture of an arm at the mean.
+    """Return the posture of an arm with all joints at their means.
 
     Args:
         gears: the arm.
         model: its parameters.
-        mean: of all unknowns.
-        u: torque of the motors (N).
+        mean: mean of x (entries).
+        u: torque of the motors (N) [N m].
     """
-    layout, params, body = (
-        Layout(gears.joint_count),
-        substitute_estimates(gears, model, mean),
-        gears.arm,
-    )
+    layout = Layout(gears.joint_count)
+    body = gears.arm
+    params = substitute_estimates(gears, model, mean)
     links = gears.link_params(params)
-    q, turning, v = (mean[layout.slice_of(name)] for name in ("link", "motor_speed", "link_speed"))
-    rubbed, mass = body.friction(links, v), ca.densify(body.mass(links, q))
+    q = mean[layout.slice_of("link")]
+    v = mean[layout.slice_of("link_speed")]
+    omega = mean[layout.slice_of("motor_speed")]
+    friction = body.friction(links, v)
+    mass = ca.densify(body.mass(links, q))
     return Posture(
-        gears,
-        params,
-        q,
-        v,
-        turning - v,
-        u + mean[layout.slice_of("push")] - gears.motor_friction_torque(params, turning),
-        rubbed,
-        body.bias(links, q, v) + rubbed,
-        mass,
-        solve_mass(mass, ca.DM.eye(gears.joint_count)),
+        gears=gears,
+        params=params,
+        q=q,
+        v=v,
+        closing=omega - v,
+        push=u + mean[layout.slice_of("push")] - gears.motor_friction_torque(params, omega),
+        link_friction=friction,
+        needed=body.bias(links, q, v) + friction,
+        mass=mass,
+        inverse=solve_mass(mass, ca.DM.eye(gears.joint_count)),
     )
 
 
 def apply_gear_impulses(
-    groups: Sequence[Sequence[int]], told: Sequence[Posterior], news: Any, arm: Posture
+    groups: Sequence[Sequence[int]], posteriors: Sequence[Posterior], news: Any, arm: Posture
 ) -> list[Posterior]:
-    """Return the groups' posteriors after gear impulses inferred from all readings.
+    """Return the posteriors of the groups after impulses in the gears of other groups.
 
-    Where readings correct the speed of a motor, its gears have given its link another impulse than
-    was taken for the mean, opposite to that of the motor. Links of other groups that are free went
-    with it unseen; those in contact are held by their own readings.
+    If readings correct the speed of a motor, its gears have transmitted another impulse than the
+    predicted one, with the opposite effect on its link. Through M^-1 the impulse also moves the
+    free links of other groups, which no reading shows. The own readings of links in contact show
+    theirs.
 
     Args:
         groups: joints of each filter.
-        told: of each group, after its own readings.
-        news: by how much the readings moved the means of all unknowns.
-        arm: all joints in the mean.
+        posteriors: posterior of each group, after its own readings.
+        news: change of the mean of x by the readings (entries).
+        arm: posture at the mean.
     """
-    layout, inertia = Layout(arm.gears.joint_count), arm.gears.gear_number(arm.params, "inertia")
+    layout = Layout(arm.gears.joint_count)
+    inertia = arm.gears.gear_number(arm.params, "inertia")
     impulses = -PASSED * inertia * news[layout.slice_of("motor_speed")]
-    gained = (other_groups(groups, layout.size) * arm.inverse) @ impulses
-    each = []
-    for group, one in zip(groups, told, strict=True):
-        own, beliefs = Layout(len(group)), list(one.beliefs)
+    speed_changes = (other_groups(groups, layout.size) * arm.inverse) @ impulses
+    corrected = []
+    for group, posterior in zip(groups, posteriors, strict=True):
+        own = Layout(len(group))
+        beliefs = list(posterior.beliefs)
         for place, contact in enumerate(own.contact_combinations):
             mean = ca.SX(beliefs[place].mean)
             for joint, side in enumerate(contact):
                 if side == 0:
-                    mean[own.slice_of("link_speed").start + joint] += gained[group[joint]]
+                    mean[own.slice_of("link_speed").start + joint] += speed_changes[group[joint]]
             beliefs[place] = Gaussian(mean, beliefs[place].cov)
-        each.append(one._replace(beliefs=tuple(beliefs)))
-    return each
+        corrected.append(posterior._replace(beliefs=tuple(beliefs)))
+    return corrected
 
 
 def other_groups(groups: Sequence[Sequence[int]], size: int) -> ca.DM:
-    """Return 1 where two joints are of different groups, 0 elsewhere (size x size)."""
+    """Return a matrix with 1 for joints of different groups, else 0 (size x size)."""
     apart = ca.DM.ones(size, size)
     for group in map(list, groups):
         apart[group, group] = 0
@@ -380,14 +413,16 @@ def group_couplings(groups: Sequence[Sequence[int]], arm: Posture) -> Any:
 
     Args:
         groups: joints of each filter.
-        arm: all joints in the mean.
+        arm: posture at the mean.
     """
     ratios = ca.SX(arm.gears.joint_count, 1)
     for group in map(list, groups):
-        held, free = arm.mass[group, group], arm.inverse[group, group]
-        mean = ca.trace(held @ free) / len(group)
-        apart = mean**2 - ca.det(held) * ca.det(free) if len(group) > 1 else 0.0
-        ratios[group] = mean + ca.sqrt(ca.fmax(apart, 0.0))
+        locked = arm.mass[group, group]
+        free = arm.inverse[group, group]
+        # Largest eigenvalue of locked free, by trace and determinant: (2 x 2) at most.
+        mean = ca.trace(locked @ free) / len(group)
+        square = mean**2 - ca.det(locked) * ca.det(free) if len(group) > 1 else 0.0
+        ratios[group] = mean + ca.sqrt(ca.fmax(square, 0.0))
     return ratios
 
 
@@ -395,9 +430,9 @@ class GearTorques(NamedTuple):
     """Moments of the torques through the gears.
 
     Attributes:
-        chance: that a joint is in contact (N).
-        mean: of the torque (N) [N m].
-        variance: of the torque (N).
+        chance: probability that a joint is in contact (N) [1].
+        mean: mean of the torque (N) [N m].
+        variance: variance of the torque (N) [N^2 m^2].
     """
 
     chance: Any
@@ -406,196 +441,230 @@ class GearTorques(NamedTuple):
 
 
 def gear_torques(
-    drives: Sequence[Drive], parts: Sequence[Numbers], told: Sequence[Posterior]
+    drives: Sequence[Drive], parts: Sequence[Numbers], posteriors: Sequence[Posterior]
 ) -> GearTorques:
-    """Return the torques through the gears at the start of a sample, group by group.
+    """Return the moments of the torques through the gears at the start of a sample.
 
-    The torque that stops a strike is as uncertain as the strike.
-
-    A torque within a contact has no variance: the stiff contact corrects it at once, while the
-    variances of two joints that take it for lasting would drive each other up.
+    They are moments over the modes. In a mode, only the torque that stops an impact is uncertain,
+    as much as the impulse. The torque of a lasting contact counts as known: a stiff contact
+    corrects its error at once. Otherwise the variances of two joints would increase each other.
 
     Args:
-        drives: of each joint.
-        parts: numbers of each joint.
-        told: of each joint, after its readings.
+        drives: functions of each group.
+        parts: parameters of each group's filter.
+        posteriors: posterior of each group, after its readings.
+
+    Returns:
+        Moments in the order of the groups.
     """
-    each = []
-    for drive, q, one in zip(drives, parts, told, strict=True):
-        chance, mean, square = (ca.SX.zeros(drive.layout.size) for _ in range(3))
-        modes = zip(
-            itertools.cycle(drive.layout.contact_combinations),
-            one.chances,
-            one.beliefs,
-            strict=False,
-        )
+    moments = []
+    for drive, q, posterior in zip(drives, parts, posteriors, strict=True):
+        layout = drive.layout
+        chance, mean, square = (ca.SX.zeros(layout.size) for _ in range(3))
+        contacts = itertools.cycle(layout.contact_combinations)
+        modes = zip(contacts, posterior.chances, posterior.beliefs, strict=False)
         for contact, share, belief in modes:
-            together = ca.SX(belief.mean)
-            together[drive.layout.slice_of("motor_speed")] = together[
-                drive.layout.slice_of("link_speed")
+            # The impact is over when motor and link have the same speed.
+            after_impact = ca.SX(belief.mean)
+            after_impact[layout.slice_of("motor_speed")] = after_impact[
+                layout.slice_of("link_speed")
             ]
             tau = drive.rate(q.model, belief.mean, 0.0, contact)[1]
-            sudden = tau - drive.rate(q.model, together, 0.0, contact)[1]
+            stopping = tau - drive.rate(q.model, after_impact, 0.0, contact)[1]
             chance += share * ca.DM(contact) ** 2
             mean += share * tau
-            square += share * (tau**2 + (q.impact * sudden) ** 2)
-        each.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
-    return GearTorques(*(ca.vertcat(*column) for column in zip(*each, strict=True)))
+            square += share * (tau**2 + (q.impact * stopping) ** 2)
+        moments.append((chance, mean, ca.fmax(square - mean**2, 0.0)))
+    return GearTorques(*(ca.vertcat(*column) for column in zip(*moments, strict=True)))
 
 
 def update_group_numbers(
     groups: Sequence[Sequence[int]],
-    ones: Sequence[Geared],
+    isolated: Sequence[Geared],
     drives: Sequence[Drive],
     parts: Sequence[Numbers],
-    told: Sequence[Posterior],
+    posteriors: Sequence[Posterior],
     arm: Posture,
 ) -> list[Numbers]:
-    """Return the parameters of each group's filter, with data about the rest of its arm.
+    """Return the parameters of each group's filter for the next sample.
+
+    They contain the effect of the rest of the arm (see the module), and its uncertainty as process
+    noise.
 
     Args:
         groups: joints of each filter.
-        ones: each group isolated.
-        drives: of each group.
-        parts: numbers of each group.
-        told: of each group, after its readings.
-        arm: all joints in the mean.
+        isolated: each group as an arm of its own.
+        drives: functions of each group.
+        parts: parameters of each group's filter, from those of all joints.
+        posteriors: posterior of each group, after its readings.
+        arm: posture at the mean.
     """
-    gears, N, body = arm.gears, arm.gears.joint_count, arm.gears.arm
-    links, names = gears.link_params(arm.params), body.names
-    carried = links[names.index("payload")]
-    known = []
-    for group, one, part in zip(groups, ones, parts, strict=True):
-        known.append(part._replace(model=_group_parameters(gears, one, part.model, group)))
-    now = gear_torques(drives, known, told)
+    gears = arm.gears
+    N = arm.gears.joint_count
+    body = arm.gears.arm
+    links = gears.link_params(arm.params)
+    names = body.names
+    payload = links[names.index("payload")]
+    own_parts = []
+    for group, own, part in zip(groups, isolated, parts, strict=True):
+        own_parts.append(part._replace(model=_group_parameters(gears, own, part.model, group)))
+    torques = gear_torques(drives, own_parts, posteriors)
     order = [*itertools.chain(*groups)]
-    now = GearTorques(*(_sort_rows(column, order) for column in now))
-    moved, tau = _link_mobility(arm, groups, now.chance), _mean_gear_torques(arm, now, drives[0])
+    torques = GearTorques(*(_sort_rows(column, order) for column in torques))
+    mobility = _link_mobility(arm, groups, torques.chance)
+    tau = _mean_gear_torques(arm, torques, drives[0])
     a = arm.inverse @ (tau - arm.needed)
 
-    def needed(at: Any) -> Any:
-        """Return the torques of the links at angles and payload (N) [N m]."""
+    def inverse_dynamics(at: Any) -> Any:
+        """Return the torques of the links for a, at angles and payload (N + 1) (N) [N m]."""
         column = ca.SX(links)
         column[names.index("payload")] = at[N]
         return body.mass(column, at[:N]) @ a + body.bias(column, at[:N], arm.v)
 
-    answers = moved @ linearise(needed, ca.vertcat(arm.q, carried))[1]
-    loads, spans = ca.SX(N, 1), ca.SX(N, 1)
-    for group, part, belief in zip(groups, parts, told, strict=True):
-        here = list(group)
-        loads[here] = part.Q[Layout(len(group)).slice_of("link_speed")]
-        spans[here] = _link_variances(belief.whole, len(group))
+    # Accelerations (N) by angles and payload (N + 1).
+    responses = mobility @ linearise(inverse_dynamics, ca.vertcat(arm.q, payload))[1]
+    loads = ca.SX(N, 1)
+    spans = ca.SX(N, 1)
+    for group, part, posterior in zip(groups, parts, posteriors, strict=True):
+        joints = list(group)
+        loads[joints] = part.Q[Layout(len(group)).slice_of("link_speed")]
+        spans[joints] = _link_variances(posterior.whole, len(group))
     apart = other_groups(groups, N)
-    uncertain = Uncertain(now.variance, loads, spans)
-    shaken = _coupling_variance(arm.inverse, moved, answers[:, :N], apart, uncertain, drives[0].Ts)
+    variances = CouplingVariances(torques.variance, loads, spans)
+    noise = _coupling_variance(
+        arm.inverse, mobility, responses[:, :N], apart, variances, drives[0].Ts
+    )
     after = []
-    for group, one, part in zip(groups, ones, known, strict=True):
-        here, size = list(group), len(group)
-        mass = solve_mass(moved[here, here], ca.DM.eye(size))
-        slope = mass @ answers[here, :]
+    for group, own, part in zip(groups, isolated, own_parts, strict=True):
+        joints = list(group)
+        size = len(group)
+        mass = solve_mass(mobility[joints, joints], ca.DM.eye(size))
+        slope = mass @ responses[joints, :]
         rest = {
             "mass": mass,
-            "load": tau[here] - arm.rubbed[here] - mass @ a[here],
-            "slope": slope[:, here],
-            "place": arm.q[here],
+            "load": tau[joints] - arm.link_friction[joints] - mass @ a[joints],
+            "slope": slope[:, joints],
+            "place": arm.q[joints],
             "weight": slope[:, N],
         }
-        for name, places in _rest_names(size).items():
-            for place, value in zip(places, ca.vertsplit(ca.vec(rest[name])), strict=True):
-                part.model[one.names.index(place)] = value
-        part.model[one.names.index("carried")] = carried
+        for name, entries in _rest_names(size).items():
+            for entry, value in zip(entries, ca.vertsplit(ca.vec(rest[name])), strict=True):
+                part.model[own.names.index(entry)] = value
+        part.model[own.names.index("carried")] = payload
         Q = ca.SX(part.Q)
-        Q[Layout(size).slice_of("link_speed")] += shaken[here]
+        Q[Layout(size).slice_of("link_speed")] += noise[joints]
         after.append(part._replace(Q=Q))
     return after
 
 
 def _sort_rows(column: Any, order: Sequence[int]) -> Any:
-    """Return a column whose rows stood in another order."""
+    """Return a column (N) with row k of the given one at place order[k]."""
     after = ca.SX(len(order), 1)
     after[list(order)] = column
     return after
 
 
-def _group_parameters(gears: Geared, one: Geared, params: Any, group: Sequence[int]) -> Any:
-    """Return the parameters of an isolated group, without data about the rest of the arm."""
-    column = ca.SX(one.values)
+def _group_parameters(gears: Geared, isolated: Geared, params: Any, group: Sequence[int]) -> Any:
+    """Return the parameters of an isolated group, those of the rest of the arm still missing.
+
+    Args:
+        gears: the arm.
+        isolated: the group as an arm of its own.
+        params: parameters of the arm.
+        group: the joints.
+    """
+    column = ca.SX(isolated.values)
     for place, joint in enumerate(group):
         for name in OWN:
-            column[one.names.index(f"{name}{place + 1}")] = params[
-                gears.names.index(f"{name}{joint + 1}")
-            ]
+            entry = isolated.names.index(f"{name}{place + 1}")
+            column[entry] = params[gears.names.index(f"{name}{joint + 1}")]
     return column
 
 
 def solve_mass(M: Any, right: Any) -> Any:
-    """Return M^-1 times a matrix."""
+    """Return M^-1 times a matrix `right`, with M symmetric and positive definite."""
     return ca.ldl_solve(right, *ca.ldl(M))
 
 
 def _link_mobility(arm: Posture, groups: Sequence[Sequence[int]], touching: Any) -> Any:
-    """Return the acceleration of each link by torques (N x N).
+    """Return the acceleration of each link by torques at the links (N x N).
 
-    Motors of joints of other groups in contact turn with their links.
+    A contact is stiff, so that motors in contact move with their links. Their inertia is added,
+    except those of the link's own group, whose contact its filter integrates.
 
-    So a link answers to its own contact, which lasts longer than a stiff contact takes.
+    Args:
+        arm: posture at the mean.
+        groups: joints of each filter.
+        touching: probability that a joint is in contact (N).
     """
-    N, inertia = arm.gears.joint_count, arm.gears.gear_number(arm.params, "inertia")
+    N = arm.gears.joint_count
+    inertia = arm.gears.gear_number(arm.params, "inertia")
     rows = ca.SX(N, N)
     for group in map(list, groups):
-        turned = touching * inertia
-        turned[group] = 0.0
-        rows[group, :] = solve_mass(arm.mass + ca.diag(turned), ca.DM.eye(N)[:, group]).T
+        motors = touching * inertia
+        motors[group] = 0.0
+        rows[group, :] = solve_mass(arm.mass + ca.diag(motors), ca.DM.eye(N)[:, group]).T
     return rows
 
 
-def _mean_gear_torques(arm: Posture, now: GearTorques, drive: Drive) -> Any:
-    """Return the mean torques through the gears over a sample (N) [N m].
+def _mean_gear_torques(arm: Posture, start: GearTorques, drive: Drive) -> Any:
+    """Return the mean torques through the gears over a sample with constant contacts (N) [N m].
 
-    Contacts stay unchanged.
+    The twist of each gear is integrated as if the joint were in contact. The torques of other
+    joints count by the probability of their contact.
 
-    A joint that touches feels its own torque, and those of others by the chance that they touch.
+    Args:
+        arm: posture at the mean.
+        start: torques at the start of the sample.
+        drive: functions of a group, for the sample time.
     """
-    gears, N, Ts = arm.gears, arm.gears.joint_count, drive.Ts
+    gears = arm.gears
+    N = arm.gears.joint_count
+    Ts = drive.Ts
     inertia = gears.gear_number(arm.params, "inertia")
     K, damping = gears.contact_stiffness(arm.params)
     own = ca.diag(arm.inverse)
     others = arm.inverse - ca.diag(own)
-    first = now.mean / ca.fmax(now.chance, NONE)
+    first = start.mean / ca.fmax(start.chance, NONE)  # torque of a joint in contact
 
     def rate(x: Any) -> Any:
-        """Return the rate of gear twist, speed difference and impulse (3N)."""
-        wound, faster = x[:N], x[N : 2 * N]
-        tau = first + K * wound + damping * faster
-        link = own * tau + others @ (now.chance * tau) - arm.inverse @ arm.needed
-        return ca.vertcat(arm.closing + faster, (arm.push - tau) / inertia - link, tau)
+        """Return the rate of gear twist, change of relative speed, and impulse (3N)."""
+        twist = x[:N]
+        speed = x[N : 2 * N]
+        tau = first + K * twist + damping * speed
+        link = own * tau + others @ (start.chance * tau) - arm.inverse @ arm.needed
+        return ca.vertcat(arm.closing + speed, (arm.push - tau) / inertia - link, tau)
 
     h = Ts / drive.substeps
-    g, touching = GAMMA * h, ca.fmax(now.chance, LEAST)
-    softened = g * K + damping
-    compliance = ca.diag(touching * (1 / softened + g / inertia + g * own))
+    g = GAMMA * h
+    touching = ca.fmax(start.chance, LEAST)
+    stiffness = g * K + damping  # of a contact over the step, spring and damper
+    compliance = ca.diag(touching * (1 / stiffness + g / inertia + g * own))
     compliance += g * (touching @ touching.T) * others
 
     def solve(b: Any) -> Any:
         """Return (I - g A)^-1 b (3N), with A the Jacobian of the rate."""
-        wound, faster, impulse = b[:N], b[N : 2 * N], b[2 * N :]
-        tau = solve_mass(compliance, touching * (faster + K * wound / softened))
-        faster = (tau - K * wound) / softened
-        return ca.vertcat(wound + g * faster, faster, impulse + g * tau)
+        twist = b[:N]
+        speed = b[N : 2 * N]
+        impulse = b[2 * N :]
+        tau = solve_mass(compliance, touching * (speed + K * twist / stiffness))
+        speed = (tau - K * twist) / stiffness
+        return ca.vertcat(twist + g * speed, speed, impulse + g * tau)
 
     total = ca.SX.zeros(3 * N)
     for _ in range(drive.substeps):
         total += rosenbrock_change(rate, solve, total, h)
-    return now.chance * total[2 * N :] / Ts
+    return start.chance * total[2 * N :] / Ts
 
 
-class Uncertain(NamedTuple):
-    """Variances of the coupling between joints.
+class CouplingVariances(NamedTuple):
+    """Variances of quantities of a joint that move the links of other joints.
 
     Attributes:
-        torque: through the gears (N) [N^2 m^2].
-        load: gain of the speed of each link in a sample by its own unknown torque (N).
-        span: of the angle of each link (N) [rad^2].
+        torque: variance of the torque through the gears (N) [N^2 m^2].
+        load: variance that its own unknown torque adds to a link's speed in a sample (N)
+            [(rad/s)^2].
+        span: variance of the angle of each link (N) [rad^2].
     """
 
     torque: Any
@@ -604,32 +673,40 @@ class Uncertain(NamedTuple):
 
 
 def _coupling_variance(
-    inverse: Any, moved: Any, answers: Any, apart: Any, of: Uncertain, Ts: float
+    inverse: Any, mobility: Any, responses: Any, apart: Any, of: CouplingVariances, Ts: float
 ) -> Any:
-    """Return the variance of each link speed by the uncertain coupling of links (N) [(rad/s)^2].
+    """Return the variance that other groups add to each link speed in a sample (N) [(rad/s)^2].
 
-    The variance is that gained in a sample.
-
-    What their torques are off by counts for the sample alone, as it is made up for.
+    An error of a gear torque lasts for a sample, since readings correct it. An error of a link
+    angle lasts for SLOW, so it counts as white noise of that intensity.
 
     Args:
-        inverse: M^-1.
-        moved: the acceleration of each link by torques (N x N).
-        answers: the acceleration of each link by the angle of another (N x N).
-        apart: 1 where two joints are of different groups (N x N).
-        of: the uncertain entry.
+        inverse: M^-1 (N x N).
+        mobility: acceleration of each link by torques (N x N).
+        responses: acceleration of each link by the angles of links (N x N).
+        apart: 1 for joints of different groups, else 0 (N x N).
+        of: variances of the joints.
         Ts: sample time [s].
     """
     N = apart.shape[0]
-    pushed = (apart * inverse**2) @ of.torque
-    loaded = (apart * (moved / ca.repmat(ca.diag(moved).T, N, 1)) ** 2) @ of.load
-    tilted = (apart * answers**2) @ of.span
-    return loaded + Ts * (Ts * pushed + SLOW * tilted)
+    by_torque = (apart * inverse**2) @ of.torque
+    # A load at link j moves link i by mobility_ij / mobility_jj times as much as link j.
+    by_load = (apart * (mobility / ca.repmat(ca.diag(mobility).T, N, 1)) ** 2) @ of.load
+    by_angle = (apart * responses**2) @ of.span
+    return by_load + Ts * (Ts * by_torque + SLOW * by_angle)
 
 
 def _link_variances(belief: Gaussian, size: int) -> Any:
-    """Return the variances of links (size) [rad^2], bounded by their flanks."""
-    layout, variances = Layout(size), ca.diag(belief.cov)
+    """Return the variances of the link angles (size) [rad^2], limited by the gap.
+
+    Whatever the estimate, a link is between its flanks.
+
+    Args:
+        belief: Gaussian of x of the group.
+        size: number of joints of the group.
+    """
+    layout = Layout(size)
+    variances = ca.diag(belief.cov)
     motor, link, half = (layout.slice_of(name) for name in ("motor", "link", "half"))
     bound = belief.mean[half] ** 2 + variances[half] + variances[motor]
     return ca.fmin(variances[link], bound)

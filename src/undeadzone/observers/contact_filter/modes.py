@@ -2,11 +2,12 @@
 
 A joint touches its right flank (1), runs free in the gap (0) or touches its left flank (-1). Each
 combination is an extended Kalman filter of x = [theta; q; theta'; q'; a; c; friction; f; k; w;
-payload] with the contacts held, f the friction of links, k the log of a contact's frequency over
-the model's, and a chance. A link leaves a flank when the torque through it changes its sign; it
-reaches one by first passage (`numerics.first_passage`), and then the gap is measured. Estimates
-that meet in a mode are merged by their moments (interacting multiple models, Blom and Bar-Shalom
-1988, with changes that hang on the state). docs/methods/contact.md derives the weights.
+payload] with constant contacts, and a probability. Here f is the friction of links, k the log of a
+contact's frequency over the model's. A link leaves a flank when the torque through it changes its
+sign. It reaches a flank by first passage (`numerics.first_passage`), which measures the gap.
+Estimates that enter the same mode are merged by their moments (interacting multiple models, Blom
+and Bar-Shalom 1988, with transitions that depend on the state). docs/methods/contact.md derives the
+weights.
 
 References:
     H. A. P. Blom, Y. Bar-Shalom (1988), doi:10.1109/9.1299
@@ -42,21 +43,21 @@ from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
 
 Contacts = Sequence[Any]  # of each joint: 1, 0 or -1, or a symbol of 1 or -1
-LONG = 4000  # instructions of a shared graph from which on calls of it stay calls
+LONG = 4000  # instructions above which a shared graph is called, not inlined
 MOTION = ("motor", "link", "motor_speed", "link_speed")
 CONSTANTS = ("half", "centre", "friction", "f")  # named as the plant's parameters
 QUANTITIES = (*MOTION, *CONSTANTS, "firmness", "push")  # of each joint
-SMALL = 1e-6  # least chance that a link is in its gap
-NONE = 1e-12  # chance below which nothing comes to a mode
-LEAST = 1e-7  # chance of a mode below which it is dropped
-WIDE = 4.0  # half gaps of deviation beyond which a free link may be anywhere in the gap
-FAR = 3.0  # deviations beyond which a belief off an edge says little of it
-LOST = -1e6  # log of a density that is as good as none
-AWAY = 1000.0  # by which the log of a density is less where a filter ran away
-MOST = 60.0  # largest difference of logs of chances
-LATE = 0.95  # chance under the uncut belief of being beyond a flank, from which it is cut
-SURE = 3.0  # deviations from a flank beyond which it cuts nothing
-WALKING = ("half", "centre", "payload")  # what changes slowly, up to a largest deviation
+SMALL = 1e-6  # least probability that a link is in its gap
+NONE = 1e-12  # probability below which no link enters a mode
+LEAST = 1e-7  # probability of a mode below which it is dropped
+WIDE = 4.0  # standard deviation above which a free link may be anywhere in the gap [half gaps]
+FAR = 3.0  # distance above which the estimate contradicts a flank [standard deviations]
+LOST = -1e6  # least log density
+AWAY = 1000.0  # difference of log densities above which the worse filter has diverged
+MOST = 60.0  # largest difference of log densities of modes
+LATE = 0.95  # probability of being beyond a flank above which the estimate is truncated
+SURE = 3.0  # distance from a flank above which it does not truncate [standard deviations]
+WALKING = ("half", "centre", "payload")  # random walks with a largest variance
 RESTING = 0.1  # speed below which a motor may be at rest, or a link on its flank [rad/s]
 
 
@@ -99,20 +100,20 @@ class Layout(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Functions of the plant for the filter; the first argument is `Numbers.model`.
+    """Functions of the plant for the filter; their first argument is `Numbers.model`.
 
     Attributes:
-        layout: places of the quantities.
-        rate: (numbers, x, u, contact) -> (x' (entries), torques through the gears (N)), contacts
-            locked.
-        implicit: (numbers, x, contact, g) -> function that returns (I - g A)^-1 times a column
-            (entries), with A the part of the Jacobian of `rate` that contacts and friction make.
-        mobility: (numbers, x) -> change of [theta'; q'] (2N x N) by a unit impulse between motor
-            and link of each joint, which takes from the motor.
-        readings: entry of x that each reading gives (p).
+        layout: places of the quantities in x.
+        rate: (model, x, u, contact) -> (x' (entries), torques through the gears (N)), for constant
+            contacts.
+        implicit: (model, x, contact, g) -> function that returns (I - g A)^-1 times a column
+            (entries), with A the part of the Jacobian of `rate` by contacts and friction.
+        mobility: (model, x) -> change of [theta'; q'] (2N x N) by a unit impulse from motor to link
+            in each joint.
+        readings: entry of x that each reading measures (p).
         Ts: sample time [s].
-        substeps: steps of integration in a sample.
-        apart: whether it is one joint of several, whose effects on its link count as noise.
+        substeps: integration steps in a sample.
+        apart: whether the filter has a part of the joints; the effect of others is noise.
     """
 
     layout: Layout
@@ -129,17 +130,17 @@ class Numbers(NamedTuple):
     """Parameters of the filter.
 
     Attributes:
-        model: those of the plant.
-        Q: variance that x gains in a step (entries).
-        R: variance of a reading (p).
-        low, high: between which x is known to lie (entries).
-        most: largest variance to which x drifts (entries).
-        slack: variance of the place of a flank: its compliance is not known (1) [rad^2].
-        torque: deviation of the torque through the gears (N) [N m].
-        leaving: chance per sample that a link leaves a flank which pulls.
-        impact: share by which an impulse is off.
-        rest: variance that the speed of a motor at rest gains in a step, over f^2 (N).
-        least: friction that static friction has at least (N) [N m].
+        model: parameters of the plant.
+        Q: process noise: variance that x gains in a sample (entries).
+        R: variance of a reading (p) [rad^2].
+        low, high: bounds of x (entries).
+        most: largest variance of a random walk (entries).
+        slack: variance of the position of a flank, by its unknown compliance (1) [rad^2].
+        torque: standard deviation of the torque through the gears (N) [N m].
+        leaving: probability in a sample that a link leaves a flank off which it is pulled [1].
+        impact: relative standard deviation of an impulse [1].
+        rest: variance that the speed of a motor at rest gains in a sample, over friction^2 (N).
+        least: lower bound of the static friction (N) [N m].
     """
 
     model: Any
@@ -160,10 +161,10 @@ class Modes(NamedTuple):
     """State of the filter: a probability and a Gaussian for each mode.
 
     Attributes:
-        chances: of the modes (K); their sum is 1.
-        means: of x in each mode (K of (entries)).
-        covs: upper triangles of the covariances.
-        begun: 1 once a whole sample was read (1).
+        chances: probabilities of the modes (K), of sum 1.
+        means: means of x in each mode (K of (entries)).
+        covs: upper triangles of the covariances of x (K).
+        begun: 1 once a sample without missing readings was read, else 0 (1).
     """
 
     chances: Any
@@ -176,12 +177,12 @@ class Posterior(NamedTuple):
     """Posterior of the modes after the readings of a sample.
 
     Attributes:
-        chances: of the modes (K).
-        beliefs: about x in each mode.
-        whole: the belief about x over all modes.
-        news: by how much the readings moved its mean (entries).
-        e, std: innovations and their deviations, over all modes (p).
-        log: log of how well the modes foretold the readings.
+        chances: probabilities of the modes (K).
+        beliefs: Gaussians of x in each mode (K).
+        whole: Gaussian of x over all modes, by moments.
+        news: change of its mean by the readings (entries).
+        e, std: innovations and their standard deviations, over all modes (p).
+        log: log predictive density of the readings.
     """
 
     chances: tuple[Any, ...]
@@ -200,11 +201,13 @@ def start_modes(layout: Layout, mean: Floats, std: Floats, slack: float) -> Mode
 
     Args:
         layout: places of the quantities.
-        mean, std: of x about the first reading, contacts unknown (entries).
-        slack: variance of the place of a flank [rad^2].
+        mean, std: mean and standard deviation of x about the first reading, whatever the contacts
+            (entries).
+        slack: variance of the position of a flank [rad^2].
     """
     entries = ca.Sparsity.upper(layout.entry_count)
-    means, covs = [], []
+    means = []
+    covs = []
     for mode in layout.contact_combinations:
         belief = Gaussian(ca.SX(mean), ca.SX(ca.diag(std**2)))
         for joint, side in enumerate(mode):
@@ -217,14 +220,18 @@ def start_modes(layout: Layout, mean: Floats, std: Floats, slack: float) -> Mode
 
 
 def _mode_gaussians(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
-    """Return the Gaussian of each mode. The first whole sample sets the angles.
+    """Return the Gaussian of each mode (K).
+
+    The first sample without missing readings sets the angles of motors and links.
 
     Args:
-        drive: the plant.
-        s: the state.
-        y: readings (p).
+        drive: functions of the plant.
+        s: state of the filter.
+        y: readings (p), NaN if missing.
     """
-    layout, N, whole = drive.layout, drive.layout.size, ca.mmin(present(y))
+    layout = drive.layout
+    N = drive.layout.size
+    whole = ca.mmin(present(y))
     entries = ca.Sparsity.upper(layout.entry_count)
     angle = ca.if_else(ca.logic_and(s.begun < 0.5, whole), y[:N], 0.0)
     shift = ca.vertcat(angle, angle, ca.SX.zeros(layout.entry_count - 2 * N))
@@ -235,34 +242,51 @@ def _mode_gaussians(drive: Drive, s: Modes, y: Any) -> list[Gaussian]:
 
 
 def correct_modes(drive: Drive, q: Numbers, s: Modes, y: Any) -> Posterior:
-    """Return the modes after the readings of a sample. A reading that is no number is missing."""
-    beliefs, each = _mode_gaussians(drive, s, y), []
+    """Return the posterior of the modes after the readings of a sample.
+
+    The probabilities follow from Bayes' rule, by logarithms against underflow. A mode that becomes
+    improbable is dropped, and has the mixture of the others as its Gaussian.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        s: state of the filter.
+        y: readings (p), NaN if missing.
+    """
+    beliefs = _mode_gaussians(drive, s, y)
+    modes = []
     for contact, belief in zip(drive.layout.contact_combinations, beliefs, strict=True):
-        each.append(_correct_mode(drive, q, contact, belief, y))
-    before = ca.vertsplit(s.chances)
-    alive = [ca.if_else(w > 0, one.log, -1e300) for w, one in zip(before, each, strict=True)]
-    best = ca.mmax(ca.vertcat(*alive))
-    logs = [ca.fmax(one.log - best, -MOST) for one in each]
-    likely = [w * ca.exp(log) for w, log in zip(before, logs, strict=True)]
-    weights, log = normalise_weights(likely), best + ca.log(ca.fmax(sum(likely), 1e-300))
-    log = ca.if_else(log > LOST, log, LOST)  # also of a filter that overflows
+        modes.append(_correct_mode(drive, q, contact, belief, y))
+    prior = ca.vertsplit(s.chances)
+    possible = [ca.if_else(w > 0, mode.log, -1e300) for w, mode in zip(prior, modes, strict=True)]
+    best = ca.mmax(ca.vertcat(*possible))
+    logs = [ca.fmax(mode.log - best, -MOST) for mode in modes]
+    joint = [w * ca.exp(log) for w, log in zip(prior, logs, strict=True)]
+    weights = normalise_weights(joint)
+    log = best + ca.log(ca.fmax(sum(joint), 1e-300))
+    log = ca.if_else(log > LOST, log, LOST)  # this comparison replaces NaN, too
     shares = normalise_weights([ca.if_else(weight < LEAST, 0.0, weight) for weight in weights])
-    whole = mix_gaussians(shares, [one.belief for one in each])
-    kept = []
-    for share, one in zip(shares, each, strict=True):
-        kept.append(select_gaussian(share > 0, one.belief, whole))
-    news = whole.mean - mean_of_models(before, [belief.mean for belief in beliefs])
+    whole = mix_gaussians(shares, [mode.belief for mode in modes])
+    posterior = []
+    for share, mode in zip(shares, modes, strict=True):
+        posterior.append(select_gaussian(share > 0, mode.belief, whole))
+    news = whole.mean - mean_of_models(prior, [belief.mean for belief in beliefs])
     return Posterior(
-        tuple(shares), tuple(kept), whole, news, *mixture_innovation(before, each), log
+        tuple(shares), tuple(posterior), whole, news, *mixture_innovation(prior, modes), log
     )
 
 
 def mixture_innovation(
-    shares: Sequence[Any], each: Sequence[Posterior | CorrectedMode]
+    shares: Sequence[Any], modes: Sequence[Posterior | CorrectedMode]
 ) -> tuple[Any, Any]:
-    """Return the innovation of a mixture and its standard deviation (p each), by weights (K)."""
-    e = mean_of_models(shares, [one.e for one in each])
-    variances = [one.std**2 + (one.e - e) ** 2 for one in each]
+    """Return the innovation of a mixture and its standard deviation (p each).
+
+    Args:
+        shares: weights of the components (K).
+        modes: components, with their innovations and standard deviations (K).
+    """
+    e = mean_of_models(shares, [mode.e for mode in modes])
+    variances = [mode.std**2 + (mode.e - e) ** 2 for mode in modes]
     return e, ca.sqrt(mean_of_models(shares, variances))
 
 
@@ -270,9 +294,9 @@ class CorrectedMode(NamedTuple):
     """Mode after the readings of a sample.
 
     Attributes:
-        belief: about x.
-        log: log of how well it foretold them.
-        e, std: innovations and their deviations (p).
+        belief: Gaussian of x.
+        log: log predictive density of the readings, up to a constant.
+        e, std: innovations and their standard deviations (p).
     """
 
     belief: Gaussian
@@ -282,36 +306,53 @@ class CorrectedMode(NamedTuple):
 
 
 def _correct_mode(
-    drive: Drive, q: Numbers, contact: Contacts, foretold: Gaussian, y: Any
+    drive: Drive, q: Numbers, contact: Contacts, predicted: Gaussian, y: Any
 ) -> CorrectedMode:
-    """Return a mode after the readings, with its entries within their bounds."""
-    belief, log, readings = foretold, ca.SX(0.0), []
+    """Return a mode after the readings, with the mean of x within its bounds.
+
+    The readings are independent, so the Kalman update takes one after the other.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        contact: contacts of the mode (N).
+        predicted: Gaussian of x before the readings.
+        y: readings (p), NaN if missing.
+    """
+    belief = predicted
+    log = ca.SX(0.0)
+    updates = []
     for row, entry in enumerate(drive.readings):
-        seen = present(y[row])
+        is_present = present(y[row])
         h = ca.DM(1, drive.layout.entry_count)
         h[0, entry] = 1
-        e = ca.if_else(seen, y[row] - belief.mean[entry], 0.0)
-        told = update_with_outliers(belief, h, e, q.R[row], seen, None, 0.0)
-        belief = told.belief
-        log += ca.if_else(seen, -((e / told.std) ** 2) / 2 - ca.log(told.std), 0.0)
-        readings.append(told)
-    for one, sign in ((belief, 1), (foretold, -1)):
-        log += sign * _log_gap_probability(drive.layout, contact, one, q.slack)
+        e = ca.if_else(is_present, y[row] - belief.mean[entry], 0.0)
+        update = update_with_outliers(belief, h, e, q.R[row], is_present, None, 0.0)
+        belief = update.belief
+        log += ca.if_else(is_present, -((e / update.std) ** 2) / 2 - ca.log(update.std), 0.0)
+        updates.append(update)
+    # Free links are between their flanks. Readings that make this more probable support the mode.
+    for gaussian, sign in ((belief, 1), (predicted, -1)):
+        log += sign * _log_gap_probability(drive.layout, contact, gaussian, q.slack)
     bounded = Gaussian(ca.fmax(ca.fmin(belief.mean, q.high), q.low), belief.cov)
-    columns = stack_updates(readings)
+    columns = stack_updates(updates)
     return CorrectedMode(bounded, log, columns.e, columns.std)
 
 
 def _log_gap_probability(layout: Layout, contact: Contacts, belief: Gaussian, slack: Any) -> Any:
-    """Return the log probability that the links in their gaps are between their flanks.
+    """Return the log probability that the free links of a mode are between their flanks.
 
-    By as much as readings raise it, they speak for a mode whose belief is uncut.
+    Args:
+        layout: places of the quantities in x.
+        contact: contacts of the mode (N).
+        belief: Gaussian of x, not truncated at the flanks.
+        slack: variance of the position of a flank [rad^2].
     """
     log = ca.SX(0.0)
     for joint, side in enumerate(contact):
         if side == 0:
-            out = sum(_flank_probabilities(layout, joint, belief, slack))
-            log += ca.log(ca.fmax(1 - out, SMALL))
+            outside = sum(_flank_probabilities(layout, joint, belief, slack))
+            log += ca.log(ca.fmax(1 - outside, SMALL))
     return log
 
 
@@ -331,21 +372,24 @@ def select_gaussian(use: Any, one: Gaussian, other: Gaussian) -> Gaussian:
 
 
 def normalise_weights(weights: list[Any]) -> list[Any]:
-    """Return the weights divided by their sum."""
+    """Return the weights (K) divided by their sum."""
     total = ca.fmax(sum(weights), 1e-300)
     return [weight / total for weight in weights]
 
 
-def replace_diverged(told: Sequence[Posterior]) -> list[Posterior]:
-    """Return the filters of a joint, with a diverged filter replaced by the most likely.
+def replace_diverged(posteriors: Sequence[Posterior]) -> list[Posterior]:
+    """Return the posteriors of K filters, with those that diverged replaced by the most likely.
 
     Args:
-        told: of each filter (K).
+        posteriors: posteriors of the filters (K).
     """
-    best = told[0]
-    for one in told[1:]:
-        best = _select_posterior(one.log > best.log, one, best)
-    return [_select_posterior(one.log < best.log - AWAY, best, one) for one in told]
+    best = posteriors[0]
+    for posterior in posteriors[1:]:
+        best = _select_posterior(posterior.log > best.log, posterior, best)
+    return [
+        _select_posterior(posterior.log < best.log - AWAY, best, posterior)
+        for posterior in posteriors
+    ]
 
 
 def _select_posterior(use: Any, one: Posterior, other: Posterior) -> Posterior:
@@ -359,34 +403,39 @@ class Mode(NamedTuple):
     """Mode between two samples.
 
     Attributes:
-        chance: of the mode.
-        belief: about x.
+        chance: probability of the mode.
+        belief: Gaussian of x.
     """
 
     chance: Any
     belief: Gaussian
 
 
-def predict_modes(drive: Drive, q: Numbers, told: Posterior, u: Any) -> tuple[Mode, ...]:
-    """Return the modes a sample later: links leave flanks, all move, links reach flanks.
+def predict_modes(drive: Drive, q: Numbers, posterior: Posterior, u: Any) -> tuple[Mode, ...]:
+    """Return the modes at the next sample: links leave flanks, all move, links reach flanks.
 
     Args:
-        drive: the plant.
-        q: the numbers.
-        told: the modes after the readings.
-        u: torque of the motors (N).
+        drive: functions of the plant.
+        q: parameters of the filter.
+        posterior: modes after the readings.
+        u: torque of the motors (N) [N m].
     """
-    modes = drive.layout.contact_combinations
-    now = [Mode(*each) for each in zip(told.chances, told.beliefs, strict=True)]
-    signs = [_leaving_shares(drive, q, mode, one, u) for mode, one in zip(modes, now, strict=True)]
+    contacts = drive.layout.contact_combinations
+    modes = [Mode(*pair) for pair in zip(posterior.chances, posterior.beliefs, strict=True)]
+    leaving = [
+        _leaving_probabilities(drive, q, contact, mode, u)
+        for contact, mode in zip(contacts, modes, strict=True)
+    ]
     for joint in range(drive.layout.size):
-        now, signs = _leave_flanks(drive, q, joint, now, signs)
-    after = _move_modes(drive, q, now, u)
-    each = zip(modes, now, after, strict=True)
-    arrivals = [_arrival_shares(drive.layout, q.slack, *ways) for ways in each]
+        modes, leaving = _leave_flanks(drive, q, joint, modes, leaving)
+    moved = _move_modes(drive, q, modes, u)
+    arrivals = [
+        _arrival_shares(drive.layout, q.slack, contact, start, end)
+        for contact, start, end in zip(contacts, modes, moved, strict=True)
+    ]
     for joint in range(drive.layout.size):
-        after, arrivals = _reach_flanks(drive, q, joint, after, arrivals)
-    return tuple(after)
+        moved, arrivals = _reach_flanks(drive, q, joint, moved, arrivals)
+    return tuple(moved)
 
 
 def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Callable[[Any], Any]:
@@ -407,73 +456,101 @@ def _sample_motion(drive: Drive, q: Numbers, contact: Contacts, u: Any) -> Calla
     return change
 
 
-def _leaving_shares(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Any:
-    """Return the share of a mode that leaves its flank in the sample, by joint (N) [1].
+def _leaving_probabilities(drive: Drive, q: Numbers, contact: Contacts, mode: Mode, u: Any) -> Any:
+    """Return the probability that each link leaves its flank in the sample (N) [1].
 
-    It does if the torque through the gears pulls in the middle of the sample. Then it is free for
-    the whole sample: to wait for its end would make each crossing late.
+    A link leaves if the torque through the gears pulls it off its flank in the middle of the
+    sample. It counts as free for the whole sample: if it were freed at the end, each crossing of
+    the gap would be late.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        contact: contacts of the mode (N).
+        mode: the mode.
+        u: torque of the motors (N) [N m].
     """
-    x = one.belief.mean
+    x = mode.belief.mean
     end = x + _sample_motion(drive, q, contact, u)(x)
-    now, then = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
-    return q.leaving * normal_cdf(-ca.DM(contact) * (now + then) / 2 / q.torque)
+    before, after = (drive.rate(q.model, each, u, contact)[1] for each in (x, end))
+    pull = -ca.DM(contact) * (before + after) / 2  # mean torque away from the flank [N m]
+    # P(pull > 0) of a Gaussian torque with standard deviation q.torque.
+    return q.leaving * normal_cdf(pull / q.torque)
 
 
 def _flank_places(layout: Layout, joint: int) -> list[dict[int, int]]:
-    """Return the places of a joint's right flank, gap and left flank among the modes.
+    """Return the modes of a joint's right flank, gap and left flank, as indices by contact.
 
-    Each entry is for a combination of the remaining joints.
+    There is an entry for each combination of the contacts of other joints.
     """
-    modes = layout.contact_combinations
-    free = [mode for mode in modes if mode[joint] == 0]
+    contacts = layout.contact_combinations
+    free = [contact for contact in contacts if contact[joint] == 0]
     return [
-        {side: modes.index((*one[:joint], side, *one[joint + 1 :])) for side in (1, 0, -1)}
-        for one in free
+        {side: contacts.index((*before[:joint], side, *before[joint + 1 :])) for side in (1, 0, -1)}
+        for before in free
     ]
 
 
 def _leave_flanks(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], leaving: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """Return the modes, and the leaving shares, after a joint has left its flanks."""
-    after, shares = list(modes), list(leaving)
+    """Return modes and leaving probabilities after a joint has left its flanks.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        joint: the joint.
+        modes: modes before (K).
+        leaving: probability that each joint leaves its flank, by mode (K of (N)).
+    """
+    after = list(modes)
+    probabilities = list(leaving)
     for places in _flank_places(drive.layout, joint):
-        gap, parts, left = places[0], [], []
+        gap = places[0]
+        arriving = []
+        arriving_leave = []
         for side in (1, -1):
-            here = modes[places[side]]
+            flank = modes[places[side]]
             share = leaving[places[side]][joint]
-            after[places[side]] = here._replace(chance=here.chance * (1 - share))
-            parts.append(here._replace(chance=here.chance * share))
-            left.append(leaving[places[side]])
-        parts = [
-            *_separate_gap_mode(drive, q, joint, modes[gap], sum(one.chance for one in parts)),
-            *parts,
-        ]
-        left = [leaving[gap], leaving[gap], *left]
+            after[places[side]] = flank._replace(chance=flank.chance * (1 - share))
+            arriving.append(flank._replace(chance=flank.chance * share))
+            arriving_leave.append(leaving[places[side]])
+        arriving_chance = sum(mode.chance for mode in arriving)
+        parts = [*_separate_gap_mode(drive, q, joint, modes[gap], arriving_chance), *arriving]
         after[gap], weights = _merge_modes(parts)
-        shares[gap] = mean_of_models(weights, left)
-    return after, shares
+        probabilities[gap] = mean_of_models(weights, [leaving[gap], leaving[gap], *arriving_leave])
+    return after, probabilities
 
 
-def _separate_gap_mode(drive: Drive, q: Numbers, joint: int, gap: Mode, come: Any) -> list[Mode]:
-    """Return a gap's mode in two parts, untruncated and truncated to the gap.
+def _separate_gap_mode(
+    drive: Drive, q: Numbers, joint: int, gap: Mode, arriving: Any
+) -> list[Mode]:
+    """Return the mode of a free joint in two parts, untruncated and truncated to the gap.
 
-    The untruncated part gives the first passage. Yet a link that has not arrived is in the gap: a
-    new part would be merged with one that has long been elsewhere, and go with it. So it is cut by
-    the share of new parts, and wholly, once, if hardly any of the uncut belief is in the gap.
+    First passage is computed from an untruncated Gaussian. Yet a link that has not reached a flank
+    is in its gap. A part that arrives in the mode must not be merged with a Gaussian that has left
+    the gap long ago. So the truncated part has the share of the arriving probability, or all if
+    hardly any of the untruncated Gaussian is in the gap.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        joint: the joint.
+        gap: the mode.
+        arriving: probability that arrives in the mode.
     """
     belief = gap.belief
     bounds = [Bound(h, h @ belief.mean, 1.0) for h in drive.layout.flank_rows(joint)]
     inside = truncate_at_bounds(belief, bounds, q.slack, SURE).belief
     late = sum(_flank_probabilities(drive.layout, joint, belief, q.slack)) > LATE
-    share = ca.if_else(late, 1.0, come / ca.fmax(gap.chance + come, NONE))
+    share = ca.if_else(late, 1.0, arriving / ca.fmax(gap.chance + arriving, NONE))
     return [gap._replace(chance=gap.chance * (1 - share)), Mode(gap.chance * share, inside)]
 
 
-def _move_modes(drive: Drive, q: Numbers, now: Sequence[Mode], u: Any) -> list[Mode]:
-    """Return the modes a sample later, with the contacts unchanged.
+def _move_modes(drive: Drive, q: Numbers, before: Sequence[Mode], u: Any) -> list[Mode]:
+    """Return the modes (K) at the next sample, with constant contacts.
 
-    Modes of which the same joints are in contact share a graph, in which the flank is a symbol.
+    Modes in which the same joints are in contact share a graph, in which the flank is a symbol.
     """
     after: dict[int, Mode] = {}
     modes = drive.layout.contact_combinations
@@ -481,69 +558,95 @@ def _move_modes(drive: Drive, q: Numbers, now: Sequence[Mode], u: Any) -> list[M
         alike = [k for k, mode in enumerate(modes) if tuple(side == 0 for side in mode) == free]
 
         def move(sides: Any, q: Numbers, one: Mode, u: Any, free: Any = free) -> Mode:
-            """Return a mode a sample later."""
+            """Return a mode at the next sample."""
             flanks = zip(ca.vertsplit(sides), free, strict=True)
             contact = [side * (1 - is_free) for side, is_free in flanks]
             return _move_mode(drive, q, contact, one, u)
 
-        calls = [(ca.SX(ca.DM(modes[k])), q, now[k], u) for k in alike]
+        calls = [(ca.SX(ca.DM(modes[k])), q, before[k], u) for k in alike]
         after |= zip(alike, share_step_graph(move, calls, LONG), strict=True)
     return [after[k] for k in range(len(modes))]
 
 
-def _move_mode(drive: Drive, q: Numbers, contact: Contacts, one: Mode, u: Any) -> Mode:
-    """Return a mode a sample later, with the contacts unchanged."""
-    layout, (mean, cov), Q = drive.layout, one.belief, ca.SX(q.Q)
+def _move_mode(drive: Drive, q: Numbers, contact: Contacts, mode: Mode, u: Any) -> Mode:
+    """Return a mode at the next sample, with constant contacts.
+
+    It is the prediction of an extended Kalman filter. Static friction of a motor at rest balances
+    an unknown torque, which its process noise models.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        contact: contacts of the mode (N), numbers or symbols.
+        mode: the mode.
+        u: torque of the motors (N) [N m].
+    """
+    layout = drive.layout
+    (mean, cov) = mode.belief
+    Q = ca.SX(q.Q)
     motors = layout.slice_of("motor_speed")
     friction = ca.fmax(mean[layout.slice_of("friction")], q.least)
-    Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])  # which takes whatever there is
-    for name in WALKING:
-        here = layout.slice_of(name)
-        Q[here] *= ca.fmax(1 - ca.diag(cov[here, here]) / q.most[here], 0.0)
-    return Mode(
-        one.chance,
-        predict_first_order(one.belief, _sample_motion(drive, q, contact, u), ca.diag(Q)),
-    )
+    Q[motors] += q.rest * friction**2 * _rest_weight(mean[motors])
+    for name in WALKING:  # a random walk slows down as its variance approaches the largest one
+        entries = layout.slice_of(name)
+        Q[entries] *= ca.fmax(1 - ca.diag(cov[entries, entries]) / q.most[entries], 0.0)
+    motion = _sample_motion(drive, q, contact, u)
+    return Mode(mode.chance, predict_first_order(mode.belief, motion, ca.diag(Q)))
 
 
 def _arrival_shares(layout: Layout, slack: Any, contact: Contacts, start: Mode, end: Mode) -> Any:
-    """Return the shares of a mode that reach the right and the left flank (N x 2) [1].
+    """Return the probabilities that links reach the right and the left flank (N x 2) [1].
 
-    An untruncated belief much wider than the gap has no information on the place inside it.
+    Args:
+        layout: places of the quantities in x.
+        slack: variance of the position of a flank [rad^2].
+        contact: contacts of the mode (N).
+        start, end: the mode at the start and at the end of the sample.
     """
     shares = ca.SX.zeros(layout.size, 2)
     for joint in range(layout.size):
         if contact[joint] == 0:
             before, now = (
-                _flank_probabilities(layout, joint, one.belief, slack) for one in (start, end)
+                _flank_probabilities(layout, joint, mode.belief, slack) for mode in (start, end)
             )
             across = layout.flank_row(joint, 1)
-            most = WIDE * end.belief.mean[layout.slice_of("half")][joint]
-            lost = across @ end.belief.cov @ across.T > most**2 + slack
-            shares[joint, :] = ca.horzcat(*arrival_shares(before, now, lost))
+            # A Gaussian much wider than the gap has no information on the position inside it.
+            widest = WIDE * end.belief.mean[layout.slice_of("half")][joint]
+            is_vague = across @ end.belief.cov @ across.T > widest**2 + slack
+            shares[joint, :] = ca.horzcat(*arrival_shares(before, now, is_vague))
     return shares
 
 
 def _reach_flanks(
     drive: Drive, q: Numbers, joint: int, modes: list[Mode], arrivals: list[Any]
 ) -> tuple[list[Mode], list[Any]]:
-    """Return the modes, and the arriving shares, after a joint has reached its flanks."""
-    after, shares = list(modes), list(arrivals)
+    """Return modes and arrival probabilities after a joint has reached its flanks.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        joint: the joint.
+        modes: modes before (K).
+        arrivals: probabilities to reach the right and left flank, by mode (K of (N x 2)).
+    """
+    after = list(modes)
+    shares = list(arrivals)
     for places in _flank_places(drive.layout, joint):
-        gap, share = modes[places[0]], arrivals[places[0]][joint, :]
+        gap = modes[places[0]]
+        share = arrivals[places[0]][joint, :]
         after[places[0]] = gap._replace(chance=gap.chance * (1 - ca.sum2(share)))
         for side, arrived in zip((1, -1), ca.horzsplit(share), strict=True):
             place = places[side]
             new = Mode(gap.chance * arrived, condition_on_impact(drive, q, joint, side, gap.belief))
-            after[place], (kept, come) = _merge_modes([modes[place], new])
-            shares[place] = kept * arrivals[place] + come * arrivals[places[0]]
+            after[place], (old_share, new_share) = _merge_modes([modes[place], new])
+            shares[place] = old_share * arrivals[place] + new_share * arrivals[places[0]]
     return after, shares
 
 
 def _merge_modes(parts: list[Mode]) -> tuple[Mode, list[Any]]:
-    """Return the mode merged from parts by their moments, and the share of each part.
+    """Return the mode merged from K parts by their moments, and the share of each part (K).
 
-    If no part arrives, the first one stays.
+    If all parts are improbable, the first one has the share 1.
     """
     total = sum(part.chance for part in parts)
     empty = total < NONE
@@ -557,52 +660,71 @@ def condition_on_impact(
 ) -> Gaussian:
     """Return the Gaussian of a link that has just struck a flank.
 
-    In the mean it did so half a sample ago. Since then motor and link have moved on together, by as
-    much as the impulse between them moves them; its size is not known, as restitution is not. Joint
-    by joint, if both move alike, the gap is left as it is: a link that rests on a flank leaves it
-    and comes back for reasons that are not modelled, and soon seemed to cross a gap of nothing.
+    On average it did so half a sample ago. Since then motor and link have moved with the speeds
+    after the impulse between them. The impulse is uncertain, since restitution is unknown.
+
+    If joints are filtered separately, the gap is not updated by impacts at low speed: a link that
+    rests on a flank leaves it and returns by effects that are not modelled, as if its gap were 0.
+
+    Args:
+        drive: functions of the plant.
+        q: parameters of the filter.
+        joint: the joint.
+        side: the flank, +1 right or -1 left.
+        belief: Gaussian of x before.
     """
-    layout, x = drive.layout, belief.mean
-    motor, link = (
-        layout.slice_of("motor_speed").start + joint,
-        layout.slice_of("link_speed").start + joint,
-    )
+    layout = drive.layout
+    x = belief.mean
+    motor = layout.slice_of("motor_speed").start + joint
+    link = layout.slice_of("link_speed").start + joint
     late = ca.DM(1, layout.entry_count)
-    late[0, motor], late[0, link] = -side * drive.Ts / 2, side * drive.Ts / 2
+    late[0, motor] = -side * drive.Ts / 2
+    late[0, link] = side * drive.Ts / 2
+    # The flank was reached at [flank row + late] x = 0: now less half a sample of relative motion.
     row = layout.flank_row(joint, side) + late
     excess = row @ x
-    wild = ca.fmax(ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0)
+    contradiction = ca.fmax(
+        ca.fabs(excess) - FAR * ca.sqrt(ca.fmax(row @ belief.cov @ row.T, 0.0)), 0.0
+    )
     moved = ca.SX.ones(layout.entry_count) if drive.apart else None
     if moved is not None:
         moved[layout.slice_of("half").start + joint] = 1 - _rest_weight(x[motor] - x[link])
-    at = condition_on_edge(belief, row, excess, q.slack + (late @ x) ** 2 / 3 + wild**2, moved)
+    at = condition_on_edge(
+        belief, row, excess, q.slack + (late @ x) ** 2 / 3 + contradiction**2, moved
+    )
     direction = drive.mobility(q.model, at.mean)[:, joint]
     N = layout.size
-    give = direction / (direction[N + joint] - direction[joint])  # a unit of theta' - q' less
-    b = ca.vertcat(ca.SX.zeros(2 * N), give, ca.SX.zeros(layout.entry_count - 4 * N))
+    # Change of the speeds by the impulse that reduces theta' - q' by a unit.
+    unit = direction / (direction[N + joint] - direction[joint])
+    b = ca.vertcat(ca.SX.zeros(2 * N), unit, ca.SX.zeros(layout.entry_count - 4 * N))
     closing = at.cov[motor, motor] + at.cov[link, link] - 2 * at.cov[motor, link]
     impulse = q.impact**2 * ((at.mean[motor] - at.mean[link]) ** 2 + closing)
-    back = ca.vertcat(give * (-late @ at.mean) * side, ca.SX.zeros(layout.entry_count - 2 * N))
-    return Gaussian(at.mean + back, mirror_upper(at.cov + (impulse * b) @ b.T))
+    since = ca.vertcat(unit * (-late @ at.mean) * side, ca.SX.zeros(layout.entry_count - 2 * N))
+    return Gaussian(at.mean + since, mirror_upper(at.cov + (impulse * b) @ b.T))
 
 
 def _rest_weight(speed: Any) -> Any:
-    """Return the degree of rest at a speed, from 0 to 1 [1]."""
+    """Return a weight that is 1 at rest and 0 far above RESTING, for a speed [rad/s]."""
     return ca.exp(-((speed / RESTING) ** 2))
 
 
 def pack_modes(drive: Drive, moved: Sequence[Mode], s: Modes, y: Any) -> Modes:
-    """Return the state at the next sample, unchanged before a first whole sample."""
-    entries, begun = (
-        ca.Sparsity.upper(drive.layout.entry_count),
-        ca.fmax(s.begun, ca.mmin(present(y))),
-    )
+    """Return the state at the next sample, unchanged until a sample has no missing readings.
 
-    def kept(new: Any, old: Any) -> Any:
-        """Return the new value after a first whole sample, or the old value before."""
+    Args:
+        drive: functions of the plant.
+        moved: modes at the next sample (K).
+        s: state before.
+        y: readings (p), NaN if missing.
+    """
+    entries = ca.Sparsity.upper(drive.layout.entry_count)
+    begun = ca.fmax(s.begun, ca.mmin(present(y)))
+
+    def select(new: Any, old: Any) -> Any:
+        """Return the new value once the filter has begun, else the old value."""
         return ca.if_else(begun > 0.5, new, old)
 
-    chances = ca.vertcat(*normalise_weights([one.chance for one in moved]))
-    means = map(kept, [one.belief.mean for one in moved], s.means)
-    covs = map(kept, [to_upper_entries(one.belief.cov, entries) for one in moved], s.covs)
-    return Modes(kept(chances, s.chances), tuple(means), tuple(covs), begun)
+    chances = ca.vertcat(*normalise_weights([mode.chance for mode in moved]))
+    means = map(select, [mode.belief.mean for mode in moved], s.means)
+    covs = map(select, [to_upper_entries(mode.belief.cov, entries) for mode in moved], s.covs)
+    return Modes(select(chances, s.chances), tuple(means), tuple(covs), begun)

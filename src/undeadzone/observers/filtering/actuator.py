@@ -157,7 +157,8 @@ def step_with_actuator(
 
     Here q: parameters of the observer, then the actuator's `Drive`.
     """
-    drive, inner = q.actuator, tree.drop_last_field(q, type(observer.params))
+    drive = q.actuator
+    inner = tree.drop_last_field(q, type(observer.params))
     command, passed = pass_command(ca, u, s.command, drive, model.Ts)
     entering = through_zone(ca, passed, drive) if known else passed
     after, estimate = observer.step(inner, s.observer, entering, reading)

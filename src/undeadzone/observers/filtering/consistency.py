@@ -171,11 +171,13 @@ def add_consistency_tests(
         recovers: whether its state contains the causes of a lasting misfit, so that the misfit can
             end.
     """
-    setup, p = Setup(member, model, widens), model.p
+    setup = Setup(member, model, widens)
+    p = model.p
 
     def init(q: Params) -> State:
         """Return the state at t = 0."""
-        none, once = np.zeros(p), np.zeros(1)
+        none = np.zeros(p)
+        once = np.zeros(1)
         kept = (np.zeros(0), np.zeros(0)) if recovers else (none, once)
         told = innovation_tests.start_scores(p) if recovers else ()
         record = Record(none, none, np.ones(p), none, none, none, once, *kept, told)
@@ -238,7 +240,8 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
 
     Only innovations that are used and not far off count.
     """
-    e, std = step.estimate.innovation, step.estimate.innovation_std
+    e = step.estimate.innovation
+    std = step.estimate.innovation_std
     used = e != 0
     nu = ca.if_else(used, e / std, 0.0)
     counted = ca.logic_and(used, ca.fabs(nu) <= FAR)
@@ -249,7 +252,9 @@ def update_record(q: Params, record: Record, step: Step, u: Any, reading: Readin
     asked = ca.logic_or(used, refused)
     share = fade * record.share + (1 - fade) * refused
     offset = ca.if_else(used, fade * record.offset + (1 - fade) * e, record.offset)
-    constant, opened, told = record.constant, record.opened, record.scores
+    constant = record.constant
+    opened = record.opened
+    told = record.scores
     if told:
         told = innovation_tests.update_scores(q, told, e, nu, counted, refused, reading, u)
     else:
@@ -315,7 +320,8 @@ def widen_intervals(model: System, q: Params, record: Record, estimated: Estimat
         wider = ca.if_else(fits, factor * std, ca.sqrt((factor * std) ** 2 + off**2))
         return ca.if_else(lost, ca.fmax(wider, least), wider)
 
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     about = ca.vertcat(estimated.x, estimated.right, estimated.left) - q.mean[: n + 2 * p]
     prior = ca.sqrt(ca.SX(q.doubt.std) ** 2 + about**2)
     x_std, right, left = ca.vertsplit(prior, [0, n, n + p, n + 2 * p])

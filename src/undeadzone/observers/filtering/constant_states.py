@@ -55,7 +55,8 @@ def add_constants(
     """
     from scipy.linalg import block_diag
 
-    count, known = variance.size, len(inner.cov)
+    count = variance.size
+    known = len(inner.cov)
 
     def change(q: Any, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
         """Return (x+ - x, extra+ - extra), 0 for the constants."""
@@ -145,7 +146,8 @@ def information_shares(q: Any, model: System, cov: Any) -> Any:
         model: the model.
         cov: covariance of `[x; d; extra]` (N x N).
     """
-    n, known = model.n, model.n + 2 * model.p
+    n = model.n
+    known = model.n + 2 * model.p
     first = q.doubt.std[n:known] ** 2
     told = ca.sqrt(ca.fmax(1 - ca.diag(cov)[n:known] / first, 0.0))
     shares = ca.vertcat(ca.SX.ones(n), told, ca.SX.ones(cov.shape[0] - known))
@@ -177,7 +179,8 @@ def add_gap_estimates(q: Any, estimated: Estimate, shown: Gaussian, reading: Rea
     """
     if q.gaps is None:
         return estimated
-    gaps, p = gap_values(q, shown.mean), estimated.z.shape[0]
+    gaps = gap_values(q, shown.mean)
+    p = estimated.z.shape[0]
     if q.gaps.std.shape[0]:
         gaps = ca.fmax(ca.fmin(gaps, q.gaps.ranges[:, 1]), q.gaps.ranges[:, 0])
         part = gap_slice(q, shown.mean.shape[0])
@@ -237,7 +240,8 @@ def predict_plant_input(
         return lambda X: u, None
     m = u.shape[0]
     first = belief.mean.shape[0] - 2 * m
-    errors, variances = belief.mean[first:], ca.diag(belief.cov)[first:]
+    errors = belief.mean[first:]
+    variances = ca.diag(belief.cov)[first:]
     right = u > 0
     place = [ca.if_else(right, zones.middle[:m] + errors[:m], zones.middle[m:] + errors[m:])]
     place.append(ca.if_else(right, variances[:m], variances[m:]))
@@ -246,7 +250,8 @@ def predict_plant_input(
     std = ca.sqrt(ca.fmax(place[1], 0.0)) + 1e-12 * (1 + ca.fabs(place[0]))
     over = ca.fabs(u) - place[0]
     alpha = over / std
-    share, slim = normal_cdf(alpha), normal_density(alpha)
+    share = normal_cdf(alpha)
+    slim = normal_density(alpha)
     mean = over * share + std * slim
     square = (over**2 + std**2) * share + over * std * slim
     left = sign**2 * slope**2 * ca.fmax(square - mean**2 - (share * std) ** 2, 0.0)

@@ -207,9 +207,12 @@ def to_estimate(
         e_std: standard deviations of the innovations (p).
     """
     mean, cov = belief
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     known = n + 2 * p
-    x, right, left = mean[:n], mean[n : n + p], mean[n + p : known]
+    x = mean[:n]
+    right = mean[n : n + p]
+    left = mean[n + p : known]
     right_std, left_std, width_std = branch_deviations(cov[n:known, n:known])
     z = model.output(q.model, x)
     means = build_estimate(x, z, right, left, reading, q.slope, sensor.kind, e)
@@ -229,7 +232,8 @@ def branch_deviations(cov: Any) -> tuple[Any, Any, Any]:
         cov: covariance of all right ends, then of all left ones (2p x 2p).
     """
     p = cov.shape[0] // 2
-    variances, between = ca.diag(cov), ca.diag(cov[:p, p:])
+    variances = ca.diag(cov)
+    between = ca.diag(cov[:p, p:])
     std = ca.sqrt(ca.fmax(variances, 0.0))
     of_sum = variances[:p] + variances[p:] + 2 * between
     return std[:p], std[p:], ca.sqrt(ca.fmax(of_sum, 0.0))
@@ -378,7 +382,8 @@ def mix_two_gaussians(stronger: Gaussian, weaker: Gaussian, share: Any) -> Gauss
         weaker: the belief if it is not.
         share: chance of the stronger one.
     """
-    narrow, gap = share**2, stronger.mean - weaker.mean
+    narrow = share**2
+    gap = stronger.mean - weaker.mean
     cov = narrow * stronger.cov + (1 - narrow) * weaker.cov + share * (1 - share) * gap @ gap.T
     return Gaussian(share * stronger.mean + (1 - share) * weaker.mean, mirror_upper(cov))
 
@@ -392,8 +397,10 @@ def width_excess_square(n: int, q: Params, belief: Gaussian) -> Any:
     and of the likelihood of the readings. A prior that is divided out pulls no mean into the range.
     """
     count = q.ranges.shape[0]
-    low, high = q.ranges[:, 0], q.ranges[:, 1]
-    mean, variance = belief.mean[n : n + count], ca.diag(belief.cov)[n : n + count]
+    low = q.ranges[:, 0]
+    high = q.ranges[:, 1]
+    mean = belief.mean[n : n + count]
+    variance = ca.diag(belief.cov)[n : n + count]
     told = (high - low) ** 2 / 12 - variance
     more = 1 + variance / ca.fmax(told, variance)
     excess = ca.fmax(more * ca.fabs(mean - (low + high) / 2) - (high - low) / 2, 0.0)
@@ -467,8 +474,10 @@ def truncate_to_ranges(q: Params, n: int, belief: Gaussian) -> tuple[Gaussian, A
 
 def _is_inside(pair: Gaussian, ranges: Any) -> Any:
     """Return 1 if each width lies more than `INSIDE` deviations within its range."""
-    scale, least = ca.sqrt(0.5 / ca.diag(pair.cov)), INSIDE / np.sqrt(2)
-    low, high = (ranges[:, 0] - pair.mean) * scale, (ranges[:, 1] - pair.mean) * scale
+    scale = ca.sqrt(0.5 / ca.diag(pair.cov))
+    least = INSIDE / np.sqrt(2)
+    low = (ranges[:, 0] - pair.mean) * scale
+    high = (ranges[:, 1] - pair.mean) * scale
     return ca.mmin(ca.logic_and(low < -least, high > least))
 
 
@@ -478,9 +487,11 @@ def _truncate_pair(pair: Gaussian, ranges: Any, order: tuple[int, int]) -> tuple
     Returns:
         (numbers by which the columns of the covariance move it (2), the chance).
     """
-    (m, P), (i, j) = pair, order
+    (m, P) = pair
+    (i, j) = order
     shift, lost, chance = truncate_to_range(m[i], P[i, i], ranges[i, 0], ranges[i, 1])
-    after, variance = m[j] + shift * P[i, j], P[j, j] - lost * P[i, j] ** 2
+    after = m[j] + shift * P[i, j]
+    variance = P[j, j] - lost * P[i, j] ** 2
     second, _, likewise = truncate_to_range(after, variance, ranges[j, 0], ranges[j, 1])
     moves = {i: shift - lost * P[i, j] * second, j: second}
     return ca.vertcat(moves[0], moves[1]), chance * likewise
@@ -503,7 +514,9 @@ def add_unknown_estimates(
     setup: Setup, q: Params, estimated: Estimate, shown: Gaussian, u: Any
 ) -> Estimate:
     """Return the estimate with w and theta if the filter estimates them (u: the last input)."""
-    augmentation, model, n = setup.augmentation, setup.model, setup.model.n
+    augmentation = setup.augmentation
+    model = setup.model
+    n = setup.model.n
     if len(augmentation.cov):
         extra = shown.mean[n + 2 * model.p :]
         if augmentation.disturbance is None:

@@ -94,18 +94,23 @@ def update_scores(
         reading: the reading.
         u: the input from now on (m), which no score knows before the next sample.
     """
-    doubt, keep = q.doubt, q.doubt.keep
-    far, used, nu = ca.fabs(nu) > FORETOLD, nu != 0, counted * nu
+    doubt = q.doubt
+    keep = q.doubt.keep
+    far = ca.fabs(nu) > FORETOLD
+    used = nu != 0
+    nu = counted * nu
     y = ca.if_else(present(reading.y), reading.y, 0.0)
     follows = ca.logic_and(y != 0, ca.fabs(y - s.last) <= AGREE * ca.fabs(e * q.slope))
     row = ca.if_else(refused, ca.if_else(follows, s.row, 0.0) + 1, ca.if_else(used, 0.0, s.row))
-    lift, rise = counted * (s.brisk - s.slow), counted * (s.quick - s.brisk)
+    lift = counted * (s.brisk - s.slow)
+    rise = counted * (s.quick - s.brisk)
     stays = ca.logic_and(ca.fabs(y - s.last) < doubt.stays, ca.fabs(y) > doubt.stays)
     same = ca.if_else(is_repeated(doubt, y, s.last), s.same + 1, 0.0)
     stays = ca.logic_and(stays, ca.logic_or(far, same > doubt.run))
     stays = ca.logic_and(stays, ca.fabs(reading.side) < 2)  # at a limit a sound sensor stays
     shown = ca.fmax(ca.fmin(doubt.push @ u, MOST), -MOST)
-    left, before = ca.vertsplit(ca.SX(doubt.means)), (s.quick, s.brisk, s.slow)
+    left = ca.vertsplit(ca.SX(doubt.means))
+    before = (s.quick, s.brisk, s.slow)
     means = [shown + share * (mean - shown) for share, mean in zip(left, before, strict=True)]
     return Scores(
         keep * s.size + nu**2 - counted,
@@ -188,7 +193,8 @@ def excess_ratio(ratio: Any) -> Any:
 
 def variance_factor(doubt: Any, s: Scores) -> Any:
     """Return the factor for variances after scores rejected assumptions (1), at least 1."""
-    worst, each = 1.0, assumption_ratios(doubt, s)
+    worst = 1.0
+    each = assumption_ratios(doubt, s)
     for name, share in WIDER.items():
         worst = ca.fmax(worst, share * chance_limit(doubt, name) * excess_ratio(each[name]))
     return worst
@@ -199,7 +205,9 @@ def assumption_fields(ratios: dict[str, Any]) -> dict[str, Any]:
 
     A ratio above 1 rejects.
     """
-    bits, suspect, worst = 0.0, 0.0, 0.0
+    bits = 0.0
+    suspect = 0.0
+    worst = 0.0
     for k, name in enumerate(ASSUMPTION_CHECKS):
         if name in ratios:
             ratio = excess_ratio(ratios[name])

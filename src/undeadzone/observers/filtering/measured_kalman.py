@@ -171,11 +171,13 @@ def build_branch_filter(
     setup = Setup(
         model, sensor, augmentation, entries, bounds, order, blind, doubts, careful, centred, layout
     )
-    p, m = model.p, model.m
+    p = model.p
+    m = model.m
 
     def init(q: Params) -> State:
         """Return the state at t = 0."""
-        each, waits = np.zeros(p), np.zeros(4 * p if setup.has_limits else 2 * p)
+        each = np.zeros(p)
+        waits = np.zeros(4 * p if setup.has_limits else 2 * p)
         return State(
             q.mean,
             q.cov,
@@ -261,7 +263,8 @@ def filter_moments(
     """Return the filter's moments at a sample for a smoother, a tuple of length 1."""
     q = widen_gate(setup, q)
     taken = update_measurement(setup, q, s, reading)
-    corrected, heard = taken.corrected, taken.heard
+    corrected = taken.corrected
+    heard = taken.heard
     rows, edges = measurement_rows(setup, q, taken.before.mean, taken.side)
     restarted = reset_if_invalid(
         q, setup.entries, predict_belief(setup, q, heard.belief, u, reading.side)
@@ -330,7 +333,8 @@ def step_filter(setup: Setup, q: Params, s: State, u: Any, reading: Reading) -> 
     shown, fits = clip_belief(setup, q, heard.belief)
     if setup.shape.fixed:
         shown = Gaussian(shown.mean, shown.cov + column_variance(q, columns))
-    e, std = corrected.e, corrected.std
+    e = corrected.e
+    std = corrected.std
     estimated = to_estimate(setup.model, setup.sensor, q, shown, reading, e, std)
     estimated = add_unknown_estimates(setup, q, estimated, shown, s.u)
     estimated = add_actuator_estimates(q.zones, estimated, shown)
@@ -476,7 +480,8 @@ def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any)
 def bilinear_part(setup: Setup, q: Params, drive: Callable[[Any], Any], X: Any) -> Any:
     """Return the `Products` of the augmentation at X = `[x; d; extra]`."""
     assert setup.augmentation.bilinear is not None
-    n, p = setup.model.n, setup.model.p
+    n = setup.model.n
+    p = setup.model.p
     return setup.augmentation.bilinear(q, X[:n], X[n + 2 * p :], drive(X))
 
 
@@ -545,7 +550,8 @@ def predict_pace(
     """
     if not setup.has_pace:
         return pace
-    belief, n = heard.belief, setup.model.n
+    belief = heard.belief
+    n = setup.model.n
     drive, doubt = predict_plant_input(q.zones, belief, u)
     change, Q = build_motion(setup.model, q, setup.augmentation, belief, drive, doubt)
     E = motion_slope(setup, q, belief, u)
@@ -553,7 +559,8 @@ def predict_pace(
     believed = heard.trust > 0.5
     since = []
     for k, edge in enumerate((RIGHT, LEFT) if setup.has_pace_test else ()):
-        before, silence = ca.vertsplit(pace.since, setup.model.p)[k], heard.silence[k]
+        before = ca.vertsplit(pace.since, setup.model.p)[k]
+        silence = heard.silence[k]
         across = ca.logic_and(side == -edge, believed)
         beyond = ca.logic_or(ca.logic_and(side == edge, believed), reading.side == 2 * edge)
         later = ca.if_else(ca.logic_or(before == 0, beyond), 0.0, before + 1)

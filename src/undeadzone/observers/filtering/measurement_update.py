@@ -68,7 +68,8 @@ def branch_output(setup: Setup, q: Params, i: int, side: Any, X: Any, contact: A
 
     contact: of a play ahead of the zone, whose gap is taken off too.
     """
-    n, p = setup.model.n, setup.model.p
+    n = setup.model.n
+    p = setup.model.p
     z = setup.model.output(q.model, X[:n])[i]
     return z - offset(side, X[n + i], X[n + p + i]) - backlash_offset(q, i, contact, X)
 
@@ -103,14 +104,16 @@ def correct_by_readings(
         (innovations, their standard deviations and trust (p each), and the sum of the logs, the
         columns).
     """
-    each, before = [], belief.mean
+    each = []
+    before = belief.mean
     for i in range(setup.model.p):
         active = side[i] != 0
         branch = 0.0 if setup.is_jump_sensor else side[i]
         moving = 0.0 if contact is None else contact[i]
         expected, h = foresee_reading(setup, q, i, branch, belief.mean, before, moving)
         e = ca.if_else(active, y[i] / q.slope[i] - expected, 0.0)
-        odds, reach = q.doubt.glitch if setup.doubts else None, q.doubt.reach[i]
+        odds = q.doubt.glitch if setup.doubts else None
+        reach = q.doubt.reach[i]
         moved = update_shares(setup, q, belief, i, side[i]) if setup.needs_partial_updates else None
         one = update_with_outliers(belief, h, e, R[i], active, odds, reach, moved, surprise[i])
         belief = one.belief
@@ -169,7 +172,8 @@ def update_shares(setup: Setup, q: Params, belief: Gaussian, i: int, side: Any) 
     The bound from censored samples couples z and an edge, though it moved the edge by a share only.
     A reading on the other edge, which contains information on z, moves this one by no more.
     """
-    n, p = setup.model.n, setup.model.p
+    n = setup.model.n
+    p = setup.model.p
     moved = ca.SX(information_shares(q, setup.model, belief.cov))
     for place, edge in ((n + i, RIGHT), (n + p + i, LEFT)):
         moved[place] = ca.if_else(side == edge, 1.0, moved[place])
@@ -202,8 +206,10 @@ def use_bounds(
             (None: there is no such play).
     """
     p = setup.model.p
-    waits, believed = [None] * (2 * p), [None] * (2 * p)
-    belief, likely = known.belief, ca.SX(known.likely)
+    waits = [None] * (2 * p)
+    believed = [None] * (2 * p)
+    belief = known.belief
+    likely = ca.SX(known.likely)
     trust = ca.SX(known.trust)
     for i, edges in _edge_groups(setup):
         bounds = []
@@ -211,7 +217,8 @@ def use_bounds(
             outside = (side[i] == edge) if setup.is_jump_sensor else 0.0
             heard = ca.logic_and(ca.logic_or(silent[i], outside), known.wait[k] <= 0)
             above = 0.0 if level is None else edge * level[i]
-            slack, branch = q.gate[i] + above, edge
+            slack = q.gate[i] + above
+            branch = edge
             if held is not None:
                 branch = ca.if_else(held[i] != 0, held[i], edge)
                 slack += ca.if_else(held[i] != 0, HELD / SILENT - 1, 0.0) * q.gate[i]
@@ -426,7 +433,9 @@ def use_limits(
         The result, with the waits of the edges and then of the limits (4p).
     """
     p = setup.model.p
-    belief, likely, trust = known.belief, ca.SX(known.likely), ca.SX(known.trust)
+    belief = known.belief
+    likely = ca.SX(known.likely)
+    trust = ca.SX(known.trust)
     wait = ca.SX(wait) - 1
     for i in range(p):
         end = ca.sign(side[i])

@@ -141,7 +141,8 @@ def step_with_motion(
 
     Here q: the observer's parameters, then `Motion`.
     """
-    inner, motion = tree.drop_last_field(q, type(observer.params)), q.motion
+    inner = tree.drop_last_field(q, type(observer.params))
+    motion = q.motion
     reading = drop_limit_readings(reading, sensor.limits)
     y = reading.y
     seen = present(y)
@@ -155,7 +156,8 @@ def step_with_motion(
         u = u - motion.friction * taken.side
     moved, estimate = observer.step(inner, s.observer, u, taken)
     ahead = model.output(inner.model, model.move(inner.model, estimate.x, u)) - estimate.z
-    refused, regular = s.refused, seen
+    refused = s.refused
+    regular = seen
     if estimate.refused.shape[0]:
         refused = estimate.refused
         regular = ca.logic_and(seen, refused == s.refused)
@@ -221,7 +223,8 @@ def update_line(sensor: Zone, q: Motion, s: State, y: Any, regular: Any) -> tupl
     expected = s.level + s.slope
     residual = y - expected
     noisy = sensor.noise > 0
-    one, two = s.known + 1, s.known + 2
+    one = s.known + 1
+    two = s.known + 2
     at_level = ca.fmax(q.gains[0], 2 * (2 * s.known + 1) / (one * two))
     at_slope = ca.fmax(q.gains[1], 6 / (one * two))
     level = ca.if_else(noisy, expected + at_level * residual, y)

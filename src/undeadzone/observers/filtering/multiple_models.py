@@ -30,7 +30,9 @@ EACH = ("x", "right", "left", "innovation", "actuator_right", "actuator_left")
 GAPS = ("gap_right", "gap_left")
 SPREAD: dict[str, tuple[str, ...]] = {f"{name}_std": (name,) for name in (*EACH, *GAPS)}
 SPREAD |= {"width_std": ("right", "left"), "gap_std": GAPS}
-LOUDEST, FAINTEST = 4.0, 0.125  # level of the disturbance, in its default, if it is not
+# level of the disturbance, in its default, if it is not
+LOUDEST = 4.0
+FAINTEST = 0.125
 
 
 class State(NamedTuple):

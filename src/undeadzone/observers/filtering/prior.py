@@ -61,7 +61,8 @@ class Prior(NamedTuple):
     def width_moments(self) -> tuple[Floats, Floats]:
         """Return mean (2p) and covariance (2p x 2p) of `[d_r; d_l]`, asymmetry included."""
         n = self.mean.size - len(self.ranges)
-        mean, cov = self.mean[n:], np.diag(self.std[n:] ** 2)
+        mean = self.mean[n:]
+        cov = np.diag(self.std[n:] ** 2)
         if self.asymmetry is None:
             return mean, cov
         p = len(self.asymmetry)
@@ -125,7 +126,8 @@ def build_prior(
         spread = reach * largest * state_units(model.continuous, Ts)
     else:
         spread = require_nonnegative("observer.x_std", claims.x_std, model.n, "one per state")
-    drift, worn = claims.drift, 0.0
+    drift = claims.drift
+    worn = 0.0
     if drift is None:
         worn = wear**2 * np.pi / 2 * Ts / time_scale(model.continuous, Ts)
     growth = require_number("observer.drift", 0.0 if drift is None else drift, least=0.0) ** 2 * Ts
@@ -186,14 +188,16 @@ def _asymmetries(claimed: Array, ranges: Floats, p: int) -> Floats:
             f"range per output ({p} x 2), found {' x '.join(map(str, value.shape))}"
         )
     low, high = np.broadcast_to(value, (p, 2)).T
-    least, most = (ranges[:p, 0] - ranges[p:, 1]) / 2, (ranges[:p, 1] - ranges[p:, 0]) / 2
+    least = (ranges[:p, 0] - ranges[p:, 1]) / 2
+    most = (ranges[:p, 1] - ranges[p:, 0]) / 2
     if (low > high).any() or (high < least).any() or (low > most).any():
         raise InputError(
             "observer.centre: a range [lo, hi] of (d_r - d_l)/2 must have lo <= hi and overlap "
             f"the range of those of d_r and d_l, {least.tolist()} to {most.tolist()}, found "
             f"{value.tolist()}"
         )
-    low, high = 2 * low, 2 * high
+    low = 2 * low
+    high = 2 * high
     return np.stack([(low + high) / 2, (high - low) / np.sqrt(12)], axis=1)
 
 
@@ -257,8 +261,11 @@ PATIENCE = 0.54  # quarter periods over which the share of refused readings is a
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that counts as chance: for an assumed disturbance,
 # and for a default, whose colour is not that of the true one.
-CHANCE, CHANCE_OF_DEFAULTS = 2.3, 5.0
-SCORE, SCORE_OF_DEFAULTS = 3.3**2, 3.8**2  # the same of the squares of scores
+CHANCE = 2.3
+CHANCE_OF_DEFAULTS = 5.0
+# the same of the squares of scores
+SCORE = 3.3**2
+SCORE_OF_DEFAULTS = 3.8**2
 STAYS = 3.0  # rms of its noise within which a reading stays
 MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
 REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor

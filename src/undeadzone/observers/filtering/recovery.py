@@ -87,7 +87,8 @@ def variance_mask(entries: ca.Sparsity) -> Flags:
 
 def dynamic_variance_mask(model: System, constants: int, entries: ca.Sparsity) -> Flags:
     """Return flags of the stored variances of states, disturbances and biases."""
-    n, known = model.n, model.n + 2 * model.p
+    n = model.n
+    known = model.n + 2 * model.p
     rows = np.array(entries.get_triplet()[0])
     last = entries.size1() - constants
     return variance_mask(entries) & ((rows < n) | ((rows >= known) & (rows < last)))

@@ -33,7 +33,9 @@ from undeadzone.util.arrays import Floats
 
 ROUND = 0.07  # rounding of an edge, in the smaller middle of the ranges, by default
 SLOPE = 0.06  # relative error of the slope by default
-LATE, LATEST = 0.25, 3.0  # delay by default: in quarter periods, at most in samples
+# delay by default: in quarter periods, at most in samples
+LATE = 0.25
+LATEST = 3.0
 AT_EDGE = 0.8  # deviation of a reading at its edge, in `rounding`, if that is an unknown
 
 
@@ -104,7 +106,8 @@ def resolve_shape(
         learns: whether the rounding becomes an unknown of the filter.
         blind: whether it takes readings for z itself, and so assumes nothing about the sensor.
     """
-    p, Ts = model.p, model.Ts
+    p = model.p
+    Ts = model.Ts
     assert Ts is not None
     if sensor.kind != "deadzone" or sensor.moves or blind:
         return ShapeAssumptions(np.zeros(p), np.zeros(p), np.zeros(p), learns)
@@ -187,7 +190,8 @@ def add_shape_terms(
     if not layout.learned:
         return expected, h
     beyond = ca.if_else(side * foretold > 0, foretold, 0.0)
-    effects, row = shape_effects(q, layout.learned, i, side, beyond, 0.0), ca.SX(h)
+    effects = shape_effects(q, layout.learned, i, side, beyond, 0.0)
+    row = ca.SX(h)
     for k, effect in enumerate(effects):
         place = layout.first + k * setup.model.p + i
         expected += effect * at[place]

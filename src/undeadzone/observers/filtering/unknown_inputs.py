@@ -219,7 +219,9 @@ def bias_rest_state(model: System, biased: Floats) -> Floats:
 
 def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> tuple[Any, Any]:
     """Return (x+ - x, extra+ - extra) under bias, disturbance and tolerance."""
-    model, tolerance, numbers = setup.model, setup.tolerance, q.augmentation
+    model = setup.model
+    tolerance = setup.tolerance
+    numbers = q.augmentation
     count = tolerance.std.size
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moving = u + setup.disturbing @ shaped
@@ -238,11 +240,13 @@ def change_with_unknowns(setup: Setup, q: Params, x: Any, extra: Any, u: Any) ->
 
 def tolerance_times_state(setup: Setup, q: Params, x: Any, extra: Any, u: Any) -> Products:
     """Return the products theta_i a_i `[x; u]` in the rows of A and B, held over the step."""
-    numbers, entries = q.augmentation, setup.tolerance.entries
+    numbers = q.augmentation
+    entries = setup.tolerance.entries
     constant, shaped, theta = ca.vertsplit(extra, setup.ends)
     moved = ca.vertcat(x - numbers.rest @ constant, u + setup.disturbing @ shaped)
     rows = sorted({row for row, _ in entries})
-    Z, right = ca.SX(len(rows), len(entries)), ca.SX(len(entries), 1)
+    Z = ca.SX(len(rows), len(entries))
+    right = ca.SX(len(entries), 1)
     for k, (row, column) in enumerate(entries):
         Z[rows.index(row), k] = 1
         right[k] = numbers.values[k] * moved[column]
@@ -254,7 +258,9 @@ def noise_of_unknowns(setup: Setup, q: Params, x: Any, u: Any) -> tuple[Any, Any
 
     Only the disturbances are random.
     """
-    n, biases, count = setup.model.n, setup.biased.shape[1], setup.tolerance.std.size
+    n = setup.model.n
+    biases = setup.biased.shape[1]
+    count = setup.tolerance.std.size
     of_disturbances = ca.kron(q.augmentation.Q, ca.diag(q.augmentation.variance))
     of_extra = ca.diagcat(ca.SX(biases, biases), of_disturbances, ca.SX(count, count))
     return ca.SX(n, n), of_extra
@@ -349,7 +355,8 @@ def read_tolerance(
     places = _entry_names(model.n, model.m)
     if not isinstance(claimed, dict):
         claimed = _dynamic_entries(AB, places, claimed)
-    std, entries = [], []
+    std = []
+    entries = []
     for name, value in claimed.items():
         relative = require_number(f"observer.tolerance.{name}", value, least=0.0)
         if name not in places or AB[places[name]] == 0.0:

@@ -111,7 +111,8 @@ def build_arm(chain: Chain, rest: float = 0.05) -> Arm:
     friction = dict(zip([*viscous, *coulomb], chain.friction.ravel(), strict=True))
     parameters = chain.parameters | {"payload": 0.0} | friction
     params = ca.SX.sym("p", len(parameters))
-    q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
+    q = ca.SX.sym("q", N)
+    v = ca.SX.sym("v", N)
     numbers = dict(zip(parameters, ca.vertsplit(params), strict=True))
     points = chain.points(numbers, q)
     tip = points[-1, :].T
@@ -119,7 +120,8 @@ def build_arm(chain: Chain, rest: float = 0.05) -> Arm:
     J = ca.jacobian(tip, q)
     swing = ca.jtimes(ca.jtimes(tip, q, v), q, v)  # the tip's acceleration at constant v
     bias = chain.bias(numbers, q, v) + load * J.T @ (swing - chain.gravity(numbers))
-    b, f = _stack_numbers(numbers, viscous), _stack_numbers(numbers, coulomb)
+    b = _stack_numbers(numbers, viscous)
+    f = _stack_numbers(numbers, coulomb)
     return Arm(
         chain,
         tuple(parameters),

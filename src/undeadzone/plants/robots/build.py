@@ -74,7 +74,8 @@ def _build_rigid(plant: Plant, options: Rigid, key: str) -> System:
 
     def move(p: Any, x: Any, u: Any) -> Any:
         """Return x' (2 N)."""
-        q, v = x[:N], x[N:]
+        q = x[:N]
+        v = x[N:]
         return ca.vertcat(v, forward_dynamics(body, p, q, v, u + hold(q, v)))
 
     def output(p: Any, x: Any) -> Any:
@@ -105,7 +106,8 @@ def _build_geared(plant: Plant, options: Rigid, chain: Chain, key: str) -> Syste
         )
     rest = require_number(f"{key}.arm.rest", options.rest, above=0.0)
     gears = build_geared_arm(chain, options.gears, rest, plant.parameters, key)
-    params, N = gears.values, gears.joint_count
+    params = gears.values
+    N = gears.joint_count
     _require_mass(gears.arm, gears.link_params(params), key)
     hold = _build_stops(options, chain, key)
     at, given = _linearisation_state(plant)
@@ -470,7 +472,8 @@ def build_elastic_plant(plant: Plant, options: ElasticJoint, key: str) -> System
 
     def move(p: Any, x: Any, u: Any) -> Any:
         """Return x' (4)."""
-        q, v = x[:2], x[2:]
+        q = x[:2]
+        v = x[2:]
         return ca.vertcat(v, forward_dynamics(body, p, q, v, ca.vertcat(u, 0)))
 
     def output(p: Any, x: Any) -> Any:
@@ -489,10 +492,8 @@ def _elastic_equilibrium(
     """Return (x_eq, u_eq): as given, or with the link held still by the motor at its angle in
     x0.
     """
-    (at, given), why = (
-        _linearisation_state(plant),
-        "the angles of motor and link, then their speeds",
-    )
+    (at, given) = _linearisation_state(plant)
+    why = "the angles of motor and link, then their speeds"
     x = require_vector(f"{key}.{at}", np.zeros(4) if given is None else given, 4, why)
     at_rest = x[1] * np.eye(1, 5)  # the link's angle, its derivatives 0
     still, hold = (np.asarray(part).ravel() for part in solve(params, at_rest))
@@ -504,13 +505,16 @@ def _build_elastic_inverse(body: Arm) -> ca.Function:
 
     The link's equation gives the motor's angle, the motor's the torque.
     """
-    p, path = ca.SX.sym("p", len(body.names)), ca.SX.sym("path", 1, 5)
+    p = ca.SX.sym("p", len(body.names))
+    path = ca.SX.sym("path", 1, 5)
 
     def rate(value: Any) -> Any:
         """Return the time derivative of a value along the path."""
         return ca.jtimes(value, path[:, :-1], path[:, 1:])
 
-    q, v, a = path[0], path[1], path[2]
+    q = path[0]
+    v = path[1]
+    a = path[2]
     spring = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[1]
     motor = q + spring / p[body.names.index("k")]
     x = ca.vertcat(motor, q, rate(motor), v)

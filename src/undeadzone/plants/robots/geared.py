@@ -117,7 +117,8 @@ class Geared(NamedTuple):
         right = half + centre, left = half - centre. Of encoders at motors and links (2 N) those at
         the motors come last, with 0.
         """
-        half, centre = self.gear_number(params, "half"), self.gear_number(params, "centre")
+        half = self.gear_number(params, "half")
+        centre = self.gear_number(params, "centre")
         motors = ca.DM.zeros(self.joint_count if self.measured == "both" else 0)
         return ca.vertcat(half + centre, motors), ca.vertcat(half - centre, motors)
 
@@ -136,7 +137,9 @@ class Geared(NamedTuple):
         """Return tau, the torque of the gears on the links (N) [N m]. contact: as of
         `motion`.
         """
-        N, half, xi = self.joint_count, self.gear_number(params, "half"), self.gear_angle(params, x)
+        N = self.joint_count
+        half = self.gear_number(params, "half")
+        xi = self.gear_angle(params, x)
         frequency = self.gear_number(params, "contact")
         if contact is None:
             closed = ca.fabs(xi) > half
@@ -162,7 +165,9 @@ class Geared(NamedTuple):
             load: further torque at the links (N).
         """
         N = self.joint_count
-        q, turning, v = x[N : 2 * N], x[2 * N : 3 * N], x[3 * N :]
+        q = x[N : 2 * N]
+        turning = x[2 * N : 3 * N]
+        v = x[3 * N :]
         tau = self.gear_torque(params, x, contact)
         spun = (u - self.motor_friction_torque(params, turning) - tau) / self.gear_number(
             params, "inertia"
@@ -229,10 +234,13 @@ def fastest_contact(gears: Geared, params: Floats, postures: Floats) -> float:
         params: its parameters.
         postures: angles of the joints, of which the fastest counts (K x N).
     """
-    N, body, links = gears.joint_count, gears.arm, gears.link_params(params)
+    N = gears.joint_count
+    body = gears.arm
+    links = gears.link_params(params)
     inertia = np.ravel(gears.gear_number(params, "inertia"))
     K, D = (np.diag(np.ravel(each)) for each in gears.contact_stiffness(params))
-    slow, fastest = np.full(N, TINY * gears.rest), 0.0
+    slow = np.full(N, TINY * gears.rest)
+    fastest = 0.0
     rubbing = np.diag(np.ravel(np.asarray(ca.DM(body.friction(links, slow)))) / slow)
     friction = np.ravel(np.asarray(ca.DM(gears.motor_friction_torque(params, slow)))) / slow
     turned = np.hstack([np.zeros((2 * N, 2 * N)), np.eye(2 * N)])

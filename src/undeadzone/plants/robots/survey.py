@@ -128,7 +128,8 @@ def _compute_reach(body: Arm, moving: list[Joint]) -> float | None:
     low, high = body.chain.limits.T.copy()
     for i, joint in enumerate(moving):
         if joint.kind != "prismatic":
-            low[i], high[i] = max(low[i], -np.pi), min(high[i], np.pi)
+            low[i] = max(low[i], -np.pi)
+            high[i] = min(high[i], np.pi)
             if low[i] >= high[i]:  # limits beyond half a turn to one side
                 low[i], high[i] = joint.limits
     if not np.isfinite([low, high]).all():

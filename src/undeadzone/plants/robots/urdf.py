@@ -27,7 +27,8 @@ from undeadzone.util.arrays import Array, Floats, require_vector
 
 # Entries this close to 0 (cos(pi/2) of a file's digits), or to 1 and -1, become it: each would cost
 # products in every step.
-ZERO, ONE = 1e-11, 1e-15
+ZERO = 1e-11
+ONE = 1e-15
 LEVEL = [0.0, 0.0, 0.0]  # no turn
 
 
@@ -65,7 +66,8 @@ def straighten_chain(robot: Robot, moving: list[Joint], tip: str) -> Frames:
     poses = {link: _pose_in_base(robot.joints_to_link(link)) for link in robot.links}
     axes = np.array([snap_to_units(poses[joint.child][1] @ joint.axis) for joint in moving])
     origins = np.array([poses[joint.child][0] for joint in moving])
-    anchors, bodies = _anchor_points(moving, axes, origins), _collect_bodies(robot, moving, poses)
+    anchors = _anchor_points(moving, axes, origins)
+    bodies = _collect_bodies(robot, moving, poses)
     return Frames(axes, origins, anchors, bodies, *poses[tip])
 
 
@@ -88,7 +90,8 @@ def _pose_in_base(way: list[Joint]) -> tuple[Floats, Floats]:
 
 def _anchor_points(moving: list[Joint], axes: Floats, origins: Floats) -> Floats:
     """Return the point of each axis nearest to the previous anchor (N x 3), or that of a slider."""
-    anchors, anchor = [], np.zeros(3)
+    anchors = []
+    anchor = np.zeros(3)
     for joint, axis, origin in zip(moving, axes, origins, strict=True):
         if joint.kind != "prismatic":
             anchor = origin - axis * (axis @ (origin - anchor))
@@ -211,16 +214,22 @@ def _build_parts(
     """Return links with mass, massless links at the joints' places, and joints, from base to
     tip.
     """
-    links, marks, joints = [kit.build_link("base")], [], []
-    before, parent = np.zeros(3), "base"  # the anchor and link up to here
+    links = [kit.build_link("base")]
+    marks = []
+    joints = []
+    # the anchor and link up to here
+    before = np.zeros(3)
+    parent = "base"
     for i, (anchor, body) in enumerate(zip(frames.anchors, frames.bodies, strict=True)):
-        here, mark = f"link {i}", f"origin {i}"
+        here = f"link {i}"
+        mark = f"origin {i}"
         links.append(kit.build_link(here, kit.build_inertial(body, masses[i], anchor)))
         turning = moving[i].kind, frames.axes[i].tolist(), i
         joints.append(kit.build_joint(f"joint {i}", (parent, here), anchor - before, *turning))
         marks.append(kit.build_link(mark))
         joints.append(kit.build_joint(f"to {mark}", (here, mark), frames.origins[i] - anchor))
-        before, parent = anchor, here
+        before = anchor
+        parent = here
     payload = kit.urdf.Inertial(masses[-1], kit.urdf.Inertia(), kit.build_pose(np.zeros(3)))
     links.append(kit.build_link("tip", payload))
     joints.append(kit.build_joint("to tip", (parent, "tip"), frames.tip - before))
@@ -405,7 +414,8 @@ def _build_functions(
     """Return M(masses, q), h(masses, q, v), points(q) and turn(q) of a `Chain`, by adam."""
     N = len(moving)
     masses = ca.SX.sym("m", N + 1)
-    q, v = ca.SX.sym("q", N), ca.SX.sym("v", N)
+    q = ca.SX.sym("q", N)
+    v = ca.SX.sym("v", N)
     adam = build_adam_algorithms(moving, frames, masses)
     H = ca.SX(np.eye(4))  # pose of the base
 
@@ -413,7 +423,8 @@ def _build_functions(
         """Return the pose of a frame (4 x 4)."""
         return adam.forward_kinematics(frame, H, q).array
 
-    base_twist, base_gravity = ca.SX(6, 1), ca.SX(np.r_[gravity, 0, 0, 0])
+    base_twist = ca.SX(6, 1)
+    base_gravity = ca.SX(np.r_[gravity, 0, 0, 0])
     h = adam.rnea(H, q, base_twist, v, base_gravity).array  # of the base (6), then of the joints
     M = adam.crba(H, q)[0].array
     origins = [pose(f"origin {i}")[:3, 3].T for i in range(N)]

@@ -71,7 +71,8 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Floats:
     """Return the rotation matrix (3 x 3) of the turns [rad] about the fixed axes x, then y,
     then z.
     """
-    (cx, cy, cz), (sx, sy, sz) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
+    (cx, cy, cz) = np.cos([roll, pitch, yaw])
+    (sx, sy, sz) = np.sin([roll, pitch, yaw])
     return np.array(
         [
             [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
@@ -83,14 +84,16 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Floats:
 
 def parse_joint(element: Element) -> Joint:
     """Return a <joint>. Raises ValueError."""
-    name, kind = require_element_name(element), element.get("type", "")
+    name = require_element_name(element)
+    kind = element.get("type", "")
     where = f"joint {name}"
     if kind not in (*MOVABLE, "fixed"):
         raise ValueError(
             f"{where}: type must be fixed, {', '.join(MOVABLE)}, found {kind!r}. "
             "The base must be fixed, and each joint turn or slide along one axis"
         )
-    parent, child = element.find("parent"), element.find("child")
+    parent = element.find("parent")
+    child = element.find("child")
     if parent is None or child is None:
         raise ValueError(f"{where}: needs <parent link=...> and <child link=...>")
     axis = _parse_axis(element, kind, where)
@@ -161,7 +164,8 @@ def _parse_friction(dynamics: Element | None, where: str) -> tuple[float, float]
 
 def parse_body(element: Element) -> Body:
     """Return the body of a <link>, in its coordinates. Raises ValueError."""
-    inertial, where = element.find("inertial"), f"link {require_element_name(element)}"
+    inertial = element.find("inertial")
+    where = f"link {require_element_name(element)}"
     if inertial is None:
         return Body(0.0, np.zeros(3), np.zeros((3, 3)))
     centre, turn = _parse_origin(inertial, where)

@@ -96,7 +96,8 @@ def least_squares_flow(
     numbers: Any, W: Any, P: Any, zeta: Any, e: Any, used: Any
 ) -> tuple[Any, Any]:
     """Return W' and P' in continuous time."""
-    rate, gain = numbers[0], numbers[1]
+    rate = numbers[0]
+    gain = numbers[1]
     step = P @ zeta.T
     return step @ e, ca.mmax(used) * rate * (P - P @ P / gain) - step @ step.T
 
@@ -108,8 +109,11 @@ def least_squares_step(
 
     Outputs are used in sequence, each with the result of the last.
     """
-    rate, gain, noise = numbers[0], numbers[1], numbers[2]
-    learnt, after = ca.SX.zeros(W.shape[0]), P
+    rate = numbers[0]
+    gain = numbers[1]
+    noise = numbers[2]
+    learnt = ca.SX.zeros(W.shape[0])
+    after = P
     for i in range(p):
         row = zeta[i, :]
         step = after @ row.T / (noise + row @ after @ row.T)

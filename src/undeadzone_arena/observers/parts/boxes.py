@@ -61,7 +61,8 @@ def cut_box(x: Any, radius: Any, frame: Any, c: Any, lo: Any, hi: Any) -> tuple[
         (midpoint, half-widths). A half-width is below 0 if no point of the box has such a c x.
     """
     row = (c @ frame).T
-    size, z = ca.fabs(row), c @ x
+    size = ca.fabs(row)
+    z = c @ x
     # contribution of the other entries to z: all of them, less the entry's own share
     others = size.T @ radius - 2 * size * radius
     # how far the lower and the upper end of an entry move

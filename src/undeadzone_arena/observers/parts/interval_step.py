@@ -206,7 +206,8 @@ def radius_increase(q: IntervalParams, phi: Any, z: Bounds) -> Any:
 
 def output_bounds(q: IntervalParams, boxes: Boxes, frame: Any) -> Bounds:
     """Return the bounds of z = C x from the box of x (p) [z]."""
-    z, spread = q.model.C @ boxes.x, ca.fabs(q.model.C @ frame) @ boxes.radius
+    z = q.model.C @ boxes.x
+    spread = ca.fabs(q.model.C @ frame) @ boxes.radius
     return Bounds(z - spread, z + spread)
 
 
@@ -219,7 +220,8 @@ def sure_sides(setup: IntervalSetup, q: IntervalParams, reading: Reading) -> Sur
     if not setup.ends:
         return SureSides(right, left, active, silent, right, left)
     exact = ca.fabs(reading.side) < 2
-    exact_right, exact_left = ca.logic_and(right, exact), ca.logic_and(left, exact)
+    exact_right = ca.logic_and(right, exact)
+    exact_left = ca.logic_and(left, exact)
     return SureSides(right, left, active, silent, exact_right, exact_left)
 
 
@@ -231,7 +233,8 @@ def tighten_boxes(
     on = sure_sides(setup, q, reading)
     right, left = width_bounds(setup, q, boxes, output_bounds(q, boxes, frame), y, on)
     bounds = reading_bounds(setup, q, right, left, y, on)
-    x, radius = boxes.x, boxes.radius
+    x = boxes.x
+    radius = boxes.radius
     for i in range(setup.model.p):
         x, radius = cut_box(x, radius, frame, q.model.C[i, :], bounds.lo[i], bounds.hi[i])
     inside = Boxes(x, radius, right, left)
@@ -252,12 +255,19 @@ def width_bounds(
         on: certain conclusions from the reading.
     """
     if setup.is_jump:  # a reading on the right is z itself, beyond d_r; on the left, beyond -d_l
-        most_right, most_left, least_right, least_left = y, -y, FAR, FAR
-        met_right, met_left = on.exact_right, on.exact_left
+        most_right = y
+        most_left = -y
+        least_right = FAR
+        least_left = FAR
+        met_right = on.exact_right
+        met_left = on.exact_left
     else:  # a reading is z - d_r on the right, z + d_l on the left
-        most_right, most_left = z.hi - y, y - z.lo
-        least_right, least_left = y - z.lo, z.hi - y
-        met_right, met_left = on.right, on.left
+        most_right = z.hi - y
+        most_left = y - z.lo
+        least_right = y - z.lo
+        least_left = z.hi - y
+        met_right = on.right
+        met_left = on.left
     right = Bounds(
         -conditional_bound(on.silent, q.slack - z.lo),
         conditional_bound(met_right, most_right + q.noise),
@@ -308,8 +318,10 @@ def boxes_to_estimate(
     q: IntervalParams, boxes: Boxes, frame: Any, reading: Reading, kind: str, e: Any
 ) -> Estimate:
     """Convert boxes to an estimate: midpoints, and half-widths / sqrt(3)."""
-    right, left = boxes.right, boxes.left
-    half_right, half_left = (right.hi - right.lo) / 2, (left.hi - left.lo) / 2
+    right = boxes.right
+    left = boxes.left
+    half_right = (right.hi - right.lo) / 2
+    half_left = (left.hi - left.lo) / 2
     midpoints = build_estimate(
         boxes.x,
         q.model.C @ boxes.x,

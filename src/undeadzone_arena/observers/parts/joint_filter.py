@@ -116,7 +116,8 @@ def build_joint_filter(
         seen = present(reading.y)
         y = ca.if_else(seen, reading.y, 0.0) / q.slope
         odds = q.doubt.glitch if share > 0 else None
-        belief, each = Gaussian(s.mean, from_upper_entries(s.cov, entries)), []
+        belief = Gaussian(s.mean, from_upper_entries(s.cov, entries))
+        each = []
         for i in range(model.p):
             sight = partial(noise_free_reading, model, sensor.kind, q, i)
             if sensor.limits is not None:
@@ -155,7 +156,8 @@ def build_joint_filter(
 
 def noise_free_reading(model: System, kind: str, q: Params, i: int, X: Any) -> Any:
     """Return the noise-free reading y_i / m_i of X = `[x; d_r; d_l]` [z]."""
-    n, p = model.n, model.p
+    n = model.n
+    p = model.p
     z = model.output(q.model, X[:n])[i]
     return zone_reading(kind, z, X[n + i], X[n + p + i])
 

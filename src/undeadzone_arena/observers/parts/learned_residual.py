@@ -141,7 +141,8 @@ def build_learning_observer(
             "observer.method: a jump sensor takes nothing off z, this method has nothing to learn. "
             "Use 'certified' or 'censored'"
         )
-    n, weights = model.n, compensator.size * model.p
+    n = model.n
+    weights = compensator.size * model.p
     setup = LearnedSetup(model, compensator, law, filtered, limit is not None, sensor.limits)
     params = LearnedParams(
         model=model.params,
@@ -161,7 +162,8 @@ def build_learning_observer(
         return LearnedState(np.zeros(n), q.W0, sensitivity, law.spread0)
 
     traits = Traits(L=L, rate=float(law.rate), width_max=limit)
-    step, project = partial(learning_step, setup), partial(project_weights, setup)
+    step = partial(learning_step, setup)
+    project = partial(project_weights, setup)
     return Observer(params, init, step, project, traits)
 
 
@@ -169,17 +171,20 @@ def learning_step(
     setup: LearnedSetup, q: LearnedParams, s: LearnedState, u: Any, reading: Reading
 ) -> tuple[LearnedState, Estimate]:
     """Return the state's derivative, or its next value when sampled, and the estimate."""
-    model, reading = setup.model, drop_limit_readings(reading, setup.ends)
+    model = setup.model
+    reading = drop_limit_readings(reading, setup.ends)
     sampled = model.Ts is not None
     z, H = linearise(lambda x: model.output(q.model, x), s.x)
     seen = present(reading.y)
     y = ca.if_else(seen, reading.y / q.slope, 0.0)
     used = 1.0 * (reading.side != 0) if setup.compensator.gated else seen
-    gate, psi = ca.diag(used), basis_functions(setup, q, y, reading.side, z)
+    gate = ca.diag(used)
+    psi = basis_functions(setup, q, y, reading.side, z)
     inverse = y + psi @ s.W
     e = used * (inverse - z)
     moved = model.move_with_correction(q.model, s.x, u, q.L @ e)
-    zeta, sensitivity = -psi, s.sensitivity
+    zeta = -psi
+    sensitivity = s.sensitivity
     if setup.filtered:
         _, F = linearise(lambda x: model.move(q.model, x, u), s.x)
         zeta = H @ s.sensitivity - psi
@@ -192,13 +197,15 @@ def learning_step(
     )
     if sampled:
         after = project_weights(setup, q, after)
-    right, left = width_from_weights(setup, q, s.W, 1.0), width_from_weights(setup, q, s.W, -1.0)
+    right = width_from_weights(setup, q, s.W, 1.0)
+    left = width_from_weights(setup, q, s.W, -1.0)
     return after, Estimate(s.x, z, right, left, ca.if_else(seen, inverse, z), e)
 
 
 def basis_functions(setup: LearnedSetup, q: LearnedParams, y: Any, side: Any, z: Any) -> Any:
     """Return psi of every output (p x N p) [1] at y / m and z [z]."""
-    y, z = y / q.scale, z / q.scale
+    y = y / q.scale
+    z = z / q.scale
     psi = setup.compensator.psi
     return ca.diagcat(*(psi(q.psi, y[i], side[i], z[i]).T for i in range(setup.model.p)))
 

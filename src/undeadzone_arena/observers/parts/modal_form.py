@@ -60,7 +60,10 @@ def mode_rotation(pairs: list[int], n: int, angle: Any) -> Any:
     """Return Phi(angle) (n x n): [[cos, sin], [-sin, cos]] at each pair, 1 elsewhere."""
     Phi = ca.SX.eye(n)
     for k, i in enumerate(pairs):
-        c, s = ca.cos(angle[k]), ca.sin(angle[k])
-        Phi[i, i], Phi[i, i + 1] = c, s
-        Phi[i + 1, i], Phi[i + 1, i + 1] = -s, c
+        c = ca.cos(angle[k])
+        s = ca.sin(angle[k])
+        Phi[i, i] = c
+        Phi[i, i + 1] = s
+        Phi[i + 1, i] = -s
+        Phi[i + 1, i + 1] = c
     return Phi

@@ -29,10 +29,13 @@ def model_tangents(model: System) -> Tangents:
     if not model.nonlinear:
         A, B, C = model.linear
         return Tangents(lambda x, u: (A @ x + B @ u, A, B), lambda x: (C, np.zeros(model.p)))
-    x, u = ca.SX.sym("x", model.n), ca.SX.sym("u", model.m)
+    x = ca.SX.sym("x", model.n)
+    u = ca.SX.sym("u", model.m)
     params = ca.SX(model.params)
-    after, z = model.move(params, x, u), model.output(params, x)
-    A, B = ca.densify(ca.jacobian(after, x)), ca.densify(ca.jacobian(after, u))
+    after = model.move(params, x, u)
+    z = model.output(params, x)
+    A = ca.densify(ca.jacobian(after, x))
+    B = ca.densify(ca.jacobian(after, u))
     C = ca.densify(ca.jacobian(z, x))
     moved = ca.Function("move", [x, u], [after, A, B], {"cse": True})
     seen = ca.Function("output", [x], [C, z - C @ x])

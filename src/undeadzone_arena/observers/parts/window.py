@@ -160,9 +160,11 @@ def node_trajectory(window: Window, oldest: Affine) -> tuple[Affine, Affine]:
     nodes, n, m = window.G.shape
     first = n + 2 * window.y.shape[1]
     x, rest = oldest
-    xs, rests = [x], [rest]
+    xs = [x]
+    rests = [rest]
     for j in range(nodes - 1):
-        x, rest = window.F[j] @ x, window.F[j] @ rest + window.f[j]
+        x = window.F[j] @ x
+        rest = window.F[j] @ rest + window.f[j]
         x[:, first + j * m : first + (j + 1) * m] += window.G[j]
         xs.append(x)
         rests.append(rest)
@@ -193,9 +195,11 @@ def reading_errors(
 
     M v - b are the errors of readings outside the zone, in units of noise [1].
     """
-    y, side = window.y.ravel(), window.side.ravel()
+    y = window.y.ravel()
+    side = window.side.ravel()
     noise = np.tile(weights.noise, len(window.y))
-    active, rightward = np.abs(side) == 1, (side > 0)[:, None]
+    active = np.abs(side) == 1
+    rightward = (side > 0)[:, None]
     M = (np.where(rightward, right.M, left.M) / noise[:, None])[active]
     b = ((y - np.where(side > 0, right.b, left.b)) / noise)[active]
     return M, b
@@ -211,13 +215,15 @@ def qp_constraints(
     """
     nodes, p = window.y.shape
     silent = ((window.side == 0) & (window.seen > 0)).ravel()
-    slack, gate = np.tile(weights.slack, nodes), np.tile(weights.gate, nodes)
+    slack = np.tile(weights.slack, nodes)
+    gate = np.tile(weights.gate, nodes)
     violation = np.zeros(right.M.shape)
     violation[:, -nodes * p :] = np.diag(slack)
     free = np.full(nodes * p, np.inf)
     above_left = np.where(silent, -gate - left.b, -np.inf)
     below_right = np.where(silent, gate - right.b, np.inf)
-    y, side = window.y.ravel(), window.side.ravel()
+    y = window.y.ravel()
+    side = window.side.ravel()
     at_high = np.where(side == 2, y - right.b, -free)
     at_low = np.where(side == -2, y - left.b, free)
     low = np.concatenate([at_high, above_left, weights.ranges[:, 0] - d.b])
