@@ -189,7 +189,8 @@ def best_maximum(
         maxima = [maximise_likelihood(target, start, first) for start in starts]
         maxima.sort(key=lambda maximum: -maximum.value)
         leads = len(maxima) > 1 and maxima[0].value - maxima[1].value > lead
-        points = [maximum.theta for maximum in maxima[: 1 if leads else 2]]
+        best = maxima[:1] if leads else maxima[:2]
+        points = [maximum.theta for maximum in best]
     ends = [maximise_likelihood(target, point, last) for point in points]
     finite = [maximum for maximum in ends if math.isfinite(maximum.value)]
     return max(finite, key=lambda maximum: maximum.value, default=None)
