@@ -297,7 +297,8 @@ class ChainModel:
             return "none" if effect.std() < STRAIGHT * u.std() else "input_rate"
         has_zone = self.zone and theta[self.edges].sum() > VANISHING * self.output(theta).std()
         if not has_zone:
-            return "none"
+            is_kinked = self.shaped and abs(math.log(theta[self.shape][0])) > STRAIGHT
+            return "other" if is_kinked else "none"
         is_plain = False
         if self.shaped:
             slope, rounding = theta[self.shape]
@@ -356,6 +357,8 @@ class ChainModel:
         if not self.shaped:
             return f"a dead zone of about {right:.3g} and {left:.3g}, and {late}"
         slope, rounding = theta[self.shape]
+        if self.class_word(theta) == "other":
+            return f"the sensor has {slope:.3g} times the slope below 0; no zone is needed"
         return (
             f"a dead zone whose left side has {slope:.3g} times the slope of its right, whose edges"
             f" are round over {rounding * y_scale:.3g}, and {late}"

@@ -27,6 +27,7 @@ HALVES = (0.15, 0.5, 1.0)  # start values of the half gap [rms of y]
 LOUDER = 1.1  # start value of the gain behind a play, over that of a linear fit
 BLURS = (1.0, 0.3, 0.1)  # rms of the noise ahead of a map [rms of the disturbance of z]
 LEAST_BLUR = 0.02
+FEWEST = 10  # samples beyond an edge or a limit, from which it is known
 # Parameters that two edges count for in BIC beside their values, if the map is discontinuous there
 # or if a few extreme readings determine an edge (Zhang and Siegmund 2007).
 BREAKS = 2
@@ -220,7 +221,7 @@ def _best_settling_fit(fits: list[PlayFit | None]) -> PlayFit | None:
     return next(settling, next(iter(ranked), None))
 
 
-# --- Static maps: (z (N), two numbers p) -> (g (N), dg/dz (N), dg/dp (N x 2))
+# --- Static maps: (z (N), p (K)) -> (g (N), dg/dz (N), dg/dp (N x K))
 
 Map = Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
 
@@ -243,6 +244,15 @@ def saturation_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
     below = z < -p[1]
     inside = ~(above | below)
     return np.clip(z, -p[1], p[0]), 1.0 * inside, np.column_stack([1.0 * above, -1.0 * below])
+
+
+def limited_zone_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the dead zone of z with widths p_0 and p_1, limited to -p_3 and p_2, with
+    derivatives.
+    """
+    passed, by_z, by_widths = dead_zone_map(z, p[:2])
+    limited, by_passed, by_limits = saturation_map(passed, p[2:])
+    return limited, by_passed * by_z, np.hstack([by_passed[:, None] * by_widths, by_limits])
 
 
 def absolute_map(z: Floats, p: Floats) -> tuple[Floats, Floats, Floats]:
@@ -283,7 +293,7 @@ def _edge_chances(blur: float, z: Floats, p: Floats) -> tuple[Floats, Floats, Fl
 
 
 class MapModel:
-    """Plant with a static map of two parameters or none: y = g(z; p).
+    """Plant with a static map: y = g(z; p).
 
     Args:
         simulator: linear plant with its data.
@@ -300,7 +310,8 @@ class MapModel:
         self.simulator = simulator
         self.shape = shape
         self.base = simulator.layout.right
-        self.free: Integers = np.arange(self.base if shape is identity_map else self.base + 2)
+        counts: dict[Map, int] = {identity_map: 0, limited_zone_map: 4}
+        self.free: Integers = np.arange(self.base + counts.get(shape, 2))
         # The parameters of these maps, or x(0) of an integrating plant, fit a level already.
         is_level_fitted = shape is absolute_map or name == "dead_zone"
         self.has_level = not is_level_fitted and not simulator.layout.integrators
@@ -329,6 +340,27 @@ class MapModel:
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the readings of z without noise (N)."""
         return self.shape(z, theta[self.base :])[0]
+
+    def describe_limits(self, theta: Floats, y_scale: float) -> str:
+        """Describe the limits of the readings, and a dead zone between them; empty without limits.
+
+        Args:
+            theta: parameters of the fit (P).
+            y_scale: rms of y [y].
+        """
+        if self.shape not in (saturation_map, limited_zone_map):
+            return ""
+        *widths, high, low = theta[self.base :] * y_scale
+        z = self.output(theta) * y_scale
+        passed = dead_zone(z, *widths) if widths else z
+        ends = []
+        for end, beyond in ((-low, passed < -low), (high, passed > high)):
+            if np.count_nonzero(beyond) >= FEWEST:
+                ends.append(f"{end:.3g}")
+        zone = ""
+        if widths and ends:
+            zone = ", behind a dead zone of about {:.3g} right and {:.3g} left".format(*widths)
+        return f"the readings end at {' and '.join(ends)}{zone}" if ends else ""
 
     def slopes(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return the readings (N), and their derivatives by the free parameters (N x F)."""
@@ -400,6 +432,7 @@ def _start_maps(fit: ZoneFit) -> list[MapStarts]:
         ("none", identity_map, [(linear, 1.0, [0.0, 0.0])]),
         ("dead_zone", dead_zone_map, zones),
         ("saturation", saturation_map, [(linear, 1.2, limits), (linear, 2.0, limits)]),
+        ("saturation", limited_zone_map, [(fit, 1.0, [*widths, *limits])]),
         ("other", absolute_map, [(linear, 3.0, [0.0, 0.0]), (fit, 1.0, kink)]),
         ("other", cubic_map, [(linear, 1.0, [0.0, 0.0])]),
     ]

@@ -53,6 +53,11 @@ DEPENDS = {
     "rate of the output": "how fast the output changes",
     "time": "the time",
 }
+COARSE = {  # least share of models that are coarse themselves, by direction
+    "friction": {"output": LARGE_SHARE},  # it holds by the sample
+    # It blurs its corners, each of which shifts the samples behind.
+    "jump": dict.fromkeys(DEPENDS, LARGE_SHARE) | {"output": 0.25, "behind": math.inf},
+}
 SEEN = {
     "input": "the input may act by a curve that is not known here; record steps to several levels"
     " of it, each held until the readings settle, and the curve can be read off",
@@ -116,13 +121,9 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
 
     Args:
         remainders: of the model.
-        word: the verdict's for it. The model of a jump blurs its corners by itself, so it leaves
-            something. That of friction holds by the sample, so it leaves more by the output.
+        word: the verdict's for it.
     """
-    if word == "jump":
-        return None
-    coarse = "output" if word == "friction" else ""
-    least = {coarse: LARGE_SHARE}
+    least = COARSE.get(word, {})
     real = [one for one in remainders if one.is_real and one.share > least.get(one.on, SHARE)]
     return max(real, key=lambda one: one.share, default=None)
 

@@ -20,6 +20,7 @@ from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models import plant
 from undeadzone_identify.models.chain import ChainFit, ChainModel
 from undeadzone_identify.models.elements import (
+    FEWEST,
     MapModel,
     PlayFit,
     PlayModel,
@@ -532,7 +533,8 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
     z = simulator.simulate_z(theta)
     both, readings = model.name == "two_zones", model.noise_free_readings(z, numbers)
     measured = measure_levels(itemgetter(layout.input_widths), zoned.stages)
-    widths = measured.scale_by(float(whole.u_scale[0]))
+    u_scale = float(whole.u_scale[0])
+    widths = _bound_unpassed(measured.scale_by(u_scale), u_scale * whole.u[:, 0], passed[:, 0])
     at_both, remarks = {}, ["the widths are those of the input, in its unit"]
     if both:
         at_both, remarks = widths, []
@@ -554,7 +556,7 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         z=z,
         readings=readings,
         side=np.sign(readings if both else passed[:, 0]).astype(int),
-        widths=dict(widths),
+        widths=dict.fromkeys(DIRECTIONS) | widths,
         ahead=plant.find_input_disturbance(layout, numbers, e, data.ok),
         noise=min(white_noise_rms(data.y, data.ok, data.start), rms),
         degrees=measured.degrees,
@@ -562,6 +564,29 @@ def _zones_element(zoned: InputZoneFit, case: Case) -> Element:
         remarks=remarks,
         input=at_both,
     )
+
+
+def _bound_unpassed(widths: dict[str, Interval], u: Floats, passed: Floats) -> dict[str, Interval]:
+    """Return the widths of the input with the lower bound of an edge that it hardly passes.
+
+    A fit puts such an edge at the end of the input, whatever it is.
+
+    Args:
+        widths: by direction [u].
+        u: the input (N).
+        passed: the input behind the zone (N).
+
+    Returns:
+        Widths by direction, without a sum that is not known.
+    """
+    known = dict(widths)
+    for name, sign in (("right", 1.0), ("left", -1.0)):
+        if np.count_nonzero(sign * passed > 0) < FEWEST:
+            end = float((sign * u).max())
+            known[name] = Interval(end, end, math.inf)
+            for summed in ("width", "centre"):
+                known.pop(summed, None)
+    return known
 
 
 def _plant_along(
@@ -833,11 +858,14 @@ def with_adequacy(case: Case, found: Findings) -> Findings:
 
 
 def _in_numbers(case: Case, found: Findings) -> Findings:
-    """Add the numbers of a chain that is named to the findings."""
+    """Add the numbers of a chain or of limits that are named to the findings."""
     word, verdict, data = found.verdict.word, found.verdict, case.record_data
-    if word not in CHAINED:
+    one = fit_of(case, found, word) if word in (*CHAINED, "other", "saturation") else None
+    if one is not None and isinstance(one.model, MapModel):
+        limits = filter(None, [one.model.describe_limits(one.theta, data.y_scale)])
+        return found._replace(verdict=verdict._replace(reasons=[*verdict.reasons, *limits]))
+    if one is None or not isinstance(one.model, ChainModel):
         return found
-    one = found.chains[word]
     said = one.model.in_words(one.theta, float(data.u_scale[0]), data.y_scale)
     if word == "input_curve" and one.model.has_curve_at_bound(one.theta):
         seen = f"the best model is at the limit of the known curves: {said}; nothing is named"
