@@ -390,13 +390,15 @@ def heated(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(np.maximum(u, 0.0))))
 
 
-def on_change(z: Floats) -> Floats:
+def on_change(rng: np.random.Generator) -> Strange:
     """A recorder that writes a reading only if it is 0.2 off the last one written."""
+    u = walk(rng)
+    z = noisy(rng, lags(u))
     y, at = np.empty(z.size), float(z[0])
     for k, value in enumerate(z.tolist()):
         at = value if abs(value - at) > 0.2 else at
         y[k] = at
-    return y
+    return Strange(u, y)
 
 
 def humming(rng: np.random.Generator) -> Strange:
@@ -526,8 +528,8 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
 }
 LATER = {  # chosen after the code was finished
-    "heater": Kind(heated, ("input_curve",)),
-    "recorder on change": Kind(sensed(on_change), ()),
+    "heater": Kind(heated, ("input_curve", "input_zone")),
+    "recorder on change": Kind(on_change, ()),
     "hum": Kind(humming, ("none", "operating_point")),
     "gain by the output": Kind(bilinear, ()),
     "least pulse": Kind(curved(least_pulse), ()),

@@ -48,11 +48,13 @@ from undeadzone_identify.selection.alternatives import (
     deny_shaped_zone_without_width,
     has_a_model,
     has_play_ahead,
+    has_stored_changes,
     holds_more,
     may_have_shaped_zone,
     needs_an_element,
     needs_valve_test,
     with_adequacy,
+    withhold_stored_changes,
     without_needless,
 )
 from undeadzone_identify.selection.decision import (
@@ -518,6 +520,7 @@ QUESTIONS = (
     Hypothesis("a spring that bends, or an offset", _needs_remainder_test, _add_remainder),
     Hypothesis("a dead zone of the actuator", _has_actuator_zone, _add_actuator_zone),
     Hypothesis("what the likeliest model leaves", has_a_model, with_adequacy),
+    Hypothesis("readings stored on change", has_stored_changes, withhold_stored_changes),
     Hypothesis("the play of an actuator", has_play_ahead, add_play_ahead),
     Hypothesis("the numbers of what is named", needs_an_element, add_named_element),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 from benchmarks.names_logs import make
 from benchmarks.strangers_logs import ALL, lags, zone
+from click.testing import CliRunner
 from scipy.signal import lfilter
 
 import undeadzone as uz
@@ -20,6 +22,7 @@ from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.models.chain import INPUTS
 from undeadzone_identify.results.assemble import ODDS_OF, withhold_poor_fit
+from undeadzone_identify.selection.adequacy import Remainder, largest_remainder
 from undeadzone_identify.selection.alternatives import Findings
 from undeadzone_identify.selection.decision import MODELS, build_verdict
 
@@ -321,3 +324,73 @@ def test_a_loop_whose_readings_nothing_foretells_has_no_name(tmp_path: Path) -> 
     assert "one sample ahead" in answer.answer.reasons[0]
     assert "controller to manual" in answer.answer.reasons[1]
     assert not answer.numbers()["odds"]
+
+
+def test_two_slopes_without_a_zone_are_another_curve() -> None:
+    """The zone of two slopes fits them with a width of 0: they are no line."""
+    answer = of_kind("two slopes, no zone", 8201)
+    assert answer.verdict == "other"
+    assert "0.6 times the slope" in answer.answer.reasons[0]
+
+
+def test_limits_behind_a_zone_are_no_jump() -> None:
+    """The zone is 0.5 and 0.35 wide, its readings end at -0.6 and 0.8."""
+    answer = of_kind("zone that ends", 8201)
+    assert answer.verdict == "saturation"
+    reason = answer.answer.reasons[-1]
+    found = re.findall(r"at (\S+) and (\S+),.* (\S+) right and (\S+) left", reason)[0]
+    assert [*map(float, found)] == pytest.approx([-0.6, 0.8, 0.5, 0.35], abs=0.01)
+
+
+def test_limits_that_no_reading_reaches_are_not_told() -> None:
+    reason = of_kind("limit of one side", 8301).answer.reasons[-1]
+    assert re.fullmatch(r"the readings end at 0\.(79|8)\d*", reason)
+
+
+def test_an_edge_that_the_input_never_passes_has_a_lower_bound_only(tmp_path: Path) -> None:
+    """A heater does nothing below 0: the end of the input is no edge."""
+    log = ALL["heater"].make(np.random.default_rng(8201))
+    t = np.arange(log.u.size) * STEP
+    pd.DataFrame({"t": t, "u": log.u, "y": log.y}).to_csv(tmp_path / "log.csv", index=False)
+    words = ["identify", str(tmp_path / "log.csv"), "--out", str(tmp_path), "--no-figures"]
+    run = CliRunner().invoke(group, words, standalone_mode=False)
+    assert run.return_value == 1
+    assert "Record an input that passes it" in run.stdout
+    found = json.loads((tmp_path / "identify.json").read_text())
+    assert found["verdict"] == "input_zone"
+    assert found["right"][1] < 0 < found["right"][2]
+    assert found["left"] == [pytest.approx(-log.u.min())] * 2 + [None]
+    assert found["width"] is None
+
+
+def test_readings_stored_on_change_have_no_name() -> None:
+    answer = of_kind("recorder on change", 8201)
+    assert answer.verdict == "unclear"
+    assert "else move by 0.2" in answer.answer.reasons[0]
+    assert not answer.numbers()["odds"]
+
+
+@pytest.mark.parametrize("quantum", [0.002, 0.2])
+def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
+    """Coarse ones repeat as well, and move by one spacing or more."""
+    rng = np.random.default_rng(5)
+    u = walk(rng)
+    y = quantum * np.round(two_lags(u) / quantum)
+    assert asked(u, y).verdict in ("none", "operating_point")
+
+
+@pytest.mark.parametrize(
+    ("word", "on", "share", "is_left"),
+    [
+        ("jump", "output", 0.2, False),
+        ("jump", "output", 0.3, True),
+        ("jump", "behind", 0.4, False),
+        ("jump", "input", 0.09, False),
+        ("jump", "input", 0.2, True),
+        ("friction", "output", 0.09, False),
+        ("dead_zone", "output", 0.09, True),
+    ],
+)
+def test_coarse_models_may_leave_more(word: str, on: str, share: float, is_left: bool) -> None:
+    left = Remainder(on, share, 1e-6, np.zeros(1))
+    assert (largest_remainder([left], word) is left) == is_left

@@ -68,7 +68,7 @@ def test_each_half_of_an_interval_grows_by_itself(answer: Answer) -> None:
 def test_bounds_of_the_user_hold(answer: Answer) -> None:
     edge = Interval(0.5, 0.4, math.inf)
     open_ended = answer._replace(left=edge)
-    with pytest.raises(InputError, match="no upper bound of d_left"):
+    with pytest.raises(InputError, match="no upper bound of the left"):
         prior_width_range(open_ended, "left")
     u, y = log(left_swings=4)
     found = uz.identify(

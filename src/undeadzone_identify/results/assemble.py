@@ -638,9 +638,9 @@ def prior_width_range(answer: Answer, side: str) -> tuple[float, float]:
     low = max(told.low, low, 0.0)
     high = min(told.high, high)
     if not math.isfinite(high):
-        raise InputError(
-            f"scenario: the log gives no upper bound of d_{side}. Bound it by --{side} LOW,HIGH"
-        )
+        is_input = answer.verdict == "input_zone"
+        cure = "Record an input that passes it" if is_input else f"Bound it by --{side} LOW,HIGH"
+        raise InputError(f"scenario: the log gives no upper bound of the {side} width. {cure}")
     return _widen_to_rounding(low, high)
 
 

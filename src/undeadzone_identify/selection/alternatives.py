@@ -111,6 +111,8 @@ SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
+REPEATED = 0.2  # of the readings, from which only changes may be stored
+STORED = 3.0  # quanta of the readings, from which the least change is none of rounding
 UNSEEN = 0.1  # of the readings' noise: what a disturbance makes of z, and no log of this kind shows
 OF_INPUT = ("friction", "input_zone", "input_play")  # words of widths in the input's unit
 MEASURED = {  # what is known of an element, by word
@@ -622,6 +624,46 @@ def _intervals_with_offset(
         half = widen_by_offset(one.half_width, DIRECTIONS[name], offset)
         widths[name] = Interval.from_half_width(one.value, half).scale_by(scale)
     return widths
+
+
+# --- Readings that are stored only on change
+
+
+def has_stored_changes(case: Case, found: Findings) -> bool:
+    """Return whether the readings repeat, or move by more than some step."""
+    return find_stored_step(case) > 0
+
+
+def withhold_stored_changes(case: Case, found: Findings) -> Findings:
+    """Withhold the name, since between stored changes the output is not known.
+
+    Args:
+        case: the log.
+        found: with any name.
+    """
+    seen = (
+        f"the readings repeat, and else move by {find_stored_step(case):.3g} or more: a recorder"
+        " that stores changes only, or something that sticks; nothing is named"
+    )
+    cure = "record every sample, with the dead band (exception, compression) of the recorder at 0"
+    verdict = build_verdict("unclear", seen, cure)
+    return found._replace(verdict=verdict, odds={}, element=None, valve=None, friction=None)
+
+
+def find_stored_step(case: Case) -> float:
+    """Return the least change of readings of which only changes are stored [y]; else 0.
+
+    Rounded readings move by the spacing of their values, and those of an element that sticks or of
+    a slow sensor also by less.
+    """
+    moves = np.abs(np.diff(case.grid.y[case.grid.ok]))
+    moved = moves[moves > 0]
+    if moved.size < FEWEST or moved.size > (1 - REPEATED) * moves.size:
+        return 0.0
+    least = float(np.quantile(moved, 0.05))
+    quantum = case.quantum * case.record_data.y_scale
+    is_step = least > max(0.5 * np.median(moved), STORED * quantum)
+    return least if is_step else 0.0
 
 
 # --- Any other model that is named
