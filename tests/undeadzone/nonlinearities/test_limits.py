@@ -24,7 +24,7 @@ from undeadzone.compile import interpret, lanes
 from undeadzone.ensemble.run_ensemble import replay_deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Reading, require_graph, to_reading
-from undeadzone.logs.range_ends import RUN, RunningEnds, _End, range_ends
+from undeadzone.logs.range_ends import RUN, RunningEnds, _UpperLimit, range_ends
 from undeadzone.nonlinearities.limits import Limits
 from undeadzone.nonlinearities.sensor import Sensor, Zone, deadzone, quantise, resolve
 from undeadzone.observers.adaptive import branch_observer
@@ -502,7 +502,7 @@ def test_readings_that_stick_on_their_way_show_a_range(
 def test_a_stop_tells_the_speed_before_it() -> None:
     """Readings rise by 0.01 a sample and stick at 1, which comes after 0.15 at once."""
     y = np.append(0.06 + 0.01 * np.arange(10), np.ones(2 * RUN))
-    end = _End()
+    end = _UpperLimit()
     end.add(y, np.ones(y.size, bool))
     assert end._before == pytest.approx([0.15])
     assert end._speed == pytest.approx([0.01])
