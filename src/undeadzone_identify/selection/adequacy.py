@@ -31,6 +31,7 @@ from undeadzone_identify.models.least_squares import (
 from undeadzone_identify.models.place import PlaceModel
 
 SHARE = 0.03  # of the innovations' variance, from which a direction is real
+OF_ONE = 0.015  # the same of a direction of a single column, "beside"
 LARGE_SHARE, PERHAPS = 0.1, 0.02  # the same for a large share, of which p may be larger
 BEGIN = 12  # samples of a record whose innovations lack a past
 AT_INPUT, AT_SENSOR = 7, 8  # hat functions of the input, and of z
@@ -102,7 +103,8 @@ class Remainder(NamedTuple):
     def is_real(self) -> bool:
         """Return whether a model that leaves this is wrong."""
         is_large = self.share > LARGE_SHARE and self.chance < PERHAPS
-        return is_large or (self.share > SHARE and self.chance < CHANCE)
+        least = OF_ONE if self.on == "beside" else SHARE
+        return is_large or (self.share > least and self.chance < CHANCE)
 
     def in_words(self, model: str) -> tuple[str, str]:
         """Return the finding, and the recording that shows its cause.
@@ -124,7 +126,7 @@ def largest_remainder(remainders: Sequence[Remainder], word: str) -> Remainder |
         word: the verdict's for it.
     """
     least = COARSE.get(word, {})
-    real = [one for one in remainders if one.is_real and one.share > least.get(one.on, SHARE)]
+    real = [one for one in remainders if one.is_real and one.share > least.get(one.on, 0.0)]
     return max(real, key=lambda one: one.share, default=None)
 
 
