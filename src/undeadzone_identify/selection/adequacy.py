@@ -55,7 +55,8 @@ DEPENDS = {
     "time": "the time",
 }
 COARSE = {  # least share of models that are coarse themselves, by direction
-    "friction": {"output": LARGE_SHARE},  # it holds by the sample
+    # It holds the plant by the sample, when it turns and where it rests.
+    "friction": {"output": LARGE_SHARE, "turns of the output": LARGE_SHARE},
     # It blurs its corners, each of which shifts the samples behind.
     "jump": dict.fromkeys(DEPENDS, LARGE_SHARE) | {"output": 0.25, "behind": math.inf},
 }
