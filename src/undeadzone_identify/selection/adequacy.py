@@ -58,7 +58,7 @@ COARSE = {  # least share of models that are coarse themselves, by direction
     # It holds the plant by the sample, when it turns and where it rests.
     "friction": {"output": LARGE_SHARE, "turns of the output": LARGE_SHARE},
     # It blurs its corners, each of which shifts the samples behind.
-    "jump": dict.fromkeys(DEPENDS, LARGE_SHARE) | {"output": 0.25, "behind": math.inf},
+    "jump": dict.fromkeys(DEPENDS, 0.25) | {"behind": math.inf},
 }
 SEEN = {
     "input": "the input may act by a curve that is not known here; record steps to several levels"
