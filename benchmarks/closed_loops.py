@@ -37,9 +37,10 @@ TUNED = {"observer.disturbance": 4.497, "observer.drift": 0.004148, "observer.to
 
 
 NOTE = (
-    f"Widths known: to {KNOWN:g}; gust known: its rms besides, and that there is no bias; no zone: "
-    f"a sensor of widths {KNOWN:g}, the regret still in half zones of the loop. With no zone noise "
-    "and what a gust does before it is seen are left."
+    f"`widths known`: the observer has the widths to {KNOWN:g}. `widths and gust known`: it also "
+    "has the rms of the disturbance, and no bias is assumed. `no zone`: the sensor has widths of "
+    f"{KNOWN:g}, and the regret is still in half zones of the loop. Without a zone, the noise and "
+    "the effect of a disturbance before it is measured remain."
 )
 
 
@@ -64,9 +65,9 @@ def table() -> str:
     worst = ", ".join(f"{gust:.1f}" for gust in gusts[np.argsort(-np.ravel(plain))][:3])
     correlation = np.corrcoef(np.ravel(plain), gusts)[0, 1]
     lines.append(
-        f"\n{NOTE} Gusts move z at rest by {np.median(gusts):.2f} half zones, "
-        f"rms (median), in the three worst loops by {worst}; correlation of their size and the "
-        f"regret: {correlation:.2f}."
+        f"\n{NOTE} The rms of z at rest under the disturbance is {np.median(gusts):.2f} half zones "
+        f"(median), and in the three worst loops {worst}. Its correlation with the regret is "
+        f"{correlation:.2f}."
     )
     return "\n".join(lines) + "\n"
 

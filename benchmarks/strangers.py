@@ -178,7 +178,8 @@ def table() -> str:
         return table_of_records(Path(os.environ["STRANGERS_RECORDS"]))
     every = list(strangers())
     later = [one for one in every if one.kind in LATER]
-    lines = [*shown(every, SURE), "", "Of kinds that were chosen after the code was finished:", ""]
+    last = "Of the kinds that were chosen last, for some of which the code was changed since:"
+    lines = [*shown(every, SURE), "", last, ""]
     lines += [*shown(later, SURE), "", *each(every), ""]
     return "\n".join(["## Strangers", "", *lines])
 

@@ -323,7 +323,7 @@ def with_actuator_lag(rng: np.random.Generator) -> Strange:
     return Strange(u, noisy(rng, lags(zone(lags(u, 4.0, 1), 0.4, 0.3))))
 
 
-# --- Kinds that were chosen after the code was finished
+# --- Kinds that were chosen after the code of their round was finished
 
 
 def dragging(rng: np.random.Generator) -> Strange:
@@ -527,7 +527,7 @@ EARLIER = {  # chosen after the code of the rounds before was finished
     "rounded input": Kind(curved(lambda u: np.round(u)), ()),
     "sensor of three slopes": Kind(sensed(lambda z: z - 0.5 * np.clip(z, -0.5, 0.4)), ("other",)),
 }
-LATER = {  # chosen after the code was finished
+LATER = {  # chosen last; the code was changed for some of them since
     "heater": Kind(heated, ("input_curve", "input_zone")),
     "recorder on change": Kind(on_change, ()),
     "hum": Kind(humming, ("none", "operating_point")),

@@ -388,6 +388,10 @@ def test_rounded_readings_are_not_those_of_a_recorder(quantum: float) -> None:
         ("jump", "input", 0.15, False),
         ("jump", "input", 0.3, True),
         ("friction", "output", 0.09, False),
+        ("friction", "turns of the output", 0.05, False),
+        ("friction", "turns of the output", 0.15, True),
+        ("input_zone", "beside", 0.02, True),
+        ("input_zone", "beside", 0.01, False),
         ("dead_zone", "output", 0.09, True),
     ],
 )
