@@ -272,7 +272,7 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         slope_std: relative standard deviation of the slope to observers, alike on both sides; 0:
             it is known (p) [1]; default 0.06. A simulated sensor has `slope` itself.
         lag: standard deviation of an unknown delay behind the zone to observers; 0: it reads at
-            once (p) [s]; default 3 samples, at most a 16th of the plant's period. A simulated
+            once (p) [s]; default 5 samples, at most a 16th of the plant's period. A simulated
             sensor reads at once. Beside an actuator whose widths are estimated the default of all
             three is 0.
     """

@@ -35,7 +35,7 @@ ROUND = 0.07  # rounding of an edge, in the smaller middle of the ranges, by def
 SLOPE = 0.06  # relative error of the slope by default
 # delay by default: in quarter periods, at most in samples
 LATE = 0.25
-LATEST = 3.0
+LATEST = 5.0
 AT_EDGE = 0.8  # deviation of a reading at its edge, in `rounding`, if that is an unknown
 
 
