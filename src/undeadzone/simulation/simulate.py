@@ -262,7 +262,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > interpret.WORTH
         compiled = (
-            lanes.build_kernel(*parts, width=1, hurry=False)
+            lanes.build_kernel(*parts, width=1, fast_start=False)
             if wait
             else lanes.read_cached_kernel(*parts)
         )
