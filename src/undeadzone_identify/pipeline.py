@@ -1,8 +1,8 @@
 """`identify`: from a log to plant, widths and verdict.
 
 Of each output plants of every order are fitted with a dead zone of the sensor, and static maps in
-its place. Then one hypothesis after another is tested. If the findings so far leave it open, its model is
-fitted and compared, and its parameters are estimated. The last findings are the answer.
+its place. Then one hypothesis after another is tested. If the findings so far leave it open, its
+model is fitted and compared, and its parameters are estimated. The last findings are the answer.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ from undeadzone_identify.selection.alternatives import (
 from undeadzone_identify.selection.decision import (
     MEMORY,
     Case,
-    add_unmodelled,
     build_verdict,
+    withdraw_zone_with_offset,
 )
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_zone_locations
@@ -509,7 +509,7 @@ def _needs_remainder_test(case: Case, found: Findings) -> bool:
 
 def _add_remainder(case: Case, found: Findings) -> Findings:
     """Add effects that a linear plant with a zone does not contain, by name."""
-    return found._replace(verdict=add_unmodelled(found.verdict, case.chosen.pairs))
+    return found._replace(verdict=withdraw_zone_with_offset(found.verdict, case.chosen.pairs))
 
 
 def _has_actuator_zone(case: Case, found: Findings) -> bool:

@@ -210,7 +210,7 @@ def load_or_compile(
 ) -> CompiledBlock:
     """Return the function `block` of a recipe, read from disk or compiled now.
 
-    Optimising a long text takes minutes. With `fast_start` its function runs without optimisation
+    LLVM optimises a long text slowly. With `fast_start` its function runs without optimisation
     until a thread has optimised it. If the cache folder cannot be used or trusted, or its file is
     damaged, the function is compiled.
 
@@ -219,17 +219,15 @@ def load_or_compile(
         kinds: types of the arguments, as for `load_block`.
         fast_start: first compile a text of `LONG` lines or more without optimisation, if the
             values of such code fit on the stack.
-        most_lines: lines up to which a text is then optimised. Of a longer text, the unoptimised code is
-            cached. 0: no text is optimised or cached.
+        most_lines: lines up to which a text is then optimised. Of a longer text, the unoptimised
+            code is cached. 0: no text is optimised or cached.
     """
     block = read_cached_block(recipe, kinds)
     if block is not None:
         return block
     text, note = recipe.make()
     lines = text.count("\n")
-    function_lines = max(
-        function.count("\n") for function in text.split("\n}\n")
-    )  # lines of a function
+    function_lines = max(function.count("\n") for function in text.split("\n}\n"))
     stack_bytes = function_lines * (VECTOR_BYTES if " x double>" in text else NUMBER_BYTES)
     if not fast_start or lines < LONG or stack_bytes > stack() // 4:
         return CompiledBlock(_compile_fully(recipe, kinds, text, note), kinds, note, text)

@@ -82,9 +82,8 @@ class CompiledStepper:
         self.out = self._output_rows[0]
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
         self._recipe = _stepper_recipe(step, starts)
-        self._uncompiled_samples = (
-            BRIEF_RUN if brief else np.inf
-        )  # that are left until `run` compiles the step
+        # Number of samples that are left until `run` compiles the step.
+        self._uncompiled_samples = BRIEF_RUN if brief else np.inf
         self._thread: threading.Thread | None = None
         block = cache.read_cached_block(self._recipe, KINDS)
         if block is not None:

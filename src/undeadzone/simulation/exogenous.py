@@ -112,8 +112,8 @@ def _at_instants(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Flo
 def _taylor_coefficients(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
     """Return the Taylor coefficients of the inputs over each step, a block (N x inputs) an order.
 
-    With the step h, coefficient k is the k-th derivative times h^k / k!. Inputs that are constant over a
-    step have order 0 only.
+    With the step h, coefficient k is the k-th derivative times h^k / k!. Inputs that are constant
+    over a step have order 0 only.
 
     Args:
         problem: the problem to simulate.

@@ -75,8 +75,9 @@ WITHOUT_MEMORY = (
 UNDECIDED = ("other", "unclear", "undecided")  # classes that name no nonlinearity
 EXPLAINED = (*MEMORY, *WITHOUT_PLAY, "jump")  # classes that stay if their model explains the log
 FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sensor
-LONGER_AT_ZERO = 1.6  # least ratio of samples at 0 to those at any other reading, for a zone of
-# the sensor: of 886 random servos 5 exceed it without a zone
+# Least ratio of the samples at 0 to those at any other reading, for a zone of the sensor. Of 886
+# random servos without a zone 5 exceed it.
+LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 FREEDOM = 60  # of a friction's interval, as of a gap's
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
@@ -118,16 +119,14 @@ def _has_zone_at_zero(grid: Grid) -> bool:
     y = grid.y[grid.ok]
     starts = np.flatnonzero(np.diff(y, prepend=np.inf))  # sample at which each stay begins
     values, durations = y[starts], np.diff(starts, append=y.size)
-    directions = np.pad(
-        np.sign(np.diff(values)), 1
-    )  # direction into each stay, and out of the last one
-    counts = directions[1:] == directions[:-1]
-    if np.count_nonzero(counts & (values == 0)) <= FEW_RETURNS:
-        counts[1:] = True  # the first stay is not a return to its value
-    if np.count_nonzero(counts & (values == 0)) <= FEW_RETURNS:
+    directions = np.pad(np.sign(np.diff(values)), 1)  # into each stay, and out of the last one
+    is_counted = directions[1:] == directions[:-1]
+    if np.count_nonzero(is_counted & (values == 0)) <= FEW_RETURNS:
+        is_counted[1:] = True  # the first stay is not a return to its value
+    if np.count_nonzero(is_counted & (values == 0)) <= FEW_RETURNS:
         return False
-    levels, level_of_stay = np.unique(values[counts], return_inverse=True)
-    samples = np.bincount(level_of_stay, durations[counts])
+    levels, level_of_stay = np.unique(values[is_counted], return_inverse=True)
+    samples = np.bincount(level_of_stay, durations[is_counted])
     return bool(samples[levels == 0] > LONGER_AT_ZERO * samples[levels != 0].max(initial=1))
 
 
