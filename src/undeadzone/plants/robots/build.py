@@ -509,7 +509,7 @@ def _build_elastic_inverse(body: Arm) -> ca.Function:
     p = ca.SX.sym("p", len(body.names))
     path = ca.SX.sym("path", 1, 5)
 
-    def rate(value: Any) -> Any:
+    def time_derivative(value: Any) -> Any:
         """Return the time derivative of a value along the path."""
         return ca.jtimes(value, path[:, :-1], path[:, 1:])
 
@@ -521,6 +521,8 @@ def _build_elastic_inverse(body: Arm) -> ca.Function:
         1
     ]
     motor = q + spring_torque / p[body.names.index("k")]
-    x = ca.vertcat(motor, q, rate(motor), v)
-    u = inverse_dynamics(body, p, x[:2], x[2:], ca.vertcat(rate(rate(motor)), a))[0]
+    x = ca.vertcat(motor, q, time_derivative(motor), v)
+    u = inverse_dynamics(
+        body, p, x[:2], x[2:], ca.vertcat(time_derivative(time_derivative(motor)), a)
+    )[0]
     return ca.Function("inverse", [p, path], [x, u], {"cse": True})
