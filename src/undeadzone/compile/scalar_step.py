@@ -63,6 +63,7 @@ class CompiledStepper:
     def __init__(
         self, step: ca.Function, state: Floats, params: Floats, brief: bool = False
     ) -> None:
+        # Number of samples, p, s, inputs and outputs of a call, one after the other.
         sizes = [
             1,
             params.size,

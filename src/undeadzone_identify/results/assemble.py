@@ -492,10 +492,16 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
-def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
-    """Return the remarks on reported edges."""
+def _edge_remarks(answer: Answer, shown: Shown, has_residual: bool) -> list[str]:
+    """Return the remarks on the reported breakpoints.
+
+    Args:
+        answer: the answer.
+        shown: widths in the units of the log.
+        has_residual: whether past inputs explain part of the one-step residual.
+    """
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
-    if heard:
+    if has_residual:
         remarks.append(
             "past inputs explain part of the one-step residual: a delay, or too few poles; the"
             " plant model does not fit, and the intervals are doubled; try a higher --order, or"
