@@ -373,7 +373,7 @@ def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
     in y~, which is 0 inside the zone whatever x~ is.
 
     Args:
-        resting: run of the printed observer that begins inside the zone.
+        resting: run of the printed observer from rest.
         repaired: run of the repaired observer, with V of its certificate.
     """
 

@@ -374,12 +374,12 @@ class KernelPrinter:
     def _table_source(self, text: Text, steady: str = "%sp") -> Names:
         """Return the function that prints how a value is read from a table into all lanes.
 
-        Values of level `STEADY` are in a table of the run. Values of level `SHARED` are in a table
-        of the step, at %sq.
+        Values of level `STEADY` are in a table that is filled once a call. Those of level `SHARED`
+        are in a table at %sq that is filled for each step.
 
         Args:
             text: the text to which the loads are added.
-            steady: LLVM's name of the address of the run's table.
+            steady: LLVM's name of the address of the first table.
         """
 
         def load_from_table(node: Node) -> str:

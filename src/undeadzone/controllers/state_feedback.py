@@ -146,8 +146,7 @@ def rest_response(model: System) -> Floats:
     """Return `[x; u]` at rest per unit of a constant w ((n + m) x n).
 
     At rest A x + B u + w = 0, and the first m outputs C x are 0. Each equation and unknown is
-    divided by its scale, so that neither the units nor the rounding of one decide which singular
-    values of the equations count as 0.
+    divided by its scale, so that units do not decide which singular values count as 0.
 
     Args:
         model: the model.
@@ -158,7 +157,7 @@ def rest_response(model: System) -> Floats:
     rate = plant_pace(flow)
     C = C[: model.m]
     w_scale = (rate * x_scale)[:, None]
-    # An input of scale 1 moves the most affected state by its scale in the plant's time constant.
+    # An input of its scale moves the most affected state by the state's scale in a time 1 / rate.
     input_effect = np.abs(B / w_scale).max(axis=0)
     u_scale = 1 / np.where(input_effect > 0, input_effect, 1.0)
     equations = np.block(

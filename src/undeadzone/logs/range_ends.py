@@ -70,7 +70,7 @@ class RunningEnds:
         self._lower.add(-y, ok)
 
     def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
-        """Return the limits of the range at which readings saturate; -inf and inf if none does.
+        """Return the limits of the range at which readings saturate, -inf and inf without them.
 
         Readings repeat at a limit. They also repeat at the turning point of a slow motion, but
         there the motion before has no speed. Therefore the readings must reach a limit with at

@@ -131,8 +131,8 @@ def _width_verdicts_beside_actuator(
 ) -> list[WidthIdentifiability]:
     """Return the identifiability of each sensor's widths in a run with unknown actuator widths.
 
-    The standard deviations are those of the filter after the last sample. It has none of the offset
-    (d_r - d_l) / 2. That follows from var(d_r - d_l) = 2 var d_r + 2 var d_l - var(d_r + d_l).
+    The standard deviations are those of the filter after the last sample. That of the offset
+    (d_r - d_l) / 2 follows from var(d_r - d_l) = 2 var d_r + 2 var d_l - var(d_r + d_l).
 
     Args:
         problem: the simulated problem.

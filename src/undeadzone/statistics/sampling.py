@@ -111,8 +111,8 @@ def _mix_bits(word: Any) -> Any:
 def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
     """Return scrambled Sobol points in the unit cube (count x entries).
 
-    The points lie on a grid of 2^-BITS. They are moved to the middle of their cells, so that none
-    has a coordinate 0, at which a normal quantile would be infinite.
+    The points lie on a grid of 2^-BITS. They are moved to the middle of their cells: a
+    coordinate 0 would give an infinite normal quantile.
 
     Args:
         seed: of the scrambling.

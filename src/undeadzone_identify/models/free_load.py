@@ -144,7 +144,7 @@ def _visits(w: Floats, width: float) -> tuple[list[float], list[float]]:
 def _linear_density(u: Floats, y: Floats, rounding_rms: float) -> Density:
     """Return the log densities of y under a linear plant between both positions.
 
-    y is regressed on a constant and on lags and leads of u, as the drive may act from either side.
+    y is regressed on a constant and on lags and leads of u, as either position may lag the other.
 
     Args:
         u: position ahead of the gap (N) [u].

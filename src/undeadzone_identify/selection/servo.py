@@ -73,7 +73,7 @@ WITHOUT_MEMORY = (
     "filtered_zone",
 )  # classes without memory (hysteresis) other than a dead zone of the sensor
 UNDECIDED = ("other", "unclear", "undecided")  # classes that name no nonlinearity
-EXPLAINED = (*MEMORY, *WITHOUT_PLAY, "jump")  # classes that stay if their model explains the log
+EXPLAINED = (*MEMORY, *WITHOUT_PLAY, "jump")  # kept if they explain the log, but of no integrator
 FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sensor
 # Least ratio of the samples at 0 to those at any other reading, for a zone of the sensor. Of 886
 # random servos without a zone 5 exceed it.

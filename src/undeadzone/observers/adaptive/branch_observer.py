@@ -173,7 +173,8 @@ def step_branch_observer(
         x^' = A x^ + B u + L s e,  d^' = law.move(s drive, ...),
 
     where x^' and d^' are next values if sampled. For a dead zone, drive is -e on the right branch
-    and e on the left one: with x^ = x, e is d_r^ - d_r there, or d_l - d_l^.
+    and e on the left one. With x^ = x, e is d_r^ - d_r on the right and d_l - d_l^ on the left, so
+    that widths approach theirs.
 
     Args:
         setup: options of the observer.

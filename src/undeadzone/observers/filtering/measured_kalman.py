@@ -105,8 +105,9 @@ class State(NamedTuple):
             lower ones (2p).
         u: the last input (m).
         patience: running record of rejected readings.
-        pace: running record of how fast z moves.
-        columns: sensitivities to the sensor's shape, one column after the other (empty without).
+        pace: running record of the motion of z.
+        columns: sensitivities of the unknowns to the sensor's shape, column by column (empty if
+            it is exact).
     """
 
     mean: Any
@@ -141,8 +142,8 @@ def build_branch_filter(
     """Build a Kalman filter for `[x; d]` and further unknowns as an observer.
 
     A reading outside the zone measures z plus the offset of its branch. One inside the zone is a
-    censored sample. On top of the filter are a multiple-model filter, consistency tests and a
-    detector of motion inside the zone.
+    censored sample. Around the filter are a multiple-model filter, consistency tests, and for a
+    backlash a detector of its branch.
 
     Args:
         plant: the sampled model, in the plant's units.
@@ -152,8 +153,7 @@ def build_branch_filter(
         augmentation: unknowns beside `[x; d]` and their model, in the filter's units.
         glitches: probability that a reading is an outlier (0: none is).
         traits: numbers that checks and figures read from the observer.
-        lasting: samples for which an error of the linearisation keeps its sign, such as the
-            correlation time of the disturbance.
+        lasting: samples for which an error of the linearisation keeps its sign.
         bounds: whether censored samples and assumed ranges bound the state estimate.
         order: order of the prediction: 1 linearises, 2 includes second derivatives.
         blind: whether every reading counts as z itself, as if there were no dead zone.
@@ -161,8 +161,8 @@ def build_branch_filter(
         careful: whether censored samples move widths only as far as readings contained information
             on them.
         levels: number of disturbance rms in the multiple-model filter (`add_disturbance_levels`).
-        recovers: whether the consistency tests record causes, so that intervals which a rejected
-            assumption has widened can become narrow again.
+        recovers: whether the filter estimates the causes of a lasting misfit, such as a bias, so
+            that its innovations can become consistent again.
         learns_shape: whether the rounding of the breakpoints is estimated. False: it only widens
             the displayed intervals, as errors of the slope and late readings do.
     """

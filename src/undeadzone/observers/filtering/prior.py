@@ -316,7 +316,7 @@ def doubt_numbers(
     """Return the parameters of outlier rejection and of the consistency tests.
 
     Means forget exponentially: the factor exp(-Ts / T) per step gives a memory T. Each T is a
-    multiple of a quarter period of the plant, the time in which an error shows in z.
+    multiple of a quarter period of the plant.
 
     Args:
         model: the sampled model.
