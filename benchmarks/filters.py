@@ -79,7 +79,7 @@ def in_lanes(step: ExportedStep, readings: Floats) -> Callable[[], Floats]:
     """The filter as ensembles compute it, all runs side by side."""
     count, inputs = len(readings), readings.shape[2]
     kernel = lanes.build_kernel(
-        step.function, exogenous=range(inputs), record=(), fused=True, hurry=False
+        step.function, exogenous=range(inputs), record=(), fused=True, fast_start=False
     )
     states = np.tile(step.start, (count, 1))
     own = np.ascontiguousarray(readings.transpose(1, 2, 0))

@@ -227,10 +227,15 @@ def _template_words(report: dict[str, Any]) -> dict[str, Any]:
     return report | call_words(report["name"], bool(report["tunable"])) | shown
 
 
-def _build_system_files(report: dict[str, Any], math: bool) -> dict[str, str]:
-    """Return the texts of Makefile, CMakeLists.txt and README.md, by name."""
+def _build_system_files(report: dict[str, Any], has_math: bool) -> dict[str, str]:
+    """Return the texts of Makefile, CMakeLists.txt and README.md, by name.
+
+    Args:
+        report: numbers and names of the export.
+        has_math: whether the C includes a header with elementary functions.
+    """
     words = _template_words(report)
-    words["math"] = f"{report['name']}_math.h " if math else ""
+    words["math"] = f"{report['name']}_math.h " if has_math else ""
     return {
         "Makefile": fill_template("templates/Makefile", words),
         "CMakeLists.txt": fill_template("templates/CMakeLists.txt", words),

@@ -140,8 +140,8 @@ def identify(
     if chain is not None:
         require_writable(chain)
     require_table(str(first))
-    for made in filter(None, (path, further)):
-        require_own_file(made, force)
+    for target in filter(None, (path, further)):
+        require_own_file(target, force)
     keep = partial_file(folder, "identify.json", resume)
     with progress("identifying", None) as advance:
         names = [str(path) for path in logs]
@@ -171,20 +171,20 @@ def identify(
         few = shell_command("undeadzone", "export", folder / "identify.json", "--to", "snippet")
         why |= {"few lines": f"{few} writes these in C, Python and Structured Text"}
     is_done = is_found or is_written
-    more = {}
+    chain_numbers = {}
     if chain is not None:
         scenario_file = path if is_written else None
-        reached = _go_on(answer, numbers, scenario_file, first, chain, options)
-        written = written + reached.files
-        is_done = reached.passed
-        why = why | reached.words
-        more = {"chain": reached.numbers} if reached.numbers else {}
+        firmware = _build_firmware(answer, numbers, scenario_file, first, chain, options)
+        written = written + firmware.files
+        is_done = firmware.passed
+        why = why | firmware.words
+        chain_numbers = {"chain": firmware.numbers} if firmware.numbers else {}
         if is_written:
             makes = shell_command("make", "-C", chain / "firmware")
             follow = {"next": f"{makes} builds the self-test"}
     shown = [{"in C": lines["snippet.h"].splitlines()}] if lines else []
     output.print_result(
-        lambda: numbers | more,
+        lambda: numbers | chain_numbers,
         lambda: [*answer.blocks(), *shown],
         written,
         why | files_line(written) | follow,
@@ -192,7 +192,7 @@ def identify(
     return 0 if is_done else 1
 
 
-def _go_on(
+def _build_firmware(
     answer: Answers,
     numbers: dict[str, Any],
     scenario: Path | None,
@@ -200,7 +200,19 @@ def _go_on(
     folder: Path,
     options: dict[str, Any],
 ) -> FirmwareChain:
-    """Go on from a scenario to firmware, or from a width that needs no plant to a few lines."""
+    """Build tested firmware from the scenario, or a few lines that compensate a backlash.
+
+    The lines need a gap of certain width, but no plant. If neither can be built, the result holds
+    the reason.
+
+    Args:
+        answer: the identified log.
+        numbers: those of the answer, as in identify.json.
+        scenario: its scenario file (None: none was written).
+        log: file of the log, along which the firmware is run.
+        folder: of the firmware.
+        options: of the command.
+    """
     from undeadzone_identify.chain import (
         FirmwareChain,
         command_of_log,
@@ -212,13 +224,17 @@ def _go_on(
 
     with progress("going on to firmware", None):
         if scenario is not None:
-            own = options["columns"], options["strict"]
-            return run_firmware_chain(scenario, log, folder, *own)
-        lost = find_compensation(numbers, log.name)
-        if lost is None or lost.kind != "backlash" or isinstance(answer, IdentifiedOutputs):
-            none = "none: there is neither a scenario nor a certain gap to make it of"
-            return FirmwareChain({"firmware": none}, {}, [], False)
-        return run_snippet_chain(lost, command_of_log(answer), folder)
+            reading_options = options["columns"], options["strict"]
+            return run_firmware_chain(scenario, log, folder, *reading_options)
+        lost_motion = find_compensation(numbers, log.name)
+        if (
+            lost_motion is None
+            or lost_motion.kind != "backlash"
+            or isinstance(answer, IdentifiedOutputs)
+        ):
+            reason = "none: there is neither a scenario nor a certain gap to make it of"
+            return FirmwareChain({"firmware": reason}, {}, [], False)
+        return run_snippet_chain(lost_motion, command_of_log(answer), folder)
 
 
 def _next_commands(

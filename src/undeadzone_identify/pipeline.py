@@ -1,8 +1,8 @@
 """`identify`: from a log to plant, widths and verdict.
 
 Of each output plants of every order are fitted with a dead zone of the sensor, and static maps in
-its place. Then one nonlinearity after another is asked for, by the same steps: may it be there?
-Then it is fitted, judged and measured. What was found in the end is told.
+its place. Then one hypothesis after another is tested. If the findings so far leave it open, its
+model is fitted and compared, and its parameters are estimated. The last findings are the answer.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ from undeadzone_identify.selection.alternatives import (
 from undeadzone_identify.selection.decision import (
     MEMORY,
     Case,
-    add_unmodelled,
     build_verdict,
+    withdraw_zone_with_offset,
 )
 from undeadzone_identify.selection.delays import drop_unvisited_edges, fit_with_delay
 from undeadzone_identify.selection.location import find_zone_locations
@@ -72,7 +72,7 @@ from undeadzone_identify.selection.lost_motion import (
     without_drive,
 )
 from undeadzone_identify.selection.servo import (
-    NAMELESS,
+    UNDECIDED,
     add_servo,
     add_servo_element,
     has_no_gap,
@@ -229,36 +229,52 @@ def _identify_logs(
     logs: list[Log],
     options: Options,
     advance: Callable[[int], None],
-    climbs: CachedMaxima | None = None,
+    cached_maxima: CachedMaxima | None = None,
 ) -> Identified | IdentifiedOutputs | IdentifiedMotion:
-    """Return the answer for a single output, or the answers for several. Raise InputError."""
+    """Identify the records: return the answer for one output, or the answers for several.
+
+    Two positions of one log are first fitted with lost motion, which needs no plant. If that is not
+    conclusive, a plant with a dead zone is fitted for each output. If no plant fits, the lost
+    motion is the answer after all.
+
+    Args:
+        logs: records of the same plant.
+        options: of the user.
+        advance: called with the number of steps just done.
+        cached_maxima: cache of the likelihoods' maxima (None: not cached).
+
+    Raises:
+        InputError: nothing can be learnt, or the records differ in their outputs.
+    """
     names = logs[0].outputs
     for log in logs:
         if len(log.outputs) != len(names):
             raise InputError(f"{log.source}: has {len(log.outputs)} outputs, others {len(names)}")
     motion = None
-    stands = False
+    is_conclusive = False  # the lost motion is the answer, whatever plant fits
     if len(logs) == len(names) == 1 and needs_motion_test(logs[0]):
-        motion, stands = find_lost_motion(logs[0], options)
+        motion, is_conclusive = find_lost_motion(logs[0], options)
         advance(1)
-    if motion is not None and stands:
+    if motion is not None and is_conclusive:
         return IdentifiedMotion(motion)
     logs = [without_drive(log) for log in logs]
-    apart = ([log.select_output(k) for log in logs] for k in range(len(names)))
+    outputs = ([log.select_output(k) for log in logs] for k in range(len(names)))
     try:
         require_readings(sum(int(np.isfinite(log.y).sum(axis=0).max()) for log in logs))
-        grids = (to_grid(alone, options.resample)._replace(climbs=climbs) for alone in apart)
+        grids = (
+            to_grid(records, options.resample)._replace(climbs=cached_maxima) for records in outputs
+        )
         answers = [identify_output(grid, options, advance) for grid in grids]
-        if len(answers) == 1 and answers[0].verdict in NAMELESS and _may_integrate(logs, options):
-            grid = to_grid(logs, options.resample)._replace(climbs=climbs)
+        if len(answers) == 1 and answers[0].verdict in UNDECIDED and _may_integrate(logs, options):
+            grid = to_grid(logs, options.resample)._replace(climbs=cached_maxima)
             answers = [_integrate_motor(grid, options, advance, answers[0])]
     except InputError as error:  # no plant fits, or an irregular step, which positions may have
-        refused = error
+        failure = error
     else:
         return answers[0] if len(answers) == 1 else IdentifiedOutputs(names, tuple(answers))
     if motion is None or not motion.are_positions:
-        raise refused
-    no_plant = f"no plant was fitted: {refused}"
+        raise failure
+    no_plant = f"no plant was fitted: {failure}"
     return IdentifiedMotion(motion._replace(reasons=[*motion.reasons, no_plant]))
 
 
@@ -290,13 +306,13 @@ class Hypothesis(NamedTuple):
 
     Attributes:
         name: in words.
-        is_asked: whether it may be there.
-        found: the findings with it, fitted, judged and measured.
+        is_open: tests if the previous findings leave it open.
+        update_findings: fits its model and returns the findings with it.
     """
 
     name: str
-    is_asked: Callable[[Case, Findings], bool]
-    found: Callable[[Case, Findings], Findings]
+    is_open: Callable[[Case, Findings], bool]
+    update_findings: Callable[[Case, Findings], Findings]
 
 
 def _may_integrate(logs: list[Log], options: Options) -> bool:
@@ -313,7 +329,7 @@ def _integrate_motor(
         again = identify_output(grid, msgspec.structs.replace(options, integrators=1), advance)
     except InputError:
         return first
-    if again.verdict in NAMELESS:
+    if again.verdict in UNDECIDED:
         return first
     answer = again.answer
     return Identified(answer._replace(remarks=[INTEGRATES, *answer.remarks]))
@@ -347,9 +363,9 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     if found.verdict.word == "jump" and _has_unread_edges(case):
         as_jump = msgspec.structs.replace(options, kind="jump")
         return identify_output(case.grid, as_jump, advance)
-    for question in QUESTIONS:
-        if question.is_asked(case, found):
-            found = question.found(case, found)
+    for hypothesis in HYPOTHESES:
+        if hypothesis.is_open(case, found):
+            found = hypothesis.update_findings(case, found)
             advance(1)
     return Identified(to_answer(case, found))
 
@@ -435,7 +451,7 @@ def _has_unread_edges(case: Case) -> bool:
     return asked and case.record_data.silent_zeros and not case.options.integrators
 
 
-# --- What is asked, one after the other
+# --- Hypotheses, in the order of their tests
 
 
 def _has_no_jump(case: Case, found: Findings) -> bool:
@@ -493,7 +509,7 @@ def _needs_remainder_test(case: Case, found: Findings) -> bool:
 
 def _add_remainder(case: Case, found: Findings) -> Findings:
     """Add effects that a linear plant with a zone does not contain, by name."""
-    return found._replace(verdict=add_unmodelled(found.verdict, case.chosen.pairs))
+    return found._replace(verdict=withdraw_zone_with_offset(found.verdict, case.chosen.pairs))
 
 
 def _has_actuator_zone(case: Case, found: Findings) -> bool:
@@ -506,7 +522,7 @@ def _add_actuator_zone(case: Case, found: Findings) -> Findings:
     return found._replace(element=build_input_element(case, found))
 
 
-QUESTIONS = (
+HYPOTHESES = (
     Hypothesis("friction, or a zone of the input", _needs_zone_location, _add_zone_locations),
     Hypothesis("a play, or a play and a dead zone", _has_no_jump, add_play),
     Hypothesis("a servo behind a play", _may_be_servo, add_servo),

@@ -367,14 +367,22 @@ def _largest_rise(step: Floats, error: Floats) -> float:
 
 
 def _sides_of_positivity(resting: Run, repaired: Run) -> BothSides:
-    """Compute the largest error that V of (30), and of the certificate, does not see."""
+    """Compare 0 and the largest |x~| at samples with V = 0, for (30) and for the certificate.
 
-    def unseen(run: Run) -> float:
-        """Return the largest |x~| among samples with a V of 0."""
-        silent = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
-        return largest_absolute((run.x - run.x_hat)[silent]) if silent.any() else 0.0
+    V proves convergence of x^ only if it is positive definite: V = 0 implies x~ = 0. (30) is a form
+    in y~, which is 0 inside the zone whatever x~ is.
 
-    return BothSides("|x~| where V = 0, and 0", unseen(resting), unseen(repaired))
+    Args:
+        resting: run of the printed observer from rest.
+        repaired: run of the repaired observer, with V of its certificate.
+    """
+
+    def error_at_zero_V(run: Run) -> float:
+        """Return the largest |x~| among samples with V = 0; a run without V counts as V = 0."""
+        is_zero = (np.zeros(run.t.size) if run.V is None else run.V) == 0.0
+        return largest_absolute((run.x - run.x_hat)[is_zero]) if is_zero.any() else 0.0
+
+    return BothSides("|x~| where V = 0, and 0", error_at_zero_V(resting), error_at_zero_V(repaired))
 
 
 def _printed_P(linear: Matrices) -> Floats:

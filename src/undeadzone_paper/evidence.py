@@ -49,7 +49,7 @@ from undeadzone_paper.theorem import (
     GIVEN,
     READINGS_OF_THEOREM,
     TheoremOutcome,
-    TheoremReading,
+    TheoremVariant,
     example_of_theorem,
     run_theorem,
 )
@@ -341,7 +341,7 @@ def _law_runs(runner: Runner) -> tuple[Run, Run]:
     given, estimated = (
         runner.simulate_changed(
             example_of_theorem(
-                TheoremReading(mismatch, 1.0, "(39)", "printed", False, -1.0, STARTED, D)
+                TheoremVariant(mismatch, 1.0, "(39)", "printed", False, -1.0, STARTED, D)
             ),
             simulation=Simulation(duration=DURATION),
         )

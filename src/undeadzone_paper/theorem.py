@@ -1,8 +1,9 @@
-"""Theorem 4.1 with its own control law (29), in every reading of the printed equations.
+"""Theorem 4.1 with its own control law (29), in every variant of the printed equations.
 
-A reading picks the plant, L, the observer with or without B u, the sign of chi_l, the start, d^(0),
-the sign of (29), and whether d - d^ is given, as the proof has it, or estimated. For either of the
-last the loop's graph is built once. Plant, gains and signs are its run-time parameters.
+A variant is one way to read the printed equations. It picks the plant, L, the observer with or
+without B u, the sign of chi_l, the start, d^(0), the sign of (29), and whether d - d^ is given, as
+the proof has it, or estimated. For either of the last the loop's graph is built once. Plant, gains
+and signs are its run-time parameters.
 """
 
 from __future__ import annotations
@@ -59,13 +60,13 @@ DEFINITION: Final = (
 )
 
 CHOICES: Final = (PLANTS, GAINS, (False, True), (-1.0, 1.0), (NEAR_REST, STARTED), (D, UNEQUAL))
-"""What a reading picks beside the law and its knowledge of d - d^, in the order of its fields."""
+"""Choices of a variant beside the law and its knowledge of d - d^, in the order of its fields."""
 
 READINGS_OF_THEOREM: Final = prod(len(choice) for choice in CHOICES)
 
 
-class TheoremReading(NamedTuple):
-    """One reading of the theorem.
+class TheoremVariant(NamedTuple):
+    """Variant of the theorem: one way to read its printed equations.
 
     Attributes:
         mismatch: how the law knows d - d^
@@ -89,16 +90,16 @@ class TheoremReading(NamedTuple):
 
 
 class TheoremOutcome(NamedTuple):
-    """Outcome of a reading.
+    """Outcome of a variant.
 
     Attributes:
-        reading: which one
+        variant: which one
         width_error: largest |d^ - d|, last 2 s (None: diverged)
         state_error: largest |x^ - x|, last 2 s (None: diverged)
         diverged_at: when a signal leaves its limit [s] (None: never)
     """
 
-    reading: TheoremReading
+    variant: TheoremVariant
     width_error: float | None
     state_error: float | None
     diverged_at: float | None
@@ -113,7 +114,7 @@ class TheoremOutcome(NamedTuple):
     @property
     def leaves_widths(self) -> bool:
         """Return whether a run that begins at d^ = d and survives ends with wrong widths."""
-        return self.reading.width == D and (self.width_error or 0.0) > RIGHT
+        return self.variant.width == D and (self.width_error or 0.0) > RIGHT
 
 
 class TheoremCount(NamedTuple):
@@ -128,98 +129,108 @@ class TheoremCount(NamedTuple):
     leave_true_widths: int
 
 
-def example_of_theorem(reading: TheoremReading) -> Scenario:
-    """Build the scenario of a reading, r = 5 sin 2 pi t."""
-    L = gain_by_name(reading.L, system(PLANTS[reading.plant])).ravel()
+def example_of_theorem(variant: TheoremVariant) -> Scenario:
+    """Build the scenario of a variant, r = 5 sin 2 pi t."""
+    L = gain_by_name(variant.L, system(PLANTS[variant.plant])).ravel()
     return msgspec.structs.replace(
         example_as_printed(5.0),
         title="Theorem 4.1: observer (16), (17), adaptation (25), law (29)",
-        plant=msgspec.structs.replace(PLANTS[reading.plant], x0=[reading.x1, 0.0]),
+        plant=msgspec.structs.replace(PLANTS[variant.plant], x0=[variant.x1, 0.0]),
         observer=Printed(
             L=L,
             alpha=ALPHA,
-            widths0=reading.width,
-            feed_input=reading.feeds_input,
-            left_sign=reading.left_sign,
+            widths0=variant.width,
+            feed_input=variant.feeds_input,
+            left_sign=variant.left_sign,
         ),
         controller=PrintedLaw(
             L=L,
-            widths=D if reading.mismatch == GIVEN else None,
+            widths=D if variant.mismatch == GIVEN else None,
             alpha=ALPHA,
-            sign=reading.sign,
-            left_sign=reading.left_sign,
+            sign=variant.sign,
+            left_sign=variant.left_sign,
         ),
         simulation=Simulation(duration=DURATION, step=STEP),
     )
 
 
 def run_theorem(progress: Callable[[int], None] | None = None) -> list[TheoremOutcome]:
-    """Run every reading: 2 mismatches x 2 signs x 64.
+    """Run every variant: 2 mismatches x 2 signs x 64.
 
     Args:
         progress: called with the number of steps just done
     """
     outcomes: list[TheoremOutcome] = []
     for mismatch in (GIVEN, ESTIMATED):
-        readings = [TheoremReading(mismatch, *choice) for choice in product(SIGNS, *CHOICES)]
-        outcomes += _run_readings(readings, progress)
+        variants = [TheoremVariant(mismatch, *choice) for choice in product(SIGNS, *CHOICES)]
+        outcomes += _run_variants(variants, progress)
     return outcomes
 
 
-def _run_readings(
-    readings: list[TheoremReading], progress: Callable[[int], None] | None
+def _run_variants(
+    variants: list[TheoremVariant], progress: Callable[[int], None] | None
 ) -> list[TheoremOutcome]:
-    """Run readings of the same graph, which only r enters from outside."""
-    problem = resolve_scenario(example_of_theorem(readings[0]))
+    """Run variants of the same `mismatch`: they share a graph, and only r enters from outside."""
+    problem = resolve_scenario(example_of_theorem(variants[0]))
     loop, _, exogenous = prepare(problem)
-    run = engine_for(loop, "auto", len(exogenous) * len(readings))
+    run = engine_for(loop, "auto", len(exogenous) * len(variants))
     outcomes = []
     built: dict[tuple[str, str], Loop] = {}
-    for reading in readings:
-        place = reading.plant, reading.L
+    for variant in variants:
+        place = variant.plant, variant.L
         if place not in built:
-            built[place] = _with_gains(loop, problem, reading)
-        start = Start(*_with_signs(built[place], reading), exogenous)
-        outcomes.append(_build_outcome(reading, outputs_of(start, progress, run)))
+            built[place] = _set_plant_and_gains(loop, problem, variant)
+        start = Start(*_set_signs(built[place], variant), exogenous)
+        outcomes.append(_build_outcome(variant, outputs_of(start, progress, run)))
     return outcomes
 
 
-def _with_gains(loop: Loop, problem: Problem, reading: TheoremReading) -> Loop:
-    """Return the loop with plant and gains of a reading."""
-    scenario = example_of_theorem(reading)
+def _set_plant_and_gains(loop: Loop, problem: Problem, variant: TheoremVariant) -> Loop:
+    """Return the loop with the plant, observer gains and control law of a variant.
+
+    Only run-time parameters change: the graph is that of any variant with the same `mismatch`.
+
+    Args:
+        loop: the loop of another variant.
+        problem: the other variant's problem, for its sensor.
+        variant: plant and gains to set.
+    """
+    scenario = example_of_theorem(variant)
     model = system(scenario.plant)
-    observer = scenario.observer.build(model, problem.sensor).params
-    law = scenario.controller.build(model).params
-    params = loop.params._replace(plant=model.params, observer=observer, controller=law)
+    observer_params = scenario.observer.build(model, problem.sensor).params
+    law_params = scenario.controller.build(model).params
+    params = loop.params._replace(
+        plant=model.params, observer=observer_params, controller=law_params
+    )
     return loop._replace(params=params)
 
 
-def _with_signs(loop: Loop, reading: TheoremReading) -> tuple[Loop, Floats]:
-    """Return the loop with the signs of a reading, and its packed initial state."""
-    left_sign = np.float64(reading.left_sign)
-    widths = np.array([reading.width])
+def _set_signs(loop: Loop, variant: TheoremVariant) -> tuple[Loop, Floats]:
+    """Return the loop with the signs of a variant, and its packed initial state."""
+    left_sign = np.float64(variant.left_sign)
+    widths = np.array([variant.width])
     observer = loop.params.observer._replace(
-        feed_input=np.float64(reading.feeds_input), left_sign=left_sign
+        feed_input=np.float64(variant.feeds_input), left_sign=left_sign
     )
-    law = loop.params.controller._replace(sign=np.float64(reading.sign), left_sign=left_sign)
+    law = loop.params.controller._replace(sign=np.float64(variant.sign), left_sign=left_sign)
     state = loop.state._replace(
-        plant=np.array([reading.x1, 0.0]),
+        plant=np.array([variant.x1, 0.0]),
         observer=loop.state.observer._replace(right=widths, left=widths),
     )
     params = loop.params._replace(observer=observer, controller=law)
     return loop._replace(params=params), tree.pack_tree(state)
 
 
-def _build_outcome(reading: TheoremReading, signal: Outputs) -> TheoremOutcome:
-    """Compute the outcome of a reading from its signals."""
+def _build_outcome(variant: TheoremVariant, signal: Outputs) -> TheoremOutcome:
+    """Compute the outcome of a variant from its signals."""
     end = first_divergence(signal)
     if end is not None:
-        return TheoremOutcome(reading, None, None, end * STEP)
+        return TheoremOutcome(variant, None, None, end * STEP)
     last = slice(-round(LAST / STEP), None)
     widths = np.hstack([signal.estimate.right, signal.estimate.left])[last]
     states = (signal.estimate.x - signal.x)[last]
     return TheoremOutcome(
-        reading, float(np.abs(widths - D).max()), float(np.abs(states).max()), None
+        variant, float(np.abs(widths - D).max()), float(np.abs(states).max()), None
     )
 
 
@@ -227,8 +238,8 @@ def count_theorem(outcomes: Iterable[TheoremOutcome]) -> list[TheoremCount]:
     """Count the outcomes per knowledge of d - d^, law and plant, in their order."""
     groups: dict[tuple[str, float, str], list[TheoremOutcome]] = {}
     for outcome in outcomes:
-        reading = outcome.reading
-        groups.setdefault((reading.mismatch, reading.sign, reading.plant), []).append(outcome)
+        variant = outcome.variant
+        groups.setdefault((variant.mismatch, variant.sign, variant.plant), []).append(outcome)
     return [
         TheoremCount(
             mismatch,
@@ -248,7 +259,7 @@ def select_outcomes(
 ) -> list[TheoremOutcome]:
     """Select the outcomes by knowledge of d - d^ and sign of the law."""
     wanted = mismatch, sign
-    return [outcome for outcome in outcomes if outcome.reading[:2] == wanted]
+    return [outcome for outcome in outcomes if outcome.variant[:2] == wanted]
 
 
 def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:
@@ -256,6 +267,6 @@ def count_diverging(outcomes: Iterable[TheoremOutcome]) -> int:
     return sum(outcome.diverged_at is not None for outcome in outcomes)
 
 
-def is_kindest(reading: TheoremReading) -> bool:
-    """Return whether a reading is the kindest: B u, chi_bar mended, begun outside the zone."""
-    return reading.feeds_input and reading.left_sign > 0 and reading.x1 == STARTED
+def is_kindest(variant: TheoremVariant) -> bool:
+    """Return whether a variant is the kindest: B u, chi_bar mended, begun outside the zone."""
+    return variant.feeds_input and variant.left_sign > 0 and variant.x1 == STARTED

@@ -490,13 +490,13 @@ def _theorem_claims(e: Evidence) -> Numbers:
         for mismatch in (GIVEN, ESTIMATED)
     }
     told = select_outcomes(e.theorem, GIVEN)
-    kind = [outcome for outcome in told if is_kindest(outcome.reading)]
+    kind = [outcome for outcome in told if is_kindest(outcome.variant)]
     named: dict[str, Any] = {
         "diverge": count_diverging(told),
         "right": sum(outcome.worst_error <= RIGHT for outcome in told),
         "leave": sum(outcome.leaves_widths for outcome in told),
         "survive": sum(
-            outcome.reading.width == D and outcome.diverged_at is None for outcome in told
+            outcome.variant.width == D and outcome.diverged_at is None for outcome in told
         ),
         "other_diverge": count_diverging(select_outcomes(e.theorem, GIVEN, -1.0)),
         "kindest": max(outcome.width_error or 0.0 for outcome in kind),

@@ -445,11 +445,11 @@ def gap_found(probability: float, low: float, few: bool, integrates: bool) -> An
 
 def test_a_servo_is_likely_beside_words_that_name_nothing() -> None:
     sure = gap_found(0.99, 0.4, True, True)
-    assert all(selection._is_servo_likely(sure, word) for word in ("undecided", "unclear", "none"))
-    assert not selection._is_servo_likely(sure, "dead_zone")
-    assert not selection._is_servo_likely(gap_found(0.5, 0.4, True, True), "undecided")
-    assert not selection._is_servo_likely(gap_found(0.99, 0.4, False, True), "undecided")
-    assert not selection._is_servo_likely(None, "undecided")
+    assert all(selection._has_likely_gap(sure, word) for word in ("undecided", "unclear", "none"))
+    assert not selection._has_likely_gap(sure, "dead_zone")
+    assert not selection._has_likely_gap(gap_found(0.5, 0.4, True, True), "undecided")
+    assert not selection._has_likely_gap(gap_found(0.99, 0.4, False, True), "undecided")
+    assert not selection._has_likely_gap(None, "undecided")
 
 
 def test_only_an_undecided_record_has_the_word_of_its_odds() -> None:

@@ -55,7 +55,7 @@ def test_the_figure_of_the_theorem_shows_both_laws_and_every_reading_that_surviv
     survived = [
         outcome
         for outcome in evidence.theorem
-        if outcome.reading.sign == 1.0 and outcome.diverged_at is None
+        if outcome.variant.sign == 1.0 and outcome.diverged_at is None
     ]
     assert shown == len(survived)
 

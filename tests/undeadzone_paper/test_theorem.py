@@ -23,13 +23,13 @@ from undeadzone_paper.theorem import (
 def test_every_reading_is_run_once(paper: Paper) -> None:
     outcomes = paper.evidence.theorem
     assert READINGS_OF_THEOREM == 64
-    assert len({outcome.reading for outcome in outcomes}) == len(outcomes) == 4 * 64
+    assert len({outcome.variant for outcome in outcomes}) == len(outcomes) == 4 * 64
 
 
 @pytest.mark.parametrize("index", [0, 7, 21, 40, 63, 64, 130, 190, 201, 255])
 def test_a_reading_in_the_shared_graph_equals_its_own_loop(paper: Paper, index: int) -> None:
     outcome = paper.evidence.theorem[index]
-    run = simulate(example_of_theorem(outcome.reading), check_step=False)
+    run = simulate(example_of_theorem(outcome.variant), check_step=False)
     largest = max(np.abs(part).max() for part in (run.x, run.x_hat, run.d_hat, run.u))
     assert (outcome.diverged_at is None) == (largest < 1e6)
     if outcome.diverged_at is None:
@@ -48,7 +48,7 @@ def test_given_what_its_proof_needs_the_theorem_fails(paper: Paper) -> None:
     assert sum(outcome.diverged_at is not None for outcome in told) >= 10
     assert sum(outcome.worst_error <= 0.05 for outcome in told) <= 12
     assert sum(outcome.leaves_widths for outcome in told) >= 10
-    kind = [outcome for outcome in told if is_kindest(outcome.reading)]
+    kind = [outcome for outcome in told if is_kindest(outcome.variant)]
     assert len(kind) == 8
     assert max(outcome.worst_error for outcome in kind) > 0.5
 

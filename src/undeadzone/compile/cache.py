@@ -34,12 +34,12 @@ from undeadzone.compile.machine import (
     stack,
 )
 
-LONG: Final = 6000  # lines of a text whose code of no effort is worth while
+LONG: Final = 6000  # lines from which unoptimised code is worth running while LLVM optimises
 IN_PIECES: Final = 100_000  # lines of a text in whose many loads and stores schedulers get lost
-LESS: Final = 1  # LLVM's effort without them
-# Bytes of the stack that a line takes in such code, which shares nothing: of vectors, of numbers.
-FRAME = 32
-FRAME_OF_ONE = 8
+LITTLE_EFFORT: Final = 1  # LLVM's level of optimisation without schedulers
+# Bytes of the stack that a line takes in unoptimised code, in which no two values share a place.
+VECTOR_BYTES = 32
+NUMBER_BYTES = 8
 START: Final = 2.0  # [s] of a function's calls after which other codes of it are compiled
 CALLS: Final = 32  # of each code that are compared
 # Time of other jobs is not counted, except on Windows, where it is coarse (1/64 s).
@@ -206,42 +206,45 @@ def load_block(text: str, kinds: tuple[str, ...]) -> CompiledBlock:
 
 @functools.lru_cache(maxsize=64)
 def load_or_compile(
-    recipe: Recipe, kinds: tuple[str, ...], hurry: bool = False, most: float = np.inf
+    recipe: Recipe, kinds: tuple[str, ...], fast_start: bool = False, most_lines: float = np.inf
 ) -> CompiledBlock:
-    """Return the function `block` of a recipe, compiled now or read from disk.
+    """Return the function `block` of a recipe, read from disk or compiled now.
 
-    If the folder cannot be used or trusted, or its file is damaged, the function is compiled.
+    LLVM optimises a long text slowly. With `fast_start` its function runs without optimisation
+    until a thread has optimised it. If the cache folder cannot be used or trusted, or its file is
+    damaged, the function is compiled.
 
     Args:
-        recipe: of its text.
-        kinds: of its arguments.
-        hurry: of a long text whose numbers fit onto the stack, code of no effort at once, and the
-            best one behind it.
-        most: lines of a text beyond which the best one is not worth its time.
+        recipe: text of the function, and its key in the cache.
+        kinds: types of the arguments, as for `load_block`.
+        fast_start: first compile a text of `LONG` lines or more without optimisation, if the
+            values of such code fit on the stack.
+        most_lines: lines up to which a text is then optimised. Of a longer text, the unoptimised
+            code is cached. 0: no text is optimised or cached.
     """
     block = read_cached_block(recipe, kinds)
     if block is not None:
         return block
     text, note = recipe.make()
     lines = text.count("\n")
-    longest = max(part.count("\n") for part in text.split("\n}\n"))  # of its functions
-    frame = longest * (FRAME if " x double>" in text else FRAME_OF_ONE)
-    if not hurry or lines < LONG or frame > stack() // 4:
+    function_lines = max(function.count("\n") for function in text.split("\n}\n"))
+    stack_bytes = function_lines * (VECTOR_BYTES if " x double>" in text else NUMBER_BYTES)
+    if not fast_start or lines < LONG or stack_bytes > stack() // 4:
         return CompiledBlock(_compile_fully(recipe, kinds, text, note), kinds, note, text)
-    code = compile_text(text, 0)
-    block = CompiledBlock(_require_linked(link_block(code, kinds)), kinds, note, text)
-    if lines <= most:
+    unoptimised = compile_text(text, 0)
+    block = CompiledBlock(_require_linked(link_block(unoptimised, kinds)), kinds, note, text)
+    if lines <= most_lines:
         block.improve(lambda: _compile_fully(recipe, kinds, text, note))
-    elif most:
-        _write_cached(recipe.key, kinds, note, code)
+    elif most_lines:
+        _write_cached(recipe.key, kinds, note, unoptimised)
     return block
 
 
 def read_cached_block(recipe: Recipe, kinds: tuple[str, ...]) -> CompiledBlock | None:
     """Return the function `block` of a recipe if it is on disk, else None."""
-    found = _read_cached(recipe.key, kinds)
-    code = None if found is None else link_block(found[1], kinds)
-    return None if found is None or code is None else CompiledBlock(code, kinds, found[0])
+    cached = _read_cached(recipe.key, kinds)
+    code = None if cached is None else link_block(cached[1], kinds)
+    return None if cached is None or code is None else CompiledBlock(code, kinds, cached[0])
 
 
 def read_answer(question: str) -> str | None:
@@ -257,7 +260,7 @@ def save_answer(question: str, text: str) -> None:
 
 def _compile_fully(recipe: Recipe, kinds: tuple[str, ...], text: str, note: str) -> LinkedCode:
     """Compile a text with full effort, store the machine code and return it linked."""
-    code = compile_text(text, LESS if text.count("\n") > IN_PIECES else MOST)
+    code = compile_text(text, LITTLE_EFFORT if text.count("\n") > IN_PIECES else MOST)
     _write_cached(recipe.key, kinds, note, code)
     return _require_linked(link_block(code, kinds))
 

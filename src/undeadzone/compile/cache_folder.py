@@ -179,9 +179,10 @@ else:
         with open(os.open(name, flags, dir_fd=directory), "rb") as file:
             status = os.fstat(file.fileno())
             _require_own(status)
+            # A second hard link could lead to a file that is not of this cache.
             if not stat.S_ISREG(status.st_mode) or status.st_nlink != 1:
                 raise PermissionError
-            with suppress(OSError):
+            with suppress(OSError):  # the time of use decides which files are deleted first
                 os.utime(file.fileno())
             return file.read()
 

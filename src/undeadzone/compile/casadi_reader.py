@@ -101,18 +101,18 @@ def read_constants(function: ca.Function) -> list[float]:
 
 def count_instructions(function: ca.Function) -> int:
     """Return the number of instructions of a function, those of each call among them."""
-    counts: dict[int, int] = {}
+    counts_by_function: dict[int, int] = {}
 
-    def count(called: ca.Function) -> int:
-        """Return the number of instructions of a function."""
+    def count_with_calls(called: ca.Function) -> int:
+        """Return the number of instructions of a function and of those that it calls."""
         key = called.__hash__()
-        if key not in counts:
+        if key not in counts_by_function:
             lines = read_program(called).lines
             calls = [line.leaf for line in lines if line.word == "call"]
-            counts[key] = len(lines) - len(calls) + sum(map(count, calls))
-        return counts[key]
+            counts_by_function[key] = len(lines) - len(calls) + sum(map(count_with_calls, calls))
+        return counts_by_function[key]
 
-    return count(function)
+    return count_with_calls(function)
 
 
 def evaluate_program(

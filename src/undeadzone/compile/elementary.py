@@ -271,13 +271,18 @@ def tan(m: Maths, x: Any) -> Any:
 def atan(m: Maths, x: Any) -> Any:
     """Return arc tangent."""
     c, a = m.c, abs(x)
+    # The polynomial needs |r| <= tan(pi/8). By the addition theorem, with x >= 0:
+    #   x > tan(3 pi/8): atan x = pi/2 + atan r, r = -1 / x
+    #   x > tan(pi/8):   atan x = pi/4 + atan r, r = (x - 1) / (x + 1)
+    #   else:            atan x = atan r, r = x
     far, middle = a > math.tan(3 * math.pi / 8), a > math.tan(math.pi / 8)
-    above, below = m.select(far, -1.0, a - 1.0), m.select(far, a, a + 1.0)
-    r = m.select(middle, above, a) / m.select(middle, below, 1.0)
+    numerator, denominator = m.select(far, -1.0, a - 1.0), m.select(far, a, a + 1.0)
+    r = m.select(middle, numerator, a) / m.select(middle, denominator, 1.0)
     z = r * r
-    base = m.select(far, c.pi2[0], m.select(middle, c.pi4[0], 0.0 * z))
-    rest = m.select(far, c.pi2[1], m.select(middle, c.pi4[1], 0.0 * z))
-    return m.call("copysign", base + ((r * z * m.polynomial(z, c.atan) + rest) + r), x)
+    # pi/2 and pi/4 are sums of two numbers, so that the last bits are right.
+    angle = m.select(far, c.pi2[0], m.select(middle, c.pi4[0], 0.0 * z))
+    angle_rest = m.select(far, c.pi2[1], m.select(middle, c.pi4[1], 0.0 * z))
+    return m.call("copysign", angle + ((r * z * m.polynomial(z, c.atan) + angle_rest) + r), x)
 
 
 def atan2(m: Maths, y: Any, x: Any) -> Any:
@@ -417,7 +422,13 @@ def called_functions(results: Results) -> set[str]:
 def inline_functions(
     nodes: Nodes, numbers: Numbers, names: Iterable[str]
 ) -> dict[str, Callable[..., Node]]:
-    """Return, by name, builders that insert a function's instructions at the place of a call."""
+    """Return builders that replace a call of a function by its instructions, by its name.
+
+    Args:
+        nodes: graph that receives the instructions.
+        numbers: constants of the arithmetic.
+        names: names of the functions.
+    """
     maths = Maths(nodes, numbers, inline=True)
 
     def build_function(name: str) -> Callable[..., Node]:

@@ -372,17 +372,23 @@ class KernelPrinter:
         return source
 
     def _table_source(self, text: Text, steady: str = "%sp") -> Names:
-        """Return the source of names for values of the tables at `steady` and at %sq, in
-        all lanes.
+        """Return the function that prints how a value is read from a table into all lanes.
+
+        Values of level `STEADY` are in a table that is filled once a call. Those of level `SHARED`
+        are in a table at %sq that is filled for each step.
+
+        Args:
+            text: the text to which the loads are added.
+            steady: LLVM's name of the address of the first table.
         """
 
-        def tabled(node: Node) -> str:
-            """Return the name of a table's value."""
-            table, base = (self.steady, steady) if node.level == STEADY else (self.shared, "%sq")
-            one = text.load(text.address_of(base, table.place_of_use(node)))
-            return from_double(text, node, text.splat(one, "double"), True)
+        def load_from_table(node: Node) -> str:
+            """Print the load of a value and return its name."""
+            table, address = (self.steady, steady) if node.level == STEADY else (self.shared, "%sq")
+            number = text.load(text.address_of(address, table.place_of_use(node)))
+            return from_double(text, node, text.splat(number, "double"), True)
 
-        return tabled
+        return load_from_table
 
     def _print_loop_ends(self) -> list[str]:
         """Print the ends of all loops."""

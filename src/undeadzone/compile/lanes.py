@@ -83,7 +83,7 @@ def build_kernel(
     fused: bool = False,
     portable: bool = False,
     form: Form | None = None,
-    hurry: bool = True,
+    fast_start: bool = True,
 ) -> Kernel:
     """Compile a step, or read the kernel from disk if it was compiled before.
 
@@ -106,8 +106,9 @@ def build_kernel(
         form: arrangement of the lanes (default: that of `machine.environment_form`, else the one
             measured here in a long run of a step of this size, else an assumed one, which is then
             measured).
-        hurry: compile a large graph first into code that takes a quarter of the time to compile and
-            is half as fast. The best one takes its place when a thread has it.
+        fast_start: compile a large graph without optimisation first, which takes a quarter of the
+            time. Its code is half as fast. Optimised code replaces it when a thread has compiled
+            that.
 
     Raises:
         InputError: an entry that is not there, an instruction that cannot be compiled, or an
@@ -121,7 +122,7 @@ def build_kernel(
     measured = plan.size_class() if form is None and width != 1 else ""
     answer = cache.read_answer(measured) if measured else None
     block = cache.load_or_compile(
-        plan.build_recipe(Form(*json.loads(answer)) if answer else form), KINDS, hurry
+        plan.build_recipe(Form(*json.loads(answer)) if answer else form), KINDS, fast_start
     )
     if measured and answer is None and block.trial is None:
         block.trial = _build_trial(plan, block, measured)

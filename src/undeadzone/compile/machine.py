@@ -228,27 +228,31 @@ def compile_text(text: str, effort: int = MOST) -> MachineCode:
     return MachineCode(_callable_names(declared), target.emit_object(module))
 
 
-def link_block(made: MachineCode, kinds: tuple[str, ...]) -> LinkedCode | None:
-    """Return the function `block` of machine code, ready to be called.
+def link_block(machine_code: MachineCode, kinds: tuple[str, ...]) -> LinkedCode | None:
+    """Link machine code in this process and return its function `block`.
 
-    `kinds` is as for `cache.load_block`.
+    Args:
+        machine_code: compiled code of a module.
+        kinds: types of the arguments, as for `cache.load_block`.
 
-    None if something that it calls is missing from this process, at which LLVM would abort.
+    Returns:
+        The callable function. None if this process lacks a function that the code calls: LLVM
+        would abort the process.
     """
     from llvmlite import binding
 
     library = _c_library()
-    declarations = "\n".join(f"declare void @{name}()" for name in made.calls)
-    names = binding.parse_assembly(declarations)
-    engine = binding.create_mcjit_compiler(names, host_machine().build_target())
-    for name in made.calls:
-        function = getattr(library, name, None)
-        if function is not None:
-            address = ctypes.cast(function, ctypes.c_void_p).value
-            engine.add_global_mapping(names.get_function(name), address)
+    declarations = "\n".join(f"declare void @{name}()" for name in machine_code.calls)
+    declared = binding.parse_assembly(declarations)
+    engine = binding.create_mcjit_compiler(declared, host_machine().build_target())
+    for name in machine_code.calls:
+        callee = getattr(library, name, None)
+        if callee is not None:
+            address = ctypes.cast(callee, ctypes.c_void_p).value
+            engine.add_global_mapping(declared.get_function(name), address)
         elif binding.address_of_symbol(name) is None:
             return None
-    engine.add_object_file(binding.ObjectFileRef.from_data(made.code))
+    engine.add_object_file(binding.ObjectFileRef.from_data(machine_code.code))
     engine.finalize_object()
     prototype = ctypes.CFUNCTYPE(None, *map(_c_type, kinds))
     return LinkedCode(prototype(engine.get_function_address("block")), engine)

@@ -44,9 +44,9 @@ class Grammar(NamedTuple):
 
     Attributes:
         types: of values, by NumPy's names.
-        signs: of instructions on numbers and words.
-        of_truths: of instructions on truths.
-        turned: text before a truth that is negated.
+        number_operators: operators on numbers and words, by instruction.
+        boolean_operators: operators on truth values, by instruction.
+        negation: text before a truth value that is negated.
         own: functions that an export brings along.
         constant: function that writes a constant.
         library: the name of a function that every compiler has, in a type of numbers.
@@ -55,9 +55,9 @@ class Grammar(NamedTuple):
     """
 
     types: dict[str, str]
-    signs: dict[str, str]
-    of_truths: dict[str, str]
-    turned: str
+    number_operators: dict[str, str]
+    boolean_operators: dict[str, str]
+    negation: str
     own: FunctionSet
     constant: Callable[[Node], Text]
     library: Callable[[str, str], str]
@@ -167,11 +167,13 @@ class Expressions:
             return Text(f"-{args[0].as_operand('neg', second=True)}", "neg")
         language = self.style.language
         if node.op == "not":
-            return Text(f"{language.turned}{args[0].in_parentheses}", "!")
+            return Text(f"{language.negation}{args[0].in_parentheses}", "!")
         if node.op in ("call", "view"):
             return Text(f"{self._function_name(node)}({', '.join([arg.text for arg in args])})")
-        signs = language.of_truths if node.args[0].kind == "bool" else language.signs
-        sign = signs[node.op]
+        operators = (
+            language.boolean_operators if node.args[0].kind == "bool" else language.number_operators
+        )
+        sign = operators[node.op]
         return Text(
             f"{args[0].as_operand(sign)} {sign} {args[1].as_operand(sign, second=True)}", sign
         )

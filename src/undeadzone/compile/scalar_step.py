@@ -19,8 +19,8 @@ from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats
 
 KINDS: Final = ("float64*",)
-ROWS: Final = 128  # samples in a call
-BEGUN: Final = 512  # samples of a brief run that are not worth a compilation
+CALL_SAMPLES: Final = 128  # samples in a call
+BRIEF_RUN: Final = 512  # samples up to which a brief run is not worth a compilation
 
 # A call's memory holds the number of samples, p, s, and w and out of each sample.
 _BLOCK: Final = """
@@ -40,61 +40,72 @@ define void @block(ptr noalias %memory) nounwind {{
 class CompiledStepper:
     """Machine code for `interpret.Stepper`: the same bits in a fraction of the time.
 
-    All numbers stand in one array, so that a call takes one address. It is compiled once for all
-    numbers and cached on disk. Until then the virtual machine runs the samples, then code compiled
-    without effort. The code is exchanged between two samples.
+    All numbers stand in one array, so that a call takes one address. Parameters are run-time
+    numbers: the code is compiled once for all of them and cached on disk. Until then the virtual
+    machine runs the samples, then unoptimised code. The code is exchanged between two samples.
 
     Args:
         step: next, out = step(s, w, p).
         state: at the beginning (states).
         params: p.
-        brief: of a single run by `run`: the virtual machine, and beyond `BEGUN` samples code of no
-            effort.
+        brief: for one run by `run`: the virtual machine runs `BRIEF_RUN` samples, code without
+            optimisation runs the rest.
 
     Attributes:
         engine: engine that runs a sample: "compiled", "compiled, first form" while a faster one is
             made, "virtual machine" and the reason.
 
     Raises:
-        InputError: an instruction that cannot be compiled, of a brief one.
+        InputError: an instruction cannot be compiled (of a brief run; others stay on the virtual
+            machine).
     """
 
     def __init__(
         self, step: ca.Function, state: Floats, params: Floats, brief: bool = False
     ) -> None:
-        sizes = [1, params.size, state.size, ROWS * step.size1_in(1), ROWS * step.size1_out(1)]
+        # Number of samples, p, s, inputs and outputs of a call, one after the other.
+        sizes = [
+            1,
+            params.size,
+            state.size,
+            CALL_SAMPLES * step.size1_in(1),
+            CALL_SAMPLES * step.size1_out(1),
+        ]
         starts = np.cumsum([0, *sizes]).tolist()
         self._memory = np.zeros(starts[-1])
         self._memory[0] = 1.0
         self._memory[starts[1] : starts[2]] = params
         self.state = self._memory[starts[2] : starts[3]]
         self.state[:] = state
-        self._rows = self._memory[starts[3] : starts[4]].reshape(ROWS, -1)
-        self._outs = self._memory[starts[4] : starts[5]].reshape(ROWS, -1)
-        self.w = self._rows[0]
-        self.out = self._outs[0]
+        self._input_rows = self._memory[starts[3] : starts[4]].reshape(CALL_SAMPLES, -1)
+        self._output_rows = self._memory[starts[4] : starts[5]].reshape(CALL_SAMPLES, -1)
+        self.w = self._input_rows[0]
+        self.out = self._output_rows[0]
         self._address = ctypes.c_void_p(self._memory.ctypes.data)
         self._recipe = _stepper_recipe(step, starts)
-        self._left = BEGUN if brief else np.inf  # samples until `run` compiles the step
+        # Number of samples that are left until `run` compiles the step.
+        self._uncompiled_samples = BRIEF_RUN if brief else np.inf
         self._thread: threading.Thread | None = None
         block = cache.read_cached_block(self._recipe, KINDS)
         if block is not None:
-            self._take_code(block)
-            self._left = np.inf
+            self._switch_code(block)
+            self._uncompiled_samples = np.inf
             return
         self.engine = "virtual machine, while the step is compiled"
-        self._call = self._interpreter(Stepper(step, state, params))
+        self._call = self._build_interpreter_call(Stepper(step, state, params))
         if not brief:
-            self._thread = threading.Thread(target=self._compile, name="compile")
+            self._thread = threading.Thread(target=self._compile_in_thread, name="compile")
             self._thread.start()
 
-    def _interpreter(self, machine: Stepper) -> Callable[[object], None]:
+    def _build_interpreter_call(self, machine: Stepper) -> Callable[[object], None]:
         """Return the call of the virtual machine on the same memory."""
 
         def call(_: object) -> None:
             """Run the samples of a call."""
             machine.state[:] = self.state
-            for row, out in zip(self._rows[: int(self._memory[0])], self._outs, strict=False):
+            for row, out in zip(
+                self._input_rows[: int(self._memory[0])], self._output_rows, strict=False
+            ):
                 machine.w[:] = row
                 machine()
                 out[:] = machine.out
@@ -102,19 +113,19 @@ class CompiledStepper:
 
         return call
 
-    def _compile(self) -> None:
+    def _compile_in_thread(self) -> None:
         """Compile, and exchange the called code each time that better code is ready."""
         try:
             block = cache.load_or_compile(self._recipe, KINDS, True, cache.IN_PIECES)
         except InputError as error:
             self.engine = f"virtual machine: {error}"
             return
-        self._take_code(block)
+        self._switch_code(block)
         block.wait_until_best()
-        self._take_code(block)
+        self._switch_code(block)
 
-    def _take_code(self, block: cache.CompiledBlock) -> None:
-        """Call the present code of a block from the next sample on."""
+    def _switch_code(self, block: cache.CompiledBlock) -> None:
+        """Run the present code of a block from the next sample on."""
         function = ctypes.cast(block.c_function, ctypes.c_void_p).value
         assert function is not None
         # It holds the interpreter's lock, as a change of threads takes longer than a sample.
@@ -132,19 +143,26 @@ class CompiledStepper:
         self._call(self._address)
 
     def run(self, w: Floats) -> Floats:
-        """Return the outputs along w (N x outputs) and advance the state."""
+        """Run N samples: return their outputs (N x outputs), and advance the state.
+
+        A call of the code runs up to `CALL_SAMPLES` of them. It reads their number and inputs from
+        the shared memory and writes their outputs to it.
+
+        Args:
+            w: exogenous inputs, a row for each sample (N x inputs).
+        """
         outputs = np.empty((len(w), self.out.size))
-        for start in range(0, len(w), ROWS):
-            if self._left <= 0:
-                self._take_code(cache.load_or_compile(self._recipe, KINDS, True, 0))
-                self._left = np.inf
-            rows = w[start : start + ROWS]
-            self._left -= len(rows)
-            self._rows[: len(rows)] = rows
-            self._memory[0] = len(rows)
+        for start in range(0, len(w), CALL_SAMPLES):
+            if self._uncompiled_samples <= 0:
+                self._switch_code(cache.load_or_compile(self._recipe, KINDS, True, 0))
+                self._uncompiled_samples = np.inf
+            rows = w[start : start + CALL_SAMPLES]
+            self._uncompiled_samples -= len(rows)
+            self._input_rows[: len(rows)] = rows
+            self._memory[0] = len(rows)  # number of samples of the call
             self()
-            outputs[start : start + len(rows)] = self._outs[: len(rows)]
-        self._memory[0] = 1.0
+            outputs[start : start + len(rows)] = self._output_rows[: len(rows)]
+        self._memory[0] = 1.0  # as `__call__` expects
         if len(w):
             self.out[:] = outputs[-1]
         return outputs

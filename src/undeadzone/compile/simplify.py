@@ -1,6 +1,6 @@
 """Simplification rules: the same values by fewer instructions.
 
-A truth is a value of type bool. In a CasADi graph it is a number, 1 or 0.
+A truth value, or truth, has the type bool. In a CasADi graph it is a number, 1 or 0.
 
 `ExactRules` changes no bit. `PortableRules`, for exported code, may change the sign of zero and the
 value of 0 times infinity: conditions select instead of multiplying by 0 and 1, and only results may
@@ -26,7 +26,7 @@ _COMPARED: Final = {"lt": operator.lt, "le": operator.le, "eq": operator.eq, "ne
 
 
 class ExactRules:
-    """Rules that preserve every bit: those of truths and selections.
+    """Rules that preserve every bit: those of truth values and selections.
 
     Args:
         nodes: graph to which nodes are added.
@@ -50,16 +50,21 @@ class ExactRules:
         self._implied: dict[tuple[Node, Node], bool] = {}
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers. Truths are 1 or 0."""
+        """Return the node of an instruction on numbers, in which true is 1 and false is 0.
+
+        Args:
+            word: operation or function, by CasADi's name.
+            args: its operands.
+        """
         if word in _COMPARED:
             return self.to_number(self.compare_numbers(word, *args))
-        truths: dict[str, Callable[..., Node]] = {
-            "not": self.negate_truth,
-            "and": self.join_truths,
-            "or": self.either_truth,
+        operators: dict[str, Callable[..., Node]] = {
+            "not": self.build_not,
+            "and": self.build_and,
+            "or": self.build_or,
         }
-        if word in truths:
-            return self.to_number(truths[word](*map(self.to_truth, args)))
+        if word in operators:
+            return self.to_number(operators[word](*map(self.to_truth, args)))
         if word == "if_else_zero":
             return self.select_number(self.to_truth(args[0]), args[1], self.zero)
         if word in ARITHMETIC:
@@ -75,23 +80,23 @@ class ExactRules:
     # --- Truths
 
     def to_number(self, truth: Node) -> Node:
-        """Return a truth as the number 1 or 0."""
+        """Return a truth value as the number 1 or 0."""
         if truth.constant_value is not None:
             return self.one if truth.constant_value else self.zero
         return self.nodes.intern("select", truth, self.one, self.zero)
 
     def to_truth(self, number: Node) -> Node:
-        """Return the truth that a number is not 0."""
+        """Return the truth value of a number: whether it is not 0."""
         return to_condition(number) or self.compare_numbers("ne", number, self.zero)
 
-    def negate_truth(self, truth: Node) -> Node:
-        """Return the negation of a truth."""
+    def build_not(self, truth: Node) -> Node:
+        """Return the negation of a truth value."""
         if truth.constant_value is not None:
             return self.no if truth.constant_value else self.yes
         return truth.args[0] if truth.op == "not" else self.nodes.intern("not", truth)
 
-    def join_truths(self, a: Node, b: Node) -> Node:
-        """Return the conjunction of two truths."""
+    def build_and(self, a: Node, b: Node) -> Node:
+        """Return the conjunction of two truth values."""
         for truth, other in ((a, b), (b, a)):
             if truth.constant_value is not None:
                 return other if truth.constant_value else self.no
@@ -99,8 +104,8 @@ class ExactRules:
                 return truth
         return self.nodes.intern("and", a, b)
 
-    def either_truth(self, a: Node, b: Node) -> Node:
-        """Return the disjunction of two truths."""
+    def build_or(self, a: Node, b: Node) -> Node:
+        """Return the disjunction of two truth values."""
         for truth, other in ((a, b), (b, a)):
             if truth.constant_value is not None:
                 return self.yes if truth.constant_value else other
@@ -109,9 +114,9 @@ class ExactRules:
         return self.nodes.intern("or", a, b)
 
     def implies(self, premise: Node, conclusion: Node) -> bool:
-        """Return whether a truth is known to imply another one.
+        """Return whether a truth value is known to imply another.
 
-        The result is cached: truths share their parts, so a pair is met on many paths.
+        The result is cached: truth values share their parts, so a pair is met on many paths.
         """
         if (premise, conclusion) not in self._implied:
             self._implied[premise, conclusion] = self._check_implication(premise, conclusion)
@@ -158,24 +163,24 @@ class ExactRules:
         """Return one of two known truths, selected by a third truth."""
         if yes == no:
             return self.yes if yes else self.no
-        return truth if yes else self.negate_truth(truth)
+        return truth if yes else self.build_not(truth)
 
     def _compare_truths(self, word: str, a: Node, b: Node) -> Node:
         """Return whether exactly one of two truths holds, negated for `eq`."""
         unequal = self.nodes.intern("ne", a, b)
-        return unequal if word == "ne" else self.negate_truth(unequal)
+        return unequal if word == "ne" else self.build_not(unequal)
 
     def _compare_difference(self, word: str, more: Node, less: Node) -> Node:
         """Return the truth of 0 < [more] - [less], or of another comparison of these truths."""
         exclusive = self._is_exclusive(more, less) or self._is_exclusive(less, more)
         if word in ("eq", "ne") and exclusive:
-            some = self.either_truth(more, less)
-            return some if word == "ne" else self.negate_truth(some)
+            some = self.build_or(more, less)
+            return some if word == "ne" else self.build_not(some)
         if word in ("eq", "ne"):
             return self._compare_truths(word, more, less)
         if word == "le":
-            return self.either_truth(more, self.negate_truth(less))
-        return more if exclusive else self.join_truths(more, self.negate_truth(less))
+            return self.build_or(more, self.build_not(less))
+        return more if exclusive else self.build_and(more, self.build_not(less))
 
     def _is_exclusive(self, a: Node, b: Node) -> bool:
         """Return whether two truths exclude each other.
@@ -202,10 +207,10 @@ class ExactRules:
             return yes if truth.constant_value else no
         inner = to_condition(yes)
         if inner is not None and no is self.zero:
-            return self.to_number(self.join_truths(truth, inner))
+            return self.to_number(self.build_and(truth, inner))
         yes = self._simplify_under(truth, yes)
         if yes.op == "select" and yes.args[2] is no:
-            return self.select_number(self.join_truths(truth, yes.args[0]), yes.args[1], no)
+            return self.select_number(self.build_and(truth, yes.args[0]), yes.args[1], no)
         return yes if yes is no else self.nodes.intern("select", truth, yes, no)
 
     def _simplify_under(self, truth: Node, number: Node) -> Node:
@@ -232,7 +237,7 @@ class PortableRules:
         self.largest = round_to_type(math.inf, real)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers. Truths are 1 or 0."""
+        """Return the node of an instruction on numbers, in which true is 1 and false is 0."""
         numbers, valid = zip(*map(self._number_and_validity, args), strict=True)
         if all(condition is self.exact.yes for condition in valid):
             return self._build_valid(word, *numbers)
@@ -247,16 +252,16 @@ class PortableRules:
             return self._extreme_of_valid(
                 self._build_valid(word, *numbers), *zip(numbers, valid, strict=True)
             )
-        all_valid = valid[0] if len(valid) == 1 else self.exact.join_truths(*valid)
+        all_valid = valid[0] if len(valid) == 1 else self.exact.build_and(*valid)
         if word not in _COMPARED:
             return self._nan_unless(all_valid, self._build_valid(word, *numbers))
         numbers = tuple(self.exact._simplify_under(all_valid, number) for number in numbers)
         comparison = self.exact.compare_numbers(word, *numbers)
         if word == "ne":
             return self.exact.to_number(
-                self.exact.either_truth(self.exact.negate_truth(all_valid), comparison)
+                self.exact.build_or(self.exact.build_not(all_valid), comparison)
             )
-        return self.exact.to_number(self.exact.join_truths(all_valid, comparison))
+        return self.exact.to_number(self.exact.build_and(all_valid, comparison))
 
     def build_constant(self, value: float) -> Node:
         """Return the node of a constant."""
@@ -284,17 +289,15 @@ class PortableRules:
     def _nonzero_number(self, node: Node) -> Node:
         """Return 1 if a number is not 0 or is NaN, else 0. The result is never NaN."""
         number, valid = self._number_and_validity(node)
-        invalid = self.exact.negate_truth(valid)
-        return self.exact.to_number(self.exact.either_truth(invalid, self.exact.to_truth(number)))
+        invalid = self.exact.build_not(valid)
+        return self.exact.to_number(self.exact.build_or(invalid, self.exact.to_truth(number)))
 
     def _gate_valid(self, truth: Node, number: Node, valid: Node) -> Node:
         """Return a number if a truth holds, else 0; NaN if the truth holds and it is not valid."""
         gated = self._select_positive(truth, number, self.exact.zero)
         if self.exact.implies(truth, valid):
             return gated
-        return self._nan_unless(
-            self.exact.either_truth(self.exact.negate_truth(truth), valid), gated
-        )
+        return self._nan_unless(self.exact.build_or(self.exact.build_not(truth), valid), gated)
 
     def _extreme_of_valid(self, extreme: Node, a: tuple[Node, Node], b: tuple[Node, Node]) -> Node:
         """Return the extreme of two values, the other one if one is NaN.
@@ -307,7 +310,7 @@ class PortableRules:
             return self._nan_unless(a[1], extreme)
         only_a = self.exact.select_number(b[1], extreme, a[0])
         chosen = self.exact.select_number(a[1], only_a, b[0])
-        return self._nan_unless(self.exact.either_truth(a[1], b[1]), chosen)
+        return self._nan_unless(self.exact.build_or(a[1], b[1]), chosen)
 
     def _build_valid(self, word: str, *args: Node) -> Node:
         """Return the node of an instruction on numbers that are not NaN."""
@@ -340,7 +343,7 @@ class PortableRules:
         return self._build_commutative("mul", a, b)
 
     def _build_sum(self, a: Node, b: Node) -> Node:
-        """Return a sum, as a single selection if opposite truths select its terms."""
+        """Return a sum, as a single selection if opposite truth values select its terms."""
         zero = self.exact.zero
         for term, other in ((a, b), (b, a)):
             if term is zero:
@@ -408,7 +411,7 @@ class FusedRules:
         self.two = nodes.intern_constant(2.0)
 
     def build_instruction(self, word: str, *args: Node) -> Node:
-        """Return the node of an instruction on numbers. Truths are 1 or 0."""
+        """Return the node of an instruction on numbers, in which true is 1 and false is 0."""
         if word == "if_else_zero":
             return self._gate_gathered(self.exact.to_truth(args[0]), args[1])
         if word == "div" and _is_steady(args[1]) and not _is_steady(args[0]):
@@ -451,18 +454,18 @@ class FusedRules:
 
 
 def _find_conjuncts(truth: Node) -> list[Node]:
-    """Return the truths of which a truth is the conjunction."""
+    """Return the truth values of which a truth value is the conjunction."""
     if truth.op != "and":
         return [truth]
     return _find_conjuncts(truth.args[0]) + _find_conjuncts(truth.args[1])
 
 
 def _truths_of_difference(number: Node) -> tuple[Node, ...]:
-    """Return the truths a and b of a number [a] - [b], or an empty tuple for other numbers."""
+    """Return the truth values a and b of a number [a] - [b]; an empty tuple for another number."""
     if number.op != "sub":
         return ()
-    truths = [to_condition(arg) for arg in number.args]
-    return tuple(truth for truth in truths if truth is not None) if all(truths) else ()
+    conditions = [to_condition(arg) for arg in number.args]
+    return tuple(truth for truth in conditions if truth is not None) if all(conditions) else ()
 
 
 def _is_steady(number: Node) -> bool:

@@ -73,7 +73,13 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
             return State(np.zeros(model.p), np.zeros(model.p))
 
         def step(p: Params, s: State, estimate: Estimate, target: Target) -> tuple[State, Any]:
-            """Return the state's derivative, or its next value if sampled, and u (m)."""
+            """Return the state's derivative, or its next value if sampled, and u (m).
+
+            With f the filtered c r - z^, I the integral term and T_t the tracking time:
+
+                wanted = k_p (b r - z^) + I + k_d f',  f' = (c r - z^ - f) / tau
+                I' = k_i (r - z^) + (u - wanted) / T_t,  u = wanted within its limits
+            """
             z = select_tracked_output("pid", estimate, target)
             lag = p.c * target.r - z - s.filtered
             wanted = p.k_p * (p.b * target.r - z) + s.integral + p.k_d / p.tau * lag
@@ -82,9 +88,9 @@ class PID(Options, frozen=True, kw_only=True, tag="pid"):
             u = wanted
             if limited:
                 u = ca.fmax(ca.fmin(wanted, p.high), p.low)
-            growth = p.k_i * (target.r - z) + p.unwind * (u - wanted)
+            integral_change = p.k_i * (target.r - z) + p.unwind * (u - wanted)
             filtered = model.keep * s.filtered + p.rate * lag
-            return State(filtered, model.keep * s.integral + growth), u
+            return State(filtered, model.keep * s.integral + integral_change), u
 
         fastest = float(1.0 / params.tau.min()) if params.k_d.any() else None
         return Controller(params, init, step, rate=fastest)

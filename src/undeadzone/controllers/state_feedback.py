@@ -145,20 +145,26 @@ class StateFeedback(Options, frozen=True, kw_only=True, tag="state_feedback"):
 def rest_response(model: System) -> Floats:
     """Return `[x; u]` at rest per unit of a constant w ((n + m) x n).
 
-    There x' = A x + B u + w is 0, and so are the first m outputs. The equations are solved in units
-    in which the units of time and of u do not matter.
+    At rest A x + B u + w = 0, and the first m outputs C x are 0. Each equation and unknown is
+    divided by its scale, so that units do not decide which singular values count as 0.
+
+    Args:
+        model: the model.
     """
     flow = model.continuous
     A, B, C = flow
-    of_x = state_units(flow)
+    x_scale = state_units(flow)
     rate = plant_pace(flow)
     C = C[: model.m]
-    of_w = (rate * of_x)[:, None]
-    push = np.abs(B / of_w).max(axis=0)
-    of_u = 1 / np.where(push > 0, push, 1.0)
-    steady = np.block([[A * of_x / of_w, B * of_u / of_w], [C * of_x, np.zeros((len(C), model.m))]])
-    even = np.linalg.pinv(steady, rcond=1e-10)[:, : model.n]
-    return np.asarray(-np.concatenate([of_x, of_u])[:, None] * even / of_w.T)
+    w_scale = (rate * x_scale)[:, None]
+    # An input of its scale moves the most affected state by the state's scale in a time 1 / rate.
+    input_effect = np.abs(B / w_scale).max(axis=0)
+    u_scale = 1 / np.where(input_effect > 0, input_effect, 1.0)
+    equations = np.block(
+        [[A * x_scale / w_scale, B * u_scale / w_scale], [C * x_scale, np.zeros((len(C), model.m))]]
+    )
+    scaled_response = np.linalg.pinv(equations, rcond=1e-10)[:, : model.n]
+    return np.asarray(-np.concatenate([x_scale, u_scale])[:, None] * scaled_response / w_scale.T)
 
 
 class Params(NamedTuple):

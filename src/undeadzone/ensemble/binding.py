@@ -253,7 +253,7 @@ class RunNoise(NamedTuple):
             disturbance at each of its instants
         words: random streams (`noise.word`): standard normal noise, then wear of edges, then lost
             readings
-        strides: the wear of each worn edge per sample, in logarithms
+        wear_deviations: standard deviation of the increment of log width per sample, worn edges
         dropout: the probability of each reading that may be lost
         disturbance: None if absent or not random
         seed: of all draws
@@ -261,7 +261,7 @@ class RunNoise(NamedTuple):
 
     entries: tuple[int, ...]
     words: tuple[int, ...]
-    strides: Floats
+    wear_deviations: Floats
     dropout: Floats
     disturbance: RandomDisturbance | None
     seed: int
@@ -285,12 +285,12 @@ def build_run_noise(problem: Problem, loop: Loop, binding: Binding) -> RunNoise:
         for k in range(len(disturbance.weights)):
             for i in range(disturbance.rms.size):
                 entries.append(k * len(places) + places[f"w[{i}]"])
-    strides = exogenous.strides(problem)
+    wear_deviations = exogenous.wear_deviations(problem)
     dropout = problem.sensor.dropout
     return RunNoise(
         entries=tuple(entries),
         words=tuple(streams.values()),
-        strides=strides[strides > 0],
+        wear_deviations=wear_deviations[wear_deviations > 0],
         dropout=dropout[dropout > 0],
         disturbance=disturbance,
         seed=binding.seed,
@@ -382,7 +382,7 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
     run.
     """
     channels = len(own.words)
-    edges = own.strides.size
+    edges = own.wear_deviations.size
     losses = own.dropout.size
     wear = slice(channels - losses - edges, channels - losses)
     lost = slice(channels - losses, channels)
@@ -393,7 +393,7 @@ def _build_stream_source(own: RunNoise, runs: Integers) -> Source:
         numbers = np.empty((count, channels, runs.size))
         normal.fill_normal(numbers, first, own.seed, own.words, runs)
         if edges and count:
-            moves = numbers[:, wear] * own.strides[:, None]
+            moves = numbers[:, wear] * own.wear_deviations[:, None]
             moves[0] += walk
             moves = np.cumsum(moves, axis=0)
             walk[:] = moves[-1]

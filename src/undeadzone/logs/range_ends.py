@@ -70,10 +70,12 @@ class RunningEnds:
         self._lower.add(-y, ok)
 
     def find_range_ends(self, quantum: float = 0.0) -> RangeEnds:
-        """Return the limits of the range at which readings saturate, as those of an amplifier.
+        """Return the limits of the range at which readings saturate, -inf and inf without them.
 
-        At the turning point of a slow motion readings are equal too, but they do not stop suddenly.
-        Noisy readings are never equal, except at a limit of the range.
+        Readings repeat at a limit. They also repeat at the turning point of a slow motion, but
+        there the motion before has no speed. Therefore the readings must reach a limit with at
+        least the share `SPEED` of their range per step, and with 3 quanta. Noisy readings repeat
+        only at a limit.
 
         Args:
             quantum: quantum of the readings [y]; 0: none.

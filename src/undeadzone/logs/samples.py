@@ -329,7 +329,10 @@ class LogReader:
             return
 
     def _one_by_one(self, numbered: Numbered, dialect: Dialect, layout: Layout) -> Floats:
-        """Return the numbers of the columns that are used; a line that cannot be read gives NaN."""
+        """Read lines one by one: return the used columns, NaN for a line that is unreadable.
+
+        It is slower than reading a block at once, but finds the faults of each line.
+        """
         values = np.full((len(numbered), len(layout.columns)), np.nan)
         for row, (number, line) in enumerate(numbered):
             found = self._row(number, line, dialect, layout)

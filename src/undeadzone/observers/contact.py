@@ -548,14 +548,15 @@ class Doubt(NamedTuple):
 
 
 def accumulate_jumps(before: Jumps, value: Any, variance: Any, walk: Any, window: float) -> Jumps:
-    """Return the motion of half gaps beyond chance after a sample.
+    """Return the record of changes of half-gap estimates that are too large for chance.
 
-    What a right filter learns moves its estimate by just the variance that it loses. If a window
-    moved it by more than 3 such deviations, a strike was misread, before or now, and which of them
-    is not known.
+    In a consistent filter, the variance of an estimate's change equals the variance that the
+    estimate loses. If the change over a window exceeds `JUMP` such standard deviations, the filter
+    has mistaken the contact at an impact, in this window or before. The excess variance is added
+    up.
 
     Args:
-        before: the same before the sample.
+        before: the record before the sample.
         value: estimate of the half gaps (N) [rad].
         variance: of its error (N) [rad^2].
         walk: variance by which a half gap wanders in a sample (N) [rad^2].
@@ -563,14 +564,14 @@ def accumulate_jumps(before: Jumps, value: Any, variance: Any, walk: Any, window
     """
     age = before.age + 1
     is_over = age >= window
-    lost = ca.fmax(before.variance - variance, 0.0) + walk * age
-    moved = (value - before.value) ** 2
-    is_jump = ca.logic_and(is_over, moved > JUMP**2 * lost)
+    lost_variance = ca.fmax(before.variance - variance, 0.0) + walk * age
+    squared_change = (value - before.value) ** 2
+    is_jump = ca.logic_and(is_over, squared_change > JUMP**2 * lost_variance)
     return Jumps(
         age=ca.if_else(is_over, 0.0, age),
         value=ca.if_else(is_over, value, before.value),
         variance=ca.if_else(is_over, variance, before.variance),
-        excess=before.excess + ca.if_else(is_jump, moved - lost, 0.0),
+        excess=before.excess + ca.if_else(is_jump, squared_change - lost_variance, 0.0),
     )
 
 

@@ -163,9 +163,16 @@ class Extended(Options, frozen=True, kw_only=True, tag="extended"):
     def _build_augmentation(
         self, model: System, colour: Colour, rms: Floats, bias: Floats
     ) -> Augmentation:
-        """Return the augmentation by disturbance, bias and uncertain parameters.
+        """Return the model of all unknowns beside `[x; d]`: disturbance, bias, parameters.
 
-        Raises InputError.
+        Args:
+            model: the sampled model, in the filter's units.
+            colour: first-order model of the disturbance.
+            rms: rms of the disturbance (m) [u].
+            bias: prior standard deviation of a constant input disturbance (m) [u].
+
+        Raises:
+            InputError: separate joints with an uncertain parameter or a bias.
         """
         if self.joints == "separate":
             if self.uncertain or bias.any():

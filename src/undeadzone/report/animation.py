@@ -31,7 +31,7 @@ DPI = 80  # of a file
 COLOURS = 32  # of a GIF
 SKIPPED = 2  # every how manieth frame a file shows
 TILT = 0.35  # [rad] by which an arm in space is seen from above
-SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # [rad] from an arm's path to the right of the drawing
+SIDEWAYS = (0.5, 0.9, -0.9, -0.5)  # directions of an arm's path [rad], 0: right in the drawing
 TRAIL = 2.0  # [s] of the tip's way that a file shows
 
 _STYLE = "display:block;width:100%;max-width:880px;border:1px solid var(--line);border-radius:6px"
@@ -326,19 +326,21 @@ def _is_spatial(run: Run) -> bool:
 
 
 def _view_turn(run: Run) -> float:
-    """Return the turn about z of an arm in space [rad].
+    """Return the angle about z by which the drawing of an arm is turned [rad]; 0 in a plane.
 
-    Its path lies beside its base, and of the ways to have it so the one that shows most of the
-    path's face is chosen.
+    The turned drawing shows the middle of the tip's path to the right of the base, in one of the
+    directions `SIDEWAYS`. Of these, the drawing uses that in which the plane of the path is seen
+    most from the front.
     """
     assert run.poses is not None
     if not _is_spatial(run):
         return 0.0
     path = _tip_path(run)
-    middle = path.mean(axis=0)
-    x, y, _ = middle - run.poses[0, 0]
-    normal = np.linalg.svd(path - middle, full_matrices=False)[2][-1]  # of the plane of the path
-    turns = [sideways - float(np.arctan2(y, x)) for sideways in SIDEWAYS]
+    centre = path.mean(axis=0)
+    x, y, _ = centre - run.poses[0, 0]
+    # The direction in which the path varies least is the normal of its plane.
+    normal = np.linalg.svd(path - centre, full_matrices=False)[2][-1]
+    turns = [direction - float(np.arctan2(y, x)) for direction in SIDEWAYS]
     return max(turns, key=lambda turn: visible_face_share(normal, turn))
 
 

@@ -208,9 +208,10 @@ def _walk(key: str, data: Any) -> Any:
 
 
 def _entry(key: str, data: Any) -> str:
-    """Return the key with the name of the entry that is not a number, if msgspec writes [...].
+    """Return the key of a wrong entry; if msgspec writes [...] for its name, with the name.
 
-    Only tables of numbers have free names.
+    It writes [...] in tables with arbitrary names. They may contain numbers only, so that the wrong
+    entry is the first one that is not a number.
     """
     table, anonymous, _ = key.partition("[...]")
     if anonymous:

@@ -67,7 +67,7 @@ def verdicts_of_run(problem: Problem, signal: Outputs) -> list[WidthIdentifiabil
     arrived = np.isfinite(signal.y)
     schedule = schedule_of_record(signal.z, problem.sensor, step, problem.model.Ts, arrived)
     if actuator_unknown(problem):
-        found = _both_ends(problem, signal, schedule)
+        found = _width_verdicts_beside_actuator(problem, signal, schedule)
     else:
         found = linear_verdicts(problem, schedule, np.ones(problem.model.p))
     return with_false_claims(problem, found)
@@ -126,20 +126,30 @@ def withhold_gaps(
     return estimate._replace(**changed, x_std=x_std)
 
 
-def _both_ends(problem: Problem, signal: Outputs, schedule: Schedule) -> list[WidthIdentifiability]:
-    """Return the identifiability of the sensor's widths in a run with unknown actuator widths.
+def _width_verdicts_beside_actuator(
+    problem: Problem, signal: Outputs, schedule: Schedule
+) -> list[WidthIdentifiability]:
+    """Return the identifiability of each sensor's widths in a run with unknown actuator widths.
 
-    The deviations are the final ones of the filter.
+    The standard deviations are those of the filter after the last sample. That of the offset
+    (d_r - d_l) / 2 follows from var(d_r - d_l) = 2 var d_r + 2 var d_l - var(d_r + d_l).
+
+    Args:
+        problem: the simulated problem.
+        signal: the run.
+        schedule: its branches.
     """
-    outputs = widths_with_unknown_actuator(problem, signal, schedule)
-    e = signal.estimate
-    claimed = zip(e.right_std[-1], e.left_std[-1], e.width_std[-1], strict=True)
-    judged = []
-    for i, (right, left, width) in enumerate(claimed):
+    by_output = widths_with_unknown_actuator(problem, signal, schedule)
+    estimate = signal.estimate
+    final_deviations = zip(
+        estimate.right_std[-1], estimate.left_std[-1], estimate.width_std[-1], strict=True
+    )
+    verdicts = []
+    for i, (right, left, width) in enumerate(final_deviations):
         centre = np.sqrt(max(2 * (right**2 + left**2) - width**2, 0.0)) / 2
         std = dict(zip(DIRECTIONS, map(float, (right, left, width, centre)), strict=True))
-        judged.append(as_far_as_known(problem, schedule, outputs[i], i, std))
-    return judged
+        verdicts.append(as_far_as_known(problem, schedule, by_output[i], i, std))
+    return verdicts
 
 
 def _verdicts_along(problem: Problem, signal: Outputs) -> list[WidthIdentifiability]:

@@ -250,11 +250,11 @@ def verdict_of(
         reasons.append(f"{_share(refused, max(used, refused))} of the readings cannot be right")
     if own is None:
         for test in tests:
-            reasons += _sums_too_large(test)
+            reasons += _describe_large_sums(test)
     else:
         reasons += describe_rejected_assumptions(own.claims, options)
     for test in tests:
-        reasons += _reasons(test)
+        reasons += _describe_contradictions(test)
     consistent: bool | None = not reasons
     if consistent and not tests:
         consistent = None
@@ -280,8 +280,13 @@ def _share(count: int, of: int) -> str:
     return f"{100 * count / max(of, 1):.0f} %"
 
 
-def _sums_too_large(test: Consistency) -> list[str]:
-    """Return why the sums of innovations contradict the assumptions, empty if they do not."""
+def _describe_large_sums(test: Consistency) -> list[str]:
+    """Describe why the sums of innovations contradict the assumptions; empty if they do not.
+
+    Args:
+        test: test of one output. Its B is the mean square of the normalised sums of innovations,
+            1 on average if the assumptions hold.
+    """
     if test.B > CHANCE:
         return [f"the innovations' means are too large: B = {test.B:.3g} > {CHANCE:g}"]
     if test.share_beyond_limit > MOST_OF_THE_TIME:
@@ -289,8 +294,8 @@ def _sums_too_large(test: Consistency) -> list[str]:
     return []
 
 
-def _reasons(test: Consistency) -> list[str]:
-    """Return why the readings of one output contradict the assumptions, apart from their sums."""
+def _describe_contradictions(test: Consistency) -> list[str]:
+    """Describe why the readings of one output contradict the assumptions, sums apart."""
     reasons = []
     if test.square is not None and test.square > test.most_square:
         reasons.append(

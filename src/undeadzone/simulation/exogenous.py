@@ -59,15 +59,15 @@ def exogenous(
     plant = problem.plant
     rows = np.arange(problem.steps * refine + 1)
     seed = simulation.seed if seed is None else seed
-    held = np.zeros((rows.size, HELD * plant.p))
+    held_inputs = np.zeros((rows.size, HELD * plant.p))
     if run is not None:
-        held[:] = np.hstack(_held_values(problem, seed, run))[rows // refine]
+        held_inputs[:] = np.hstack(_draw_held_inputs(problem, seed, run))[rows // refine]
     grid = _Grid(rows, refine, simulation.step / refine, knots_of(problem, run, seed))
     if plant.Ts is not None:
-        return np.hstack(_at_samples(problem, grid, held))
+        return np.hstack(_at_samples(problem, grid, held_inputs))
     if simulation.order > RUNGE_KUTTA:
-        return np.hstack(_coefficients(problem, grid, held))
-    return np.hstack(_at_instants(problem, grid, held))
+        return np.hstack(_taylor_coefficients(problem, grid, held_inputs))
+    return np.hstack(_at_instants(problem, grid, held_inputs))
 
 
 def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floats:
@@ -91,46 +91,56 @@ def knots_of(problem: Problem, run: int | None, seed: int | None = None) -> Floa
     )
 
 
-def _at_samples(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
+def _at_samples(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
     """Return the inputs of each step in sampled time: targets at its start, w at its middle."""
     t = grid.rows * grid.step
     w = _disturbance(problem, grid, t + grid.step / 2, 0.5)
-    return [*targets(problem, t), w, held]
+    return [*targets(problem, t), w, held_inputs]
 
 
-def _at_instants(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
+def _at_instants(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
     """Return the inputs at the start, middle and end of each step, one after the other."""
     parts: list[Floats] = []
     for fraction in INSTANTS:
         nudged = min(max(fraction, NUDGE), 1 - NUDGE)
         t = (grid.rows + nudged) * grid.step
         w = _disturbance(problem, grid, t, fraction)
-        parts += [*targets(problem, t), w, held]
+        parts += [*targets(problem, t), w, held_inputs]
     return parts
 
 
-def _coefficients(problem: Problem, grid: _Grid, held: Floats) -> list[Floats]:
-    """Return the inputs of each step as Taylor coefficients, one after the other.
+def _taylor_coefficients(problem: Problem, grid: _Grid, held_inputs: Floats) -> list[Floats]:
+    """Return the Taylor coefficients of the inputs over each step, a block (N x inputs) an order.
 
-    Held inputs only have the first coefficient.
+    With the step h, coefficient k is the k-th derivative times h^k / k!. Inputs that are constant
+    over a step have order 0 only.
+
+    Args:
+        problem: the problem to simulate.
+        grid: starts of the steps.
+        held_inputs: inputs that are constant over a step (N x 5p).
     """
+    # At a corner of the reference on the grid, the step that follows has its derivatives from the
+    # right. They are taken NUDGE steps after the start.
     t = (grid.rows + NUDGE) * grid.step
-    parts = []
+    coefficients = []
     for k in range(problem.scenario.simulation.order):
         scale = grid.step**k / math.factorial(k)
-        target = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
-        scaled = [scale * part for part in target[:3]]
+        reference = linear_targets(problem.model, problem.reference, problem.tracked, t, k)
+        scaled = [scale * value for value in reference[:3]]  # r, x_ref, u_ff
         if problem.disturbance is not None:
             w = scale * problem.disturbance.output_at(t, k)
         elif k == 0:
             w = _disturbance(problem, grid, t, 0.0)
-        else:  # straight lines have a slope alone
+        else:  # w is linear between two knots: order 1 is its slope, all higher orders are 0
             w = (grid.knots[grid.lower + 1] - grid.knots[grid.lower]) * (k == 1) / grid.refine
-        constant = held if k == 0 else np.zeros_like(held)
-        parts.append(np.hstack([*scaled, w, constant]))
-    for k in range(len(parts) - 1):  # from the nudged instant back to the step's start
-        parts[k] = parts[k] - (k + 1) * NUDGE * parts[k + 1]
-    return parts
+        held_part = held_inputs if k == 0 else np.zeros_like(held_inputs)
+        coefficients.append(np.hstack([*scaled, w, held_part]))
+    # Expand about the start of the step instead of the instant NUDGE later. Terms of NUDGE^2 are
+    # below rounding: c_k(0) = c_k(NUDGE) - (k + 1) NUDGE c_(k+1).
+    for k in range(len(coefficients) - 1):
+        coefficients[k] = coefficients[k] - (k + 1) * NUDGE * coefficients[k + 1]
+    return coefficients
 
 
 def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> Floats:
@@ -141,12 +151,24 @@ def _disturbance(problem: Problem, grid: _Grid, t: Floats, fraction: float) -> F
     return interpolate_line(grid.knots[grid.lower], grid.knots[grid.lower + 1], share)
 
 
-def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
-    """Return the values held within a step, a row each: the last entries of `loop.Exogenous`."""
+def _draw_held_inputs(problem: Problem, seed: int, run: int) -> list[Floats]:
+    """Draw the inputs that each step holds constant: the last entries of `loop.Exogenous`.
+
+    Args:
+        problem: the problem to simulate.
+        seed: of the random numbers.
+        run: number of the run.
+
+    Returns:
+        For each step and the last instant: standard normal noise before the zone and after it (N x
+        p each), relative growth of the widths, right then left (N x 2p), and NaN for a missing
+        reading, else 0 (N x p).
+    """
     sensor = problem.sensor
     p = problem.plant.p
 
     def normal(stream: int, size: Floats, channels: int) -> Floats:
+        """Return standard normal numbers of a stream (N x channels), 0 if all sizes are 0."""
         shape = problem.steps + 1, channels
         return (
             noise.standard_normal_numbers(seed, stream, *shape, run)
@@ -154,13 +176,14 @@ def _held_values(problem: Problem, seed: int, run: int) -> list[Floats]:
             else np.zeros(shape)
         )
 
-    moves = normal(noise.WEAR, sensor.drift, 2 * p) * strides(problem)
-    walk = width_drift(np.cumsum(moves, axis=0))
+    increments = normal(noise.WEAR, sensor.drift, 2 * p) * wear_deviations(problem)
+    # The logarithm of a width is a random walk, so that no width becomes negative.
+    growth = width_drift(np.cumsum(increments, axis=0))
     missing = missing_mask(normal(noise.LOSS, sensor.dropout, p), sensor.dropout)
     return [
         normal(noise.BEFORE, sensor.noise_before, p),
         normal(noise.AFTER, sensor.noise, p),
-        walk,
+        growth,
         missing,
     ]
 
@@ -174,8 +197,8 @@ def widths(problem: Problem, exogenous: Floats) -> Floats:
     return np.stack([problem.sensor.right, problem.sensor.left]) * (1 + wear.reshape(-1, 2, p))
 
 
-def strides(problem: Problem) -> Floats:
-    """By how much, rms, the logarithm of each width moves in a step: right, then left (2p)."""
+def wear_deviations(problem: Problem) -> Floats:
+    """Return the standard deviation of a step's increment of log width: right, then left (2p)."""
     return np.tile(problem.sensor.drift * np.sqrt(problem.scenario.simulation.step), 2)
 
 

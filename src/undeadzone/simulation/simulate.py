@@ -192,13 +192,13 @@ def _with_error(
 def outputs_of(
     start: Start, progress: Progress | None = None, run: LoopEngine | None = None
 ) -> Outputs:
-    """Return the outputs of a run, by name.
+    """Run a loop from its initial state and return its outputs by name.
 
     Args:
-        start: its start.
+        start: loop, initial state and exogenous inputs.
         progress: called with the number of steps just done.
-        run: function that runs its loop, from `engine_for` (loops that differ in numbers alone
-            share one). None: one of its own.
+        run: engine of the loop, from `engine_for`. Loops of the same graph share one. None: a new
+            one.
     """
     if run is None:
         run = engine_for(start.loop, "auto", len(start.exogenous))
@@ -262,7 +262,7 @@ def engine_for(loop: Loop, engine: Engine, steps: int) -> LoopEngine:
         parts = (loop.step, ()) if loop.parts is None else loop.parts
         wait = engine == "lanes" or steps > interpret.WORTH
         compiled = (
-            lanes.build_kernel(*parts, width=1, hurry=False)
+            lanes.build_kernel(*parts, width=1, fast_start=False)
             if wait
             else lanes.read_cached_kernel(*parts)
         )

@@ -109,7 +109,17 @@ def _mix_bits(word: Any) -> Any:
 
 
 def _sobol_points(seed: int, first: int, count: int, entries: int) -> Floats:
-    """Return scrambled Sobol points, each in the middle of its cell (count x entries)."""
+    """Return scrambled Sobol points in the unit cube (count x entries).
+
+    The points lie on a grid of 2^-BITS. They are moved to the middle of their cells: a
+    coordinate 0 would give an infinite normal quantile.
+
+    Args:
+        seed: of the scrambling.
+        first: index of the first point in the sequence.
+        count: number of points.
+        entries: dimension of the cube.
+    """
     if entries == 0 or count == 0:
         return np.empty((count, entries))
     from scipy.stats import qmc  # importing it takes longer than most runs

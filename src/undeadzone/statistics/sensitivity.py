@@ -226,15 +226,24 @@ def _subtract_bin_means(v: Floats, starts: Integers, sizes: Integers) -> Floats:
 
 
 def _correlation_interval(r: float, error: float, freedom: int) -> Correlation:
-    """Return a correlation with the interval of arctanh r, and p of Student's test."""
+    """Return a correlation with its interval and the p value of Student's test.
+
+    The interval is symmetric in arctanh r (Fisher), and so stays within -1 and 1. As d arctanh r /
+    dr = 1 / (1 - r^2), its half width there is error / (1 - r^2).
+
+    Args:
+        r: the correlation.
+        error: half width of its interval.
+        freedom: degrees of freedom of the test statistic r sqrt(freedom / (1 - r^2)).
+    """
     from scipy.special import stdtr
 
     r = float(np.clip(r, -1.0, 1.0))
-    room = 1 - r**2
-    if room < 1e-12:
+    unexplained = 1 - r**2
+    if unexplained < 1e-12:
         return Correlation(r, r, r, 0.0)
-    low, high = np.tanh(np.arctanh(r) + np.array([-1, 1]) * error / room)
-    p = 2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / room))
+    low, high = np.tanh(np.arctanh(r) + np.array([-1, 1]) * error / unexplained)
+    p = 2 * stdtr(freedom, -abs(r) * np.sqrt(freedom / unexplained))
     return Correlation(r, float(low), float(high), float(p))
 
 

@@ -12,7 +12,7 @@ from undeadzone_arena.contest.methods import method_registry
 from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
 from undeadzone_arena.contest.trials import process_count, run_trial
 
-# Times a run of the naive observer: `python -m benchmarks arena_effort`.
+# Time of a run, as a multiple of the naive observer's: `python -m benchmarks arena_effort`.
 HEAVY: Final[Mapping[str, float]] = {
     "moving_horizon": 68.0,
     "particle_filter": 65.0,
@@ -21,33 +21,33 @@ HEAVY: Final[Mapping[str, float]] = {
     "printed": 7.0,
     "printed_fed": 7.0,
 }
-USUAL: Final = 2.0  # of all others
+USUAL: Final = 2.0  # the same for all other methods
 
 
 def effort_text(
     names: Sequence[str],
-    grounds: Mapping[str, Scenario],
+    scenarios: Mapping[str, Scenario],
     runs: int,
-    what: str,
+    run_name: str,
     processes: int | None,
 ) -> str:
     """Describe the number of runs and their approximate time in minutes. Raises InputError.
 
     Args:
-        names: of the methods.
-        grounds: scenarios by name.
-        runs: of each method on each scenario.
-        what: unit of the runs: seeds, candidates.
-        processes: at once (None: one per processor).
+        names: names of the methods.
+        scenarios: scenarios by name.
+        runs: number of runs of each method on each scenario.
+        run_name: name of a run: seed, candidate.
+        processes: number of processes at once (None: one per processor).
     """
-    total = len(names) * len(grounds) * runs
-    at_once = process_count(len(names) * len(grounds), processes)
+    run_count = len(names) * len(scenarios) * runs
+    at_once = process_count(len(names) * len(scenarios), processes)
     work = sum(HEAVY.get(name, USUAL) for name in names) * runs
-    minutes = work * sum(map(_naive_run_time, build_settings(grounds).values())) / at_once / 60
+    minutes = work * sum(map(_naive_run_time, build_settings(scenarios).values())) / at_once / 60
     return (
         f"{_number_with_noun(len(names), 'method')} x "
-        f"{_number_with_noun(len(grounds), 'scenario')} x "
-        f"{_number_with_noun(runs, what)} = {_number_with_noun(total, 'run')}; "
+        f"{_number_with_noun(len(scenarios), 'scenario')} x "
+        f"{_number_with_noun(runs, run_name)} = {_number_with_noun(run_count, 'run')}; "
         f"{_rough_time_text(minutes)} on {_number_with_noun(at_once, 'process', 'processes')}"
     )
 

@@ -165,26 +165,29 @@ def _best_contestant(counted: Mapping[str, Floats], references: Container[str]) 
 
 
 def _average_fields(results: Sequence[Result]) -> dict[str, Any]:
-    """Return the fields of a row that are averages or shares of a method's runs."""
-    done = [result.worth for result in results if result.worth is not None]
-    kept = [worth for worth in done if not worth.diverged]
-    settled = [worth for worth in kept if worth.settling is not None]
+    """Return the averages and shares of a method's runs, by the fields of `Row`.
+
+    Averages leave out runs that diverged or that the method does not apply to.
+    """
+    applicable = [result.worth for result in results if result.worth is not None]
+    converged = [metrics for metrics in applicable if not metrics.diverged]
+    settled = [metrics for metrics in converged if metrics.settling is not None]
     total = len(results)
     return {
-        "diverged": (len(done) - len(kept)) / total,
-        "not_applicable": 1 - len(done) / total,
+        "diverged": (len(applicable) - len(converged)) / total,
+        "not_applicable": 1 - len(applicable) / total,
         "settled": len(settled) / total,
-        **{field: _statistic_over_runs(kept, field, np.mean) for field in MEANS},
-        **{field: _statistic_over_runs(kept, field, np.median) for field in MEDIANS},
+        **{field: _statistic_over_runs(converged, field, np.mean) for field in MEANS},
+        **{field: _statistic_over_runs(converged, field, np.median) for field in MEDIANS},
     }
 
 
 def _statistic_over_runs(
-    kept: Sequence[RunMetrics], field: str, statistic: Callable[[list[float]], Any]
+    converged: Sequence[RunMetrics], field: str, statistic: Callable[[list[float]], Any]
 ) -> float | None:
     """Return a statistic of a field over the runs that have a value, or None if no run has."""
-    every = [getattr(worth, field) for worth in kept]
-    values = [value for value in every if value is not None]
+    all_values = [getattr(metrics, field) for metrics in converged]
+    values = [value for value in all_values if value is not None]
     return float(statistic(values)) if values else None
 
 

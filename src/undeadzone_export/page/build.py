@@ -258,7 +258,10 @@ def _require_quick_run(problem: Problem, size: int) -> None:
 
 
 def _lower_steps(loop: Loop) -> tuple[dict[str, Results], list[Part]]:
-    """Return the nodes of the module's functions by name, and the functions that they call."""
+    """Return the instructions of the module's functions by name, and of the functions they call.
+
+    A loop with a cold path has it as the function "rare".
+    """
     functions = {"step": loop.step}
     if loop.parts is not None:
         functions = {"step": loop.parts.usual, "rare": loop.parts.rare[-1]}

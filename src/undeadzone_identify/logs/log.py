@@ -88,8 +88,6 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     def parse_offset_rms(self) -> float | None:
         """Return the rms of an unknown output offset [y]; None if it is free.
 
-        Raise InputError.
-
         Raises InputError.
         """
         if self.offset == "free":
@@ -103,22 +101,24 @@ class Options(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return rms
 
     def parse_bounds(self, side: str) -> tuple[float, float]:
-        """Return the least and largest width of right or left [y]; equal if known.
+        """Return the least and the largest width of a side [y]: equal if the width is known.
 
-        Raise InputError.
+        Args:
+            side: "right" or "left".
 
-        Raises InputError.
+        Raises:
+            InputError: the option is not a width, two bounds or inf.
         """
         text = self.right if side == "right" else self.left
         if text is None:
             return (-math.inf, math.inf)
-        ends = _parse_one_or_two(text, ",", float)
-        if not ends or not 0 <= ends[0] <= ends[-1]:
+        bounds = _parse_one_or_two(text, ",", float)
+        if not bounds or not 0 <= bounds[0] <= bounds[-1]:
             raise InputError(
                 f"{side}: expected a width, two bounds or inf, as 0.5, 0.2,1.0 or inf,"
                 f" found {text!r}"
             )
-        return (ends[0], ends[-1])
+        return (bounds[0], bounds[-1])
 
     def require_usable(self) -> Options:
         """Return these options if every value is usable. Raise InputError."""
@@ -378,18 +378,18 @@ def log_from_arrays(t: Any, u: Any, y: Any, r: Any = None) -> Log:
         InputError: arrays of different lengths, or not numeric.
     """
     readings = _to_rows("y", numbers("y", y, "iuf"))
-    moved = _to_rows("u", numbers("u", u, "iuf"))
+    inputs = _to_rows("u", numbers("u", u, "iuf"))
     times = numbers("t", t, "iuf")
     if times.ndim == 0:
         times = float(times) * np.arange(len(readings))
     times = times.ravel()
-    wanted = np.empty((len(moved), 0)) if r is None else _to_rows("r", numbers("r", r, "iuf"))
-    sizes = [times.size, len(moved), len(readings), len(wanted)]
-    if len(set(sizes)) > 1 or wanted.shape[1] > 1:
-        shapes = f"{times.shape}, {moved.shape}, {readings.shape}, {wanted.shape}"
+    reference = np.empty((len(inputs), 0)) if r is None else _to_rows("r", numbers("r", r, "iuf"))
+    row_counts = [times.size, len(inputs), len(readings), len(reference)]
+    if len(set(row_counts)) > 1 or reference.shape[1] > 1:
+        shapes = f"{times.shape}, {inputs.shape}, {readings.shape}, {reference.shape}"
         raise InputError(f"t, u, y, r: expected as many rows in each, one r, found {shapes}")
-    layout = _array_layout(readings.shape[1], moved.shape[1])
-    samples = Samples(times, readings, np.hstack([moved, wanted]), np.empty(0, np.int64))
+    layout = _array_layout(readings.shape[1], inputs.shape[1])
+    samples = Samples(times, readings, np.hstack([inputs, reference]), np.empty(0, np.int64))
     return log_from_samples(samples, layout, "arrays")
 
 

@@ -141,17 +141,22 @@ def _visits(w: Floats, width: float) -> tuple[list[float], list[float]]:
     return left, right
 
 
-def _linear_density(u: Floats, y: Floats, least: float) -> Density:
-    """Return the log densities of y (N) regressed on lags and leads of u (N).
+def _linear_density(u: Floats, y: Floats, rounding_rms: float) -> Density:
+    """Return the log densities of y under a linear plant between both positions.
 
-    least: rms of the rounding error [y].
+    y is regressed on a constant and on lags and leads of u, as either position may lag the other.
+
+    Args:
+        u: position ahead of the gap (N) [u].
+        y: position of the load (N) [y].
+        rounding_rms: rms of the rounding error, below which no residual variance is credible [y].
     """
     padded = np.pad(u, LAGS, mode="edge")
-    columns = np.lib.stride_tricks.sliding_window_view(padded, 2 * LAGS + 1)
-    columns = np.column_stack([columns, np.ones(y.size)])
-    e = y - columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0]
-    variance = float(np.mean(e**2)) + least**2
-    return build_gaussian_density("none", e, columns.shape[1] + 1, variance)
+    regressors = np.lib.stride_tricks.sliding_window_view(padded, 2 * LAGS + 1)
+    regressors = np.column_stack([regressors, np.ones(y.size)])
+    residual = y - regressors @ np.linalg.lstsq(regressors, y, rcond=1e-10)[0]
+    variance = float(np.mean(residual**2)) + rounding_rms**2
+    return build_gaussian_density("none", residual, regressors.shape[1] + 1, variance)
 
 
 def _white_rms(w: Floats) -> float:

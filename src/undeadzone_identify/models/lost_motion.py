@@ -154,17 +154,25 @@ class MotionFit:
         self.is_held = still or data.input_quantum > COARSE * self.range
 
     def delay_and_lag(self, delay: float, lag: float) -> Floats:
-        """Return the position ahead of the gap after delay [s] and lags [s] (N) [u]."""
+        """Return the position ahead of the gap: u after its lags and a delay (N) [u].
+
+        Args:
+            delay: delay [s].
+            lag: time constant of each of the structure's first-order lags [s].
+        """
         data = self.data
         u = self.data.u
         if self.structure.lags and lag > 0:
             u = lag_signal(u, data.t, lag, self.structure.lags)
         if delay <= 0:
             return u
-        # Interpolation would average two samples, and so reduce the rounding error.
+        # A held u is that of the last sample before t - delay. Interpolation would average two
+        # samples, and so reduce the rounding error. 1e-6 of a step absorbs the rounding of t.
         if self.is_held and not self.structure.lags:
-            held = np.searchsorted(data.t, data.t - delay + 1e-6 * self.step, side="right") - 1
-            return np.asarray(u[np.clip(held, 0, None)])
+            sample_before = (
+                np.searchsorted(data.t, data.t - delay + 1e-6 * self.step, side="right") - 1
+            )
+            return np.asarray(u[np.clip(sample_before, 0, None)])
         return np.interp(data.t - delay, data.t, u)
 
     def residuals(self, ahead: Floats, gaps: Floats, start: float) -> tuple[Floats, Floats]:

@@ -441,20 +441,22 @@ def plant_response(layout: Layout, plant: Floats, noise: Floats) -> Floats:
 
 
 def input_noise_gain(a: Floats, b: Floats, n: int, phi: float) -> float:
-    """Return the variance at z of unit first-order noise at the inputs, correlation phi.
+    """Return the noise power gain: the variance at z by first-order noise of rms 1 at each input.
+
+    It is the sum of squares of the impulse response from the noise's white source to z.
 
     Args:
         a: denominator a_1, a_2, ...
         b: numerators from delay 1, input by input (m n).
         n: order.
-        phi: correlation over one sample.
+        phi: correlation of the noise over one sample.
 
     Returns:
-        The sum of squares of the response; at least 1e-12.
+        The gain, at least 1e-12 [z^2/u^2].
     """
     total = 0.0
     for numerator in b.reshape(-1, n):
-        impulse = np.zeros(5000)
+        impulse = np.zeros(5000)  # the response is cut off after so many samples
         impulse[0] = math.sqrt(1 - phi * phi)
         shaped = lfilter([1.0], [1.0, -phi], impulse)
         total += float(np.sum(lfilter(np.append(0.0, numerator), np.append(1.0, a), shaped) ** 2))

@@ -611,19 +611,19 @@ def _bagged_weights(values: Floats) -> Floats:
     return np.asarray(softmax(drawn, axis=1).mean(axis=0))
 
 
-def _weighted_range(values: Floats, weight: Floats, margin: float) -> Interval:
-    """Return the first value with the weighted 95 % interval of all values, not below 0.
+def _weighted_range(values: Floats, weights: Floats, margin: float) -> Interval:
+    """Return the fitted value with the weighted 95 % interval of all values, not below 0.
 
     Args:
-        values: values, the first one being that of the fit (K).
-        weight: their weights, of sum 1 (K).
-        margin: least half width of the interval.
+        values: values of a parameter in K models, the fitted model first (K).
+        weights: posterior weights of the models, of sum 1 (K).
+        margin: least half width of the interval: the resolution of the parameter.
     """
-    order = np.argsort(values)
-    cumulative = np.cumsum(weight[order])
-    low, high = (float(np.interp(level, cumulative, values[order])) for level in (0.025, 0.975))
-    value = float(values[0])
-    return Interval(value, max(min(low, value - margin), 0.0), max(high, value + margin))
+    ascending = np.argsort(values)
+    cumulative = np.cumsum(weights[ascending])
+    low, high = (float(np.interp(level, cumulative, values[ascending])) for level in (0.025, 0.975))
+    fitted = float(values[0])
+    return Interval(fitted, max(min(low, fitted - margin), 0.0), max(high, fitted + margin))
 
 
 def fit_loop(log: LoopLog) -> LoopFits:
@@ -642,7 +642,8 @@ def fit_loop(log: LoopLog) -> LoopFits:
 def oscillation_of(e: Floats) -> tuple[float, float]:
     """Return the regularity of an oscillation [1], and its period [samples].
 
-    Both follow from the zero crossings of the autocorrelation (Thornhill and others 2003).
+    Both follow from the zero crossings of the autocorrelation, which is less noisy than the signal
+    (Thornhill and others 2003).
 
     Args:
         e: control error (N).
@@ -651,12 +652,18 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
         r = mean / (3 std) of the half periods, above 1 for a regular oscillation; and the period,
         inf without an oscillation.
     """
-    window = max(3, e.size // 5)
-    e = e - np.convolve(e, np.ones(window) / window, "same")
+    trend_window = max(3, e.size // 5)
+    e = e - np.convolve(e, np.ones(trend_window) / trend_window, "same")  # without its slow trend
+    # Autocorrelation by Wiener and Khinchin; padding to 2 N keeps both ends apart.
     spectrum = np.abs(np.fft.rfft(e, 2 * e.size)) ** 2
-    correlation = np.fft.irfft(spectrum)[: e.size // 2]
-    crossings = np.flatnonzero(np.diff(np.signbit(correlation)))[:12]
+    autocorrelation = np.fft.irfft(spectrum)[: e.size // 2]
+    crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))[
+        :12
+    ]  # later ones: few products, noisy
     if crossings.size < 5:
         return 0.0, math.inf
-    gaps = np.diff(crossings)
-    return float(gaps.mean() / (3 * gaps.std() + 0.1)), float(2 * gaps.mean())
+    half_periods = np.diff(crossings)
+    # 0.1 samples keep r finite if all half periods are equal.
+    return float(half_periods.mean() / (3 * half_periods.std() + 0.1)), float(
+        2 * half_periods.mean()
+    )

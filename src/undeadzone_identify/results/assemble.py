@@ -492,10 +492,16 @@ def _reference_remarks(grid: Grid, ok: Flags, loop: Feedback) -> list[str]:
     return [f"{words} exchanged (--columns); then nothing of this holds"]
 
 
-def _edge_remarks(answer: Answer, shown: Shown, heard: bool) -> list[str]:
-    """Return the remarks on reported edges."""
+def _edge_remarks(answer: Answer, shown: Shown, has_residual: bool) -> list[str]:
+    """Return the remarks on the reported breakpoints.
+
+    Args:
+        answer: the answer.
+        shown: widths in the units of the log.
+        has_residual: whether past inputs explain part of the one-step residual.
+    """
     remarks = [] if answer.case.jump_edges else list(answer.widths.remarks)
-    if heard:
+    if has_residual:
         remarks.append(
             "past inputs explain part of the one-step residual: a delay, or too few poles; the"
             " plant model does not fit, and the intervals are doubled; try a higher --order, or"
@@ -551,26 +557,30 @@ def _widen_rare_edges(answer: Answer, shown: Shown) -> list[str]:
 
 
 def _jump_widths(case: Case) -> Shown:
-    """Return the edges of a jump sensor in the units of the log; width and centre
-    conservative.
+    """Return the widths of a jump sensor with their intervals [y]; empty for another sensor.
+
+    Readings of a jump sensor bound each breakpoint from both sides. The intervals of the width
+    d_r + d_l and of the offset (d_r - d_l) / 2 follow by interval arithmetic, and so are not too
+    narrow. With an absent breakpoint neither of them exists.
     """
     if case.jump_edges is None:
         return {}
     scale = case.record_data.y_scale
-    sides = []
-    for edge in case.jump_edges:
-        wider = 0.5 * case.grid.quantum if edge.high > edge.low else 0.0
-        low = edge.low * scale - wider
-        high = edge.high * scale + wider
-        sides.append(Interval(edge.value * scale, low, high))
-    right, left = sides
+    intervals = []
+    for bound in case.jump_edges:
+        # A reading is rounded by up to half a quantum. A known width stays as it is.
+        rounding = 0.5 * case.grid.quantum if bound.high > bound.low else 0.0
+        low = bound.low * scale - rounding
+        high = bound.high * scale + rounding
+        intervals.append(Interval(bound.value * scale, low, high))
+    right, left = intervals
     if absent_edges(case):
-        none: Shown = dict.fromkeys(DIRECTIONS)
-        own = zip(("right", "left"), sides, strict=True)
-        return none | dict(filter(lambda side: side[0] not in absent_edges(case), own))
+        unknown: Shown = dict.fromkeys(DIRECTIONS)
+        by_side = zip(("right", "left"), intervals, strict=True)
+        return unknown | dict(filter(lambda side: side[0] not in absent_edges(case), by_side))
     width = Interval(right.value + left.value, right.low + left.low, right.high + left.high)
-    apart = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
-    return {"right": right, "left": left, "width": width, "centre": apart.scale_by(0.5)}
+    difference = Interval(right.value - left.value, right.low - left.high, right.high - left.low)
+    return {"right": right, "left": left, "width": width, "centre": difference.scale_by(0.5)}
 
 
 def absent_edges(case: Case) -> list[str]:

@@ -326,20 +326,26 @@ def _unit_patterns(slowest: float, size: int) -> Iterator[tuple[str, Floats]]:
         yield "a sweep of sines", chirp(k, 0.25 / period, size, 2 / period, phi=-90)
 
 
-def _limit_pattern(own: Floats, pattern: Floats, integrates: bool) -> Floats:
-    """Limit a pattern to the amplitude and the rate of an input (N)."""
-    low = float(own.min())
-    high = float(own.max())
+def _limit_pattern(recorded: Floats, pattern: Floats, integrates: bool) -> Floats:
+    """Scale a pattern to the range of a recorded input and limit its rate to that input's (N).
+
+    Args:
+        recorded: the recorded input.
+        pattern: values between -1 and 1 (N).
+        integrates: whether the plant integrates. Then the pattern has mean 0, else z drifts.
+    """
+    low = float(recorded.min())
+    high = float(recorded.max())
     middle = (low + high) / 2
-    reach = (high - low) / 2
-    if integrates or low * high < 0:  # about 0, which keeps z from running away
+    amplitude = (high - low) / 2
+    if integrates or low * high < 0:  # symmetric about 0
         middle = 0.0
-        reach = min(-low, high)
-    wanted = middle + max(reach, 0.0) * pattern
-    most = float(np.abs(np.diff(own)).max())
+        amplitude = min(-low, high)
+    wanted = middle + max(amplitude, 0.0) * pattern
+    largest_step = float(np.abs(np.diff(recorded)).max())
     u = np.empty(wanted.size)
-    now = middle
-    for place, value in enumerate(wanted.tolist()):
-        now += min(max(value - now, -most), most)
-        u[place] = now
+    previous = middle
+    for k, value in enumerate(wanted.tolist()):
+        previous += min(max(value - previous, -largest_step), largest_step)
+        u[k] = previous
     return u

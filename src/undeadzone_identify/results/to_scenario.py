@@ -385,17 +385,26 @@ def _correlation_time(phi: float, step: float) -> float:
 def _element_disturbance_prior(
     element: Element, step: float, scale: float
 ) -> tuple[float, float] | None:
-    """Return rms at the input and correlation time [s] of the disturbance ahead of an element."""
+    """Return rms at the input and correlation time [s] of the disturbance ahead of an element.
+
+    If noise hides the disturbance, the largest one that it can hide is returned, as white. An rms
+    of 0 would exclude any disturbance.
+
+    Args:
+        element: the element, with its plant.
+        step: sample time [s].
+        scale: unit of the scaled input [u].
+    """
     if element.ahead is None:
         return None
-    unseen = UNSEEN * element.noise
-    if element.ahead.rms < unseen:  # noise hides it; a zero would claim that there is none
+    hidden_rms = UNSEEN * element.noise
+    if element.ahead.rms < hidden_rms:
         layout = element.simulator.layout
         theta = element.theta
         gain = input_noise_gain(
             theta[layout.denominator], theta[layout.numerators][: layout.n], layout.n, 0.0
         )
-        return unseen / math.sqrt(gain) * scale, 0.5 * step
+        return hidden_rms / math.sqrt(gain) * scale, 0.5 * step
     return element.ahead.at_input * scale, _correlation_time(element.ahead.phi, step)
 
 

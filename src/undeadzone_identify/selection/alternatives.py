@@ -471,10 +471,15 @@ def _extend_to_records(gap: PlayGap, whole: plant.RecordData) -> tuple[PlayModel
     return model, model.simulator.layout.at_rest(old.simulator.layout, gap.theta)
 
 
-def _withhold_widths(element: Element, strong: float) -> Element:
-    """Return the element without widths: a disturbance of that rms [y] hides its widths."""
+def _withhold_widths(element: Element, rms: float) -> Element:
+    """Return the element without widths, with the remark that a disturbance hides them.
+
+    Args:
+        element: the play.
+        rms: rms of the disturbance ahead of the play [y].
+    """
     remark = (
-        f"a disturbance of rms {strong:.3g} moves z ahead of the play, and turns that no input"
+        f"a disturbance of rms {rms:.3g} moves z ahead of the play, and turns that no input"
         " made hide the gap: no width is given; record with a larger input"
     )
     return element._replace(remarks=[remark])
@@ -1001,7 +1006,7 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
 
     Args:
         element: a play, or a zone of the input.
-        held_out: share of the samples that checks.
+        held_out: share of the samples that are held out.
     """
     if isinstance(element.fit, ServoGap):
         return _validate_servo(element, element.fit, held_out)
@@ -1011,12 +1016,12 @@ def validate_element(element: Element, held_out: float) -> HeldOutScore:
 def held_out_error_of_fit(
     fit: FittedModel[Any], held_out: float, last: int = LONGEST
 ) -> HeldOutScore:
-    """Return the same of any model that simulates the readings.
+    """Score a model that simulates the readings on held-out blocks.
 
     Args:
         fit: the model.
-        held_out: share of the samples that checks.
-        last: steps of the climb to the others.
+        held_out: share of the samples that are held out.
+        last: most steps of the fit to the other samples.
     """
     e, test = held_out_residual(fit, held_out, last)
     data = fit.squares.data
@@ -1030,8 +1035,8 @@ def held_out_residual(
 
     Args:
         fit: the model.
-        held_out: share of the samples that checks.
-        last: steps of the climb to the others.
+        held_out: share of the samples that are held out.
+        last: most steps of the fit to the other samples.
     """
     data = fit.squares.data
     train = training_samples(data, held_out)
@@ -1042,14 +1047,24 @@ def held_out_residual(
 
 
 def _validate_servo(element: Element, gap: ServoGap, held_out: float) -> HeldOutScore:
-    """Validate a servo's predictor on held-out blocks; readings up to the previous sample
-    enter.
+    """Score a servo on held-out blocks: return error, share and whiteness.
+
+    The servo is fitted to the other samples. Its prediction of a held-out reading uses all readings
+    up to the previous sample.
+
+    Args:
+        element: the servo's play, with the records in the units of the answer.
+        gap: the fitted servo, in its own units.
+        held_out: share of the samples that are held out.
     """
     data, log = element.simulator.data, gap.log
     test = data.ok & ~training_samples(data, held_out)
-    one = gap.fit_to_samples(~test)
-    readings = gap.predict_readings(one)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
-    counted, ends = log.error_samples(False), np.zeros(1, int)
-    r = gap.normalised_errors(one)
-    errors = predict_one_step(r, test[counted], np.ones(r.size, bool), ends)
-    return score_held_out(readings - data.y, data, test, errors)
+    fit = gap.fit_to_samples(~test)
+    # The servo counts readings from the first one, in its own scale.
+    predictions = gap.predict_readings(fit)[1] * (log.y_scale / data.y_scale) + data.y[data.ok][0]
+    in_errors, first_sample = log.error_samples(False), np.zeros(1, int)
+    normalised = gap.normalised_errors(fit)
+    residuals = predict_one_step(
+        normalised, test[in_errors], np.ones(normalised.size, bool), first_sample
+    )
+    return score_held_out(predictions - data.y, data, test, residuals)

@@ -355,18 +355,17 @@ def _find_unclear(case: Case, word: str, best: Density, fits: Fits) -> Verdict |
     return build_verdict("unclear", *reasons) if reasons else None
 
 
-# --- By what a linear plant behind a zone does not hold: an offset
+# --- An offset after the zone, which the model does not contain
 
 
-def add_unmodelled(verdict: Verdict, fit: ZoneFit) -> Verdict:
-    """Return the verdict with any named effect that the model does not contain.
+def withdraw_zone_with_offset(verdict: Verdict, fit: ZoneFit) -> Verdict:
+    """Return `other` in place of the verdict if readings inside the zone have a mean other than 0.
+
+    A linear plant with a zone does not contain such an offset, and its widths would be wrong.
 
     Args:
         verdict: dead_zone, other or unclear, so far.
         fit: plant and zone.
-
-    Returns:
-        `other` where the readings inside the zone lie about another value than 0.
     """
     offset = None if verdict.word == "unclear" else mean_inside_zone(fit)
     if offset is not None:

@@ -116,7 +116,7 @@ def needs_motion_test(log: Log) -> bool:
 
 
 def _has_grid(log: Log) -> bool:
-    """Return whether times are multiples of one step, without which no plant is fitted."""
+    """Return whether all times are multiples of one sample time, as the fit of a plant needs."""
     try:
         find_sample_time(log)
     except FileError:

@@ -67,29 +67,31 @@ def fit_orders(
     held_out: float,
     advance: Callable[[int], None],
     integrators: int = 0,
-    begun: Sequence[OrderFit] = (),
+    starts: Sequence[OrderFit] = (),
 ) -> list[OrderFit]:
     """Fit every order to all data and validate the fits on held-out blocks.
 
     Args:
         data: the records.
         orders: the orders to try.
-        limits: of the widths.
-        held_out: share of the samples that checks.
+        limits: bounds of the widths.
+        held_out: share of the samples that are held out.
         advance: called with 1 after each order.
-        integrators: of the plant.
-        begun: fits of a part of the log, from where those of all of it start; none: from scratch.
+        integrators: number of the plant's integrators.
+        starts: fits to a part of the log, at which the fits start; none: from scratch.
 
     Returns:
         One entry an order; those without a stable fit are left out.
     """
     train = training_samples(data, held_out)
-    known = {one.n: one for one in begun}
+    start_by_order = {fit.n: fit for fit in starts}
     fits: list[OrderFit] = []
     for n in orders:
-        if known and n not in known:
+        if start_by_order and n not in start_by_order:
             continue
-        singles, pairs = _fit_stages(PlantSimulator(data, n, integrators), limits, known.get(n))
+        singles, pairs = _fit_stages(
+            PlantSimulator(data, n, integrators), limits, start_by_order.get(n)
+        )
         advance(1)
         if _has_finite_derivatives(singles) and _has_finite_derivatives(pairs):
             fits.append(OrderFit(n, singles, pairs, *validate_fit(pairs, train)))
@@ -124,13 +126,24 @@ def _improve_order(one: OrderFit, theta: Floats, train: Flags) -> OrderFit:
 
 
 def _fit_stages(
-    simulator: PlantSimulator, limits: WidthLimits, begun: OrderFit | None
+    simulator: PlantSimulator, limits: WidthLimits, start: OrderFit | None
 ) -> tuple[zone_fit.ZoneFit, zone_fit.ZoneFit]:
-    """Fit singles and pairs; with noise behind the zone both are the same fit."""
+    """Fit plant and zone by the likelihood of single samples (L1), then of pairs (L2).
+
+    With noise behind the zone there is a single likelihood, and one fit stands for both.
+
+    Args:
+        simulator: the plant of one order, with its data.
+        limits: bounds of the widths.
+        start: fit to a part of the data, from which both start (None: from scratch).
+
+    Returns:
+        The fits by (L1) and by (L2).
+    """
     data = simulator.data
-    if begun is not None:
-        singles = zone_fit.refit_along(begun.singles, data)
-        return singles, zone_fit.refit_along(begun.pairs, data) if data.silent_zeros else singles
+    if start is not None:
+        singles = zone_fit.refit_along(start.singles, data)
+        return singles, zone_fit.refit_along(start.pairs, data) if data.silent_zeros else singles
     singles = zone_fit.fit_zone(simulator, "singles" if data.silent_zeros else "behind", limits)
     paired = data.silent_zeros and math.isfinite(singles.value)
     return singles, zone_fit.refit_likelihood(singles, "pairs") if paired else singles

@@ -56,8 +56,8 @@ from undeadzone_identify.servo.observations import (
 )
 from undeadzone_identify.servo.predictor import DEGREES
 
-DENYING = ("none", "friction")  # words by which there is no play
-STRAIGHT = (*DENYING, "operating_point")
+WITHOUT_PLAY = ("none", "friction")  # classes that exclude a play
+LINEAR = (*WITHOUT_PLAY, "operating_point")
 AT_MOTOR = (
     "an encoder on the motor's side of the gears hears a gap only by the load behind it: where the"
     " encoder is there, a gap behind it is not excluded"
@@ -66,16 +66,18 @@ BURSTS = (
     "what a motor leaves comes in bursts, as strikes of a load make that is free in a gap, or"
     " friction that changes: no gap is not certain. Record an encoder on either side of the gears"
 )
-STATIC = (
+WITHOUT_MEMORY = (
     "saturation",
     "input_zone",
     "input_curve",
     "filtered_zone",
-)  # words of what has no memory, beside the sensor's own zone
-NAMELESS = ("other", "unclear", "undecided")  # words that name nothing
-EXPLAINED = (*MEMORY, *DENYING, "jump")  # that stand where they explain, but of an integrator
-FEW_RETURNS = 3  # to 0, that say nothing of a sensor's zone
-SILENCES = 1.6  # times the count of any other reading: of 886 random servos 5 have more
+)  # classes without memory (hysteresis) other than a dead zone of the sensor
+UNDECIDED = ("other", "unclear", "undecided")  # classes that name no nonlinearity
+EXPLAINED = (*MEMORY, *WITHOUT_PLAY, "jump")  # kept if they explain the log, but of no integrator
+FEW_RETURNS = 3  # passages of 0: so few or fewer do not show a zone of the sensor
+# Least ratio of the samples at 0 to those at any other reading, for a zone of the sensor. Of 886
+# random servos without a zone 5 exceed it.
+LONGER_AT_ZERO = 1.6
 SETTLES = 40.0  # time constants a record, below which a plant may be an integrator in disguise
 FREEDOM = 60  # of a friction's interval, as of a gap's
 LEVEL = 0.02  # of a friction, by which it is uncertain at least: how a motor sticks is assumed
@@ -96,7 +98,7 @@ def to_observations(grid: Grid, options: Options) -> Observations | None:
         return None
     u = shift_rows(grid.u[:, 0], total_delay(options), grid.start)
     log = build_observations(u, grid.y, grid.ok, grid.start, grid.step)
-    return None if log is not None and log.ticks and _rests_at_zero(grid) else log
+    return None if log is not None and log.ticks and _has_zone_at_zero(grid) else log
 
 
 def identify_tick_servo(grid: Grid, options: Options) -> ServoGap | None:
@@ -105,24 +107,27 @@ def identify_tick_servo(grid: Grid, options: Options) -> ServoGap | None:
     return identify_servo_gap(log) if log is not None and log.ticks else None
 
 
-def _rests_at_zero(grid: Grid) -> bool:
-    """Return whether readings stay at 0 for far longer than at any other value: a sensor's
-    zone.
+def _has_zone_at_zero(grid: Grid) -> bool:
+    """Return whether readings stay at 0 far longer than at any other value, as in a zone at 0.
 
-    Those count that pass, as a loop may rest at 0; where few pass, all.
+    A control loop may come to rest at 0 without a zone. Therefore only passages count: stays at a
+    value that end in the direction in which they began. If 0 has few passages, all stays count.
+
+    Args:
+        grid: records of an encoder, whose readings repeat exactly.
     """
     y = grid.y[grid.ok]
-    first = np.flatnonzero(np.diff(y, prepend=np.inf))
-    held, stays = y[first], np.diff(first, append=y.size)
-    ways = np.pad(np.sign(np.diff(held)), 1)
-    counted = ways[1:] == ways[:-1]
-    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
-        counted[1:] = True  # the first stay is no return
-    if np.count_nonzero(counted & (held == 0)) <= FEW_RETURNS:
+    starts = np.flatnonzero(np.diff(y, prepend=np.inf))  # sample at which each stay begins
+    values, durations = y[starts], np.diff(starts, append=y.size)
+    directions = np.pad(np.sign(np.diff(values)), 1)  # into each stay, and out of the last one
+    is_counted = directions[1:] == directions[:-1]
+    if np.count_nonzero(is_counted & (values == 0)) <= FEW_RETURNS:
+        is_counted[1:] = True  # the first stay is not a return to its value
+    if np.count_nonzero(is_counted & (values == 0)) <= FEW_RETURNS:
         return False
-    values, which = np.unique(held[counted], return_inverse=True)
-    samples = np.bincount(which, stays[counted])
-    return bool(samples[values == 0] > SILENCES * samples[values != 0].max(initial=1))
+    levels, level_of_stay = np.unique(values[is_counted], return_inverse=True)
+    samples = np.bincount(level_of_stay, durations[is_counted])
+    return bool(samples[levels == 0] > LONGER_AT_ZERO * samples[levels != 0].max(initial=1))
 
 
 def to_servo_options(options: Options, found: ServoGap) -> Options:
@@ -150,32 +155,40 @@ def needs_servo_test(case: Case, found: Findings) -> bool:
     if found.element is not None or case.jump_edges is not None or case.unreached:
         return False
     word = found.verdict.word
-    if _is_servo_likely(case.servo, _likeliest_word(found)):
+    if _has_likely_gap(case.servo, _likeliest_word(found)):
         return True
     log = to_observations(case.grid, case.options)
     explained, unlike = word in EXPLAINED, not case.chosen.white
-    left = word in NAMELESS or (explained and _share_of_verdict(case, found) < LEAST)
+    left = word in UNDECIDED or (explained and _share_of_verdict(case, found) < LEAST)
     left |= case.options.integrators > 0
     fit = case.chosen.pairs
     slow = fit.objective.simulator.settling_constants(fit.theta) < SETTLES  # as an integrator does
     if log is None or not log.ticks:
-        return log is not None and (left or unlike or (slow and word in STRAIGHT))
-    return word in (*EXPLAINED, *NAMELESS) and (left or (unlike and slow))
+        return log is not None and (left or unlike or (slow and word in LINEAR))
+    return word in (*EXPLAINED, *UNDECIDED) and (left or (unlike and slow))
 
 
 def _likeliest_word(found: Findings) -> str:
-    """Return the verdict's word, or that of the largest odds where these are of static models."""
-    word, top = found.verdict.word, next(iter(found.odds), "")
-    return top if word == "undecided" and top in STATIC else word
+    """Return the class; if it is undecided, the most probable one if that has no memory."""
+    decided, likeliest = found.verdict.word, next(iter(found.odds), "")
+    return likeliest if decided == "undecided" and likeliest in WITHOUT_MEMORY else decided
 
 
-def _is_servo_likely(servo: ServoGap | None, word: str) -> bool:
-    """Return whether an unreported play is likely although the class excludes or names none."""
+def _has_likely_gap(servo: ServoGap | None, decided: str) -> bool:
+    """Return whether a servo has a likely gap that is not reported and that the class misses.
+
+    A class without memory may stand for the gap of an integrating servo. Any other class that
+    names no play is doubted only if too few reversals are the sole reason against the gap.
+
+    Args:
+        servo: fitted servo (None: not fitted).
+        decided: class that is decided so far.
+    """
     if servo is None or servo.gap_probability <= LIKELY:
         return False
-    if word in STATIC:
+    if decided in WITHOUT_MEMORY:
         return servo.is_integrating and servo.gap.low > 0
-    return word in (*DENYING, *NAMELESS) and servo.has_few_reversals
+    return decided in (*WITHOUT_PLAY, *UNDECIDED) and servo.has_few_reversals
 
 
 def _share_of_verdict(case: Case, found: Findings) -> float:
@@ -191,7 +204,7 @@ def add_servo(case: Case, found: Findings) -> Findings:
         return found
     if has_no_gap(servo):
         return without_gap(case, servo, found)
-    if servo.has_bursts and servo.is_integrating and found.verdict.word in STRAIGHT:
+    if servo.has_bursts and servo.is_integrating and found.verdict.word in LINEAR:
         return _withhold_servo(servo, found, BURSTS)
     if not servo.log.ticks:
         return _compare_noisy_servo(case, servo, found)
@@ -200,14 +213,14 @@ def add_servo(case: Case, found: Findings) -> Findings:
     integrates = bool(servo.is_integrating or case.options.integrators)
     if servo.is_gap_reported:
         return found if explained and not integrates else add_servo_element(case, servo, found)
-    denied = servo.is_integrating and servo.gap_probability > LIKELY and word in DENYING
-    if denied or _is_servo_likely(servo, _likeliest_word(found)):
+    denied = servo.is_integrating and servo.gap_probability > LIKELY and word in WITHOUT_PLAY
+    if denied or _has_likely_gap(servo, _likeliest_word(found)):
         return _withhold_servo(servo, found, describe_servo(servo))
     if explained:
         return found
     if word == "unclear" and case.servo is not None and servo.gap.low <= 0:  # it has no gap
         return _withhold_servo(servo, found)
-    of_another = word in NAMELESS or (word in MEMORY and not case.options.integrators)  # plant
+    of_another = word in UNDECIDED or (word in MEMORY and not case.options.integrators)  # plant
     return found if of_another else _withhold_servo(servo, found)
 
 

@@ -201,7 +201,7 @@ def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
 def _merge_best_servos(
     fits: dict[ServoStructure, Servo], likelihood: ServoLikelihood, more: Sequence[Servo]
 ) -> dict[ServoStructure, Servo]:
-    """Merge fits; keep the best servo of each structure."""
+    """Return the fits and the servos `more` together: of each structure the likeliest servo."""
     kept = dict(fits)
     for one in more:
         own = kept.get(one.structure)

@@ -252,7 +252,7 @@ def test_code_of_no_effort_has_to_fit_onto_the_stack(monkeypatch: pytest.MonkeyP
         built = lanes.build_kernel(stateless([a], [a * float(room)]), width=8)
         built.block.wait_until_best()
         assert len(built.block._codes) == codes
-    assert cache.FRAME < stack() < 2**24
+    assert cache.VECTOR_BYTES < stack() < 2**24
 
 
 def zone(lanes_own: bool) -> tuple[lanes.Kernel, ca.Function]:

@@ -12,7 +12,7 @@ from undeadzone.compile.kernel import build_graphs, print_kernel
 from undeadzone.compile.lower import Arithmetic, build_portable_nodes
 from undeadzone.compile.machine import ONE, Shape, host_machine
 from undeadzone.compile.numpy_reference import reference_evaluator
-from undeadzone.compile.scalar_step import BEGUN, CompiledStepper
+from undeadzone.compile.scalar_step import BRIEF_RUN, CompiledStepper
 
 
 def chaotic_step() -> ca.Function:
@@ -28,10 +28,10 @@ def test_a_brief_run_changes_to_machine_code_with_the_same_bits(
     step, start, params = chaotic_step(), np.array([0.3]), np.array([3.7])
     monkeypatch.setattr(cache.cache_folder, "cache_directory", lambda: None)
     stepper = CompiledStepper(step, start, params, brief=True)
-    w = np.random.default_rng(0).random((3 * BEGUN, 1))
-    outputs = stepper.run(w[:BEGUN])
+    w = np.random.default_rng(0).random((3 * BRIEF_RUN, 1))
+    outputs = stepper.run(w[:BRIEF_RUN])
     assert stepper.engine.startswith("virtual machine")
-    outputs = np.vstack([outputs, stepper.run(w[BEGUN:])])
+    outputs = np.vstack([outputs, stepper.run(w[BRIEF_RUN:])])
     assert stepper.engine.startswith("compiled")
     expected, end = run_interpreted(step, start, w, params)
     np.testing.assert_array_equal(outputs, expected)
@@ -115,11 +115,11 @@ def test_code_of_no_effort_of_numbers_takes_less_of_the_stack_than_that_of_vecto
     probe = CompiledStepper(step, start, params)
     probe.settle()
     longest = max(part.count("\n") for part in probe._block.text.split("\n}\n"))
-    for bytes_of_line, codes in ((cache.FRAME_OF_ONE, 2), (cache.FRAME_OF_ONE - 1, 1)):
+    for bytes_of_line, codes in ((cache.NUMBER_BYTES, 2), (cache.NUMBER_BYTES - 1, 1)):
         monkeypatch.setattr(cache, "stack", lambda room=4 * longest * bytes_of_line: room)
         monkeypatch.setattr(cache, "read_cached_block", lambda *_: None)
         cache.load_or_compile.cache_clear()
         stepper = CompiledStepper(step, start, params)
         stepper.settle()
         assert len(stepper._block._codes) == codes
-    assert cache.FRAME_OF_ONE < cache.FRAME
+    assert cache.NUMBER_BYTES < cache.VECTOR_BYTES

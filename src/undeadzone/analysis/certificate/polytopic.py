@@ -418,11 +418,11 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
     columns, rows = np.divmod(varying, n)
     numbers = tree.pack_tree(model.params)[:, None]
 
-    def function(*values: ca.SX) -> ca.Function:
+    def slopes_function(*values: ca.SX) -> ca.Function:
         """Return a CasADi function of (p, [x, u])."""
         return ca.Function("slopes", [p, w], list(values), {"cse": True})
 
-    everything = function(moved, A)
+    everything = slopes_function(moved, A)
 
     def jacobian_at_points(points: Floats) -> Floats:
         """Return the Jacobian at points [x, u] (N x n x n)."""
@@ -440,8 +440,8 @@ def jacobian_on_box(model: System, box: Box) -> ModelJacobian:
         try:
             build_enclosure(everything)(whole)  # raises if the model is not smooth
             bends = ca.densify(ca.jacobian(some, w))
-            return _bounds_over_boxes(function(some), numbers), _bounds_over_boxes(
-                function(bends), numbers
+            return _bounds_over_boxes(slopes_function(some), numbers), _bounds_over_boxes(
+                slopes_function(bends), numbers
             )
         except InputError as error:
             raise InputError(f"region: the model cannot be certified on it: {error}") from None

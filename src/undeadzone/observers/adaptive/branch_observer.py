@@ -166,28 +166,44 @@ def project_branch_state(law: AdaptationLaw, p: Params, s: State) -> State:
 def step_branch_observer(
     setup: Setup, p: Params, s: State, u: Any, reading: Reading
 ) -> tuple[State, Estimate]:
-    """Return the state's derivative, or its next value if sampled, and the estimate."""
+    """Return the state's derivative, or its next value if sampled, and the estimate.
+
+    With the innovation e on the measured branch and the law's factor s in (0, 1] on it,
+
+        x^' = A x^ + B u + L s e,  d^' = law.move(s drive, ...),
+
+    where x^' and d^' are next values if sampled. For a dead zone, drive is -e on the right branch
+    and e on the left one. With x^ = x, e is d_r^ - d_r on the right and d_l - d_l^ on the left, so
+    that widths approach theirs.
+
+    Args:
+        setup: options of the observer.
+        p: its parameters.
+        s: state.
+        u: input (m).
+        reading: of the sensor.
+    """
     model = setup.model
     law = setup.law
     z = model.output(p.model, s.x)
     y = reading.y / p.slope
     active = reading.side != 0
-    over, under = zone_violation(setup, p, s, z, reading)
+    beyond_right, beyond_left = zone_violation(setup, p, s, z, reading)
     correct = correct_jump if setup.kind == "jump" else correct_deadzone
-    correction = correct(s, z, y, reading.side, over, under)
+    correction = correct(s, z, y, reading.side, beyond_right, beyond_left)
     if setup.ends:
         correction = drop_limit_corrections(correction, reading.side, setup.kind == "jump")
-    soft = law.soften(p.law, ca.if_else(active, y, 0.0))
+    factor = law.soften(p.law, ca.if_else(active, y, 0.0))
 
-    def width_change(told: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
-        """Return the change of a branch's widths, and of their gain (p each)."""
-        edge = BranchWidths(soft * told.drive, told.adapted, width, width0, gain, p.gamma)
+    def width_change(branch: WidthDrive, width: Any, width0: Any, gain: Any) -> tuple[Any, Any]:
+        """Return the derivative or next value of a branch's widths, and of their gain (p each)."""
+        edge = BranchWidths(factor * branch.drive, branch.adapted, width, width0, gain, p.gamma)
         change, gain = law.move(p.law, edge)
         return model.keep * width + change, gain
 
     right, right_gain = width_change(correction.right, s.right, p.right0, s.right_gain)
     left, left_gain = width_change(correction.left, s.left, p.left0, s.left_gain)
-    x = model.move_with_correction(p.model, s.x, u, p.L @ (soft * correction.e))
+    x = model.move_with_correction(p.model, s.x, u, p.L @ (factor * correction.e))
     after = State(x, right, left, right_gain, left_gain)
     if model.Ts is not None:
         after = project_branch_state(law, p, after)
@@ -251,10 +267,10 @@ def drop_limit_corrections(correction: Correction, side: Any, jump: bool) -> Cor
     """
     above = ca.logic_and(side > 1, correction.e < 0)
     below = ca.logic_and(side < -1, correction.e > 0)
-    heard = ca.logic_not(ca.logic_or(above, below))
-    adapts = ca.logic_and(heard, ca.fabs(side) < 2) if jump else heard
+    is_informative = ca.logic_not(ca.logic_or(above, below))
+    adapts = ca.logic_and(is_informative, ca.fabs(side) < 2) if jump else is_informative
     right, left = (
-        WidthDrive(ca.if_else(adapts, told.drive, 0.0), ca.logic_and(adapts, told.adapted))
-        for told in (correction.right, correction.left)
+        WidthDrive(ca.if_else(adapts, branch.drive, 0.0), ca.logic_and(adapts, branch.adapted))
+        for branch in (correction.right, correction.left)
     )
-    return Correction(ca.if_else(heard, correction.e, 0.0), right, left)
+    return Correction(ca.if_else(is_informative, correction.e, 0.0), right, left)

@@ -104,14 +104,13 @@ def build_output_error_observer(
     widths: Widths,
     law: Any = (),
     inject: Callable[[Any, Any], Any] = no_injection,
-    where: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = active_branches,
+    adapted_sides: Callable[[Any, State, Any, Reading], tuple[Any, Any]] = active_branches,
 ) -> Observer:
-    """Return the observer x^' = A x^ + B u + L e + inject(law, e), with widths that e adapts.
+    """Build the observer x^' = A x^ + B u + L e + inject(law, e), with widths that e adapts.
 
-    The widths obey d_r^' = -gamma e on the right and d_l^' = gamma e on the left.
-
-    The widths stay within [0, d_M]. e = y / m - Dz(C x^, d^) (p), 0 if the reading is missing. With
-    d^ = 0 it is y / m - C x^.
+    The output error is e = y / m - Dz(C x^, d^) (p), 0 if the reading is missing. The widths obey
+    d_r^' = -gamma e on the right branch and d_l^' = gamma e on the left one, within [0, d_M]. With
+    x^ = x, e is d_r^ - d_r on the right and d_l - d_l^ on the left, so that widths approach theirs.
 
     Args:
         model: the model, continuous or sampled.
@@ -120,7 +119,8 @@ def build_output_error_observer(
         widths: how the widths adapt.
         law: numbers of the injection.
         inject: inject(law, e) is added to x^', per step when the model is sampled.
-        where: where(law, state, C x^, reading) is how much each side is adapted (p each, 0 to 1).
+        adapted_sides: adapted_sides(law, state, C x^, reading) returns the weights with which the
+            right and the left widths are adapted (p each, 0 to 1).
     """
     params = Params(
         model=model.params,
@@ -141,7 +141,7 @@ def build_output_error_observer(
         """Return the state's derivative, or its next value if sampled, and the estimate."""
         z = model.output(p.model, s.x)
         e = zone_output_error(sensor, p, s, z, reading)
-        right, left = where(p.law, s, z, reading)
+        right, left = adapted_sides(p.law, s, z, reading)
         after = State(
             model.move_with_correction(p.model, s.x, u, p.L @ e + inject(p.law, e)),
             model.keep * s.right - p.gamma * e * right,

@@ -587,10 +587,11 @@ def solve_mass(M: Any, right: Any) -> Any:
 
 
 def _link_mobility(arm: Posture, groups: Sequence[Sequence[int]], touching: Any) -> Any:
-    """Return the acceleration of each link by torques at the links (N x N).
+    """Return the mobility of the links: accelerations per torque (N x N) [1/(kg m^2) or 1/kg].
 
-    A contact is stiff, so that motors in contact move with their links. Their inertia is added,
-    except those of the link's own group, whose contact its filter integrates.
+    A contact is stiff, so that a motor in contact moves with its link. Its inertia at the link is
+    added to the mass matrix in proportion to the probability of contact. The motors of a row's own
+    group are left out: the group's filter integrates these contacts itself.
 
     Args:
         arm: posture at the mean.
@@ -599,12 +600,12 @@ def _link_mobility(arm: Posture, groups: Sequence[Sequence[int]], touching: Any)
     """
     N = arm.gears.joint_count
     inertia = arm.gears.gear_number(arm.params, "inertia")
-    rows = ca.SX(N, N)
+    mobility = ca.SX(N, N)
     for group in map(list, groups):
-        motors = touching * inertia
-        motors[group] = 0.0
-        rows[group, :] = solve_mass(arm.mass + ca.diag(motors), ca.DM.eye(N)[:, group]).T
-    return rows
+        added_inertia = touching * inertia
+        added_inertia[group] = 0.0
+        mobility[group, :] = solve_mass(arm.mass + ca.diag(added_inertia), ca.DM.eye(N)[:, group]).T
+    return mobility
 
 
 def _mean_gear_torques(arm: Posture, start: GearTorques, drive: Drive) -> Any:

@@ -152,36 +152,41 @@ def covariance_entries(model: System, augmentation: Augmentation) -> ca.Sparsity
     return ca.Sparsity.upper(model.n + 2 * model.p + len(augmentation.cov))
 
 
-def build_motion(
+def build_transition(
     model: System,
     q: Params,
     augmentation: Augmentation,
     belief: Gaussian,
-    drive: Callable[[Any], Any],
-    doubt: Any = None,
+    plant_input: Callable[[Any], Any],
+    input_variances: Any = None,
 ) -> tuple[Callable[[Any], Any], Any]:
-    """Return the change of `[x; d; extra]` over a step as a function, and the added covariance.
+    """Return the increment of `[x; d; extra]` over a step as a function, and its noise covariance.
+
+    An uncertain input u with variances v adds B diag(v) B' to the covariance, B = d x+ / d u. The
+    widths d are constant but for their drift.
 
     Args:
-        model: the model.
-        q: the filter's numbers.
-        augmentation: the further unknowns.
-        belief: mean and covariance of `[x; d; extra]`.
-        drive: the plant's input (m), as a function of `[x; d; extra]`.
-        doubt: variance of the plant's input (m) (None: it is known).
+        model: the sampled model.
+        q: parameters of the filter.
+        augmentation: model of the further unknowns `extra`.
+        belief: mean and covariance of `[x; d; extra]` before the step.
+        plant_input: the plant's input (m), as a function of `[x; d; extra]`.
+        input_variances: variances of the plant's input (m) (None: it is known).
     """
     n = model.n
     known = n + 2 * model.p
-    u = drive(belief.mean)
+    u = plant_input(belief.mean)
     noise_x, noise_extra = augmentation.noise(q, belief.mean[:n], u)
-    if doubt is not None:
-        here = partial(_state_change, augmentation, q, belief.mean[:n], belief.mean[known:])
-        _, B = linearise(here, u)
-        noise_x += B @ ca.diag(doubt) @ B.T
+    if input_variances is not None:
+        change_by_input = partial(
+            _state_change, augmentation, q, belief.mean[:n], belief.mean[known:]
+        )
+        _, B = linearise(change_by_input, u)
+        noise_x += B @ ca.diag(input_variances) @ B.T
 
     def change(X: Any) -> Any:
         """Return the change of `[x; d; extra]` over a step (N)."""
-        x, extra = augmentation.change(q, X[:n], X[known:], drive(X))
+        x, extra = augmentation.change(q, X[:n], X[known:], plant_input(X))
         return ca.vertcat(x, ca.SX(known - n, 1), extra)
 
     return change, ca.diagcat(noise_x, ca.diag(q.drift), noise_extra)
@@ -226,17 +231,17 @@ def to_estimate(
 
 
 def branch_deviations(cov: Any) -> tuple[Any, Any, Any]:
-    """Return the deviations of right widths, left widths, and their sums (p each).
+    """Return the standard deviations of d_r, of d_l, and of d_r + d_l (p each) [z].
 
     Args:
-        cov: covariance of all right ends, then of all left ones (2p x 2p).
+        cov: covariance of all d_r, then of all d_l (2p x 2p) [z^2].
     """
     p = cov.shape[0] // 2
     variances = ca.diag(cov)
-    between = ca.diag(cov[:p, p:])
+    covariances = ca.diag(cov[:p, p:])
     std = ca.sqrt(ca.fmax(variances, 0.0))
-    of_sum = variances[:p] + variances[p:] + 2 * between
-    return std[:p], std[p:], ca.sqrt(ca.fmax(of_sum, 0.0))
+    sum_variances = variances[:p] + variances[p:] + 2 * covariances
+    return std[:p], std[p:], ca.sqrt(ca.fmax(sum_variances, 0.0))
 
 
 def white_disturbance(model: System, variance: Floats) -> Augmentation:

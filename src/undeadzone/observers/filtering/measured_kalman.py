@@ -49,7 +49,7 @@ from undeadzone.observers.filtering.gaussian_filter import (
     Setup,
     add_unknown_estimates,
     build_filter_params,
-    build_motion,
+    build_transition,
     clip_belief,
     covariance_entries,
     to_estimate,
@@ -100,13 +100,14 @@ class State(NamedTuple):
     Attributes:
         mean, cov: mean and covariance (see `to_upper_entries`) before the reading.
         last, previous: the last two readings, 0 if one was rejected (p) [y].
-        wait: steps to wait until an edge is used again, right edges, then left ones (2p). If the
-            readings have a range, then until a limit is used again, upper ones, then lower ones
-            (2p).
+        wait: samples until a breakpoint bounds the estimate again, right ones, then left ones
+            (2p). If the readings have a range, also samples until its limits do, upper ones, then
+            lower ones (2p).
         u: the last input (m).
-        patience: with readings that are refused.
-        pace: of z.
-        columns: of the sensor's shape, one after the other (empty if there are none).
+        patience: running record of rejected readings.
+        pace: running record of the motion of z.
+        columns: sensitivities of the unknowns to the sensor's shape, column by column (empty if
+            it is exact).
     """
 
     mean: Any
@@ -138,23 +139,31 @@ def build_branch_filter(
     recovers: bool = True,
     learns_shape: bool = True,
 ) -> Observer:
-    """Return the filter as an observer.
+    """Build a Kalman filter for `[x; d]` and further unknowns as an observer.
 
-    `Setup`, `Params` and `doubt_numbers` explain the remaining arguments.
+    A reading outside the zone measures z plus the offset of its branch. One inside the zone is a
+    censored sample. Around the filter are a multiple-model filter, consistency tests, and for a
+    backlash a detector of its branch.
 
     Args:
         plant: the sampled model, in the plant's units.
-        units: in which the filter counts states (n).
+        units: units in which the filter counts states (n) [units of x].
         sensor: the dead zone.
-        prior: of the filter, in the plant's units.
-        augmentation: the unknowns beside `[x; d]`, of the model in the filter's units.
-        glitches: probability that a reading is wrong (0: none is).
-        traits: of the observer.
-        claimed: whether the disturbance is assumed by the user, and not a default.
-        levels: how many rms of the disturbance are weighed (`add_disturbance_levels`).
-        recovers: whether its state contains the causes of a lasting misfit, so that the misfit can
-            end.
-        learns_shape: whether the rounding of the edges is among its unknowns. Else it only widens
+        prior: prior mean and covariance, in the plant's units.
+        augmentation: unknowns beside `[x; d]` and their model, in the filter's units.
+        glitches: probability that a reading is an outlier (0: none is).
+        traits: numbers that checks and figures read from the observer.
+        lasting: samples for which an error of the linearisation keeps its sign.
+        bounds: whether censored samples and assumed ranges bound the state estimate.
+        order: order of the prediction: 1 linearises, 2 includes second derivatives.
+        blind: whether every reading counts as z itself, as if there were no dead zone.
+        claimed: whether the user assumes the rms of the disturbance. False: it is a default.
+        careful: whether censored samples move widths only as far as readings contained information
+            on them.
+        levels: number of disturbance rms in the multiple-model filter (`add_disturbance_levels`).
+        recovers: whether the filter estimates the causes of a lasting misfit, such as a bias, so
+            that its innovations can become consistent again.
+        learns_shape: whether the rounding of the breakpoints is estimated. False: it only widens
             the displayed intervals, as errors of the slope and late readings do.
     """
     model = scale_states(plant, units)
@@ -303,7 +312,7 @@ def motion_slope(setup: Setup, q: Params, belief: Gaussian, u: Any) -> Any:
     if setup.order == 1 and setup.augmentation.slope is not None:
         return setup.augmentation.slope(q)
     drive, _ = predict_plant_input(q.zones, belief, u)
-    change, _ = build_motion(setup.model, q, setup.augmentation, belief, drive)
+    change, _ = build_transition(setup.model, q, setup.augmentation, belief, drive)
     return linearise(change, belief.mean)[1]
 
 
@@ -469,7 +478,7 @@ def predict_belief(setup: Setup, q: Params, belief: Gaussian, u: Any, side: Any)
     drive = subtract_friction(setup.sensor, augmentation.zones, drive, side)
     if doubt is not None:
         doubt = SAME * doubt
-    change, Q = build_motion(setup.model, q, augmentation, belief, drive, doubt)
+    change, Q = build_transition(setup.model, q, augmentation, belief, drive, doubt)
     if setup.order == 1:
         slope = None if augmentation.slope is None else augmentation.slope(q)
         return predict_first_order(belief, change, Q, slope)
@@ -553,7 +562,7 @@ def predict_pace(
     belief = heard.belief
     n = setup.model.n
     drive, doubt = predict_plant_input(q.zones, belief, u)
-    change, Q = build_motion(setup.model, q, setup.augmentation, belief, drive, doubt)
+    change, Q = build_transition(setup.model, q, setup.augmentation, belief, drive, doubt)
     E = motion_slope(setup, q, belief, u)
     _, h = linearise(lambda X: setup.model.output(q.model, X[:n]), belief.mean)
     believed = heard.trust > 0.5

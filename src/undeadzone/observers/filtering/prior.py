@@ -255,9 +255,9 @@ def _read_branch_ranges(key: str, value: Array, p: int) -> Floats:
 
 GLITCHES = 0.05  # default share of wrong readings
 GLITCH_REACH = 10.0  # in largest assumed widths, over which a glitch is spread
-FAKE = 0.02  # share of the glitches that are a silence
+FAKE = 0.02  # share of the outliers that are a false reading inside the zone
 SPAN = 2.0  # quarter periods of the plant over which innovations are summed
-PATIENCE = 0.54  # quarter periods over which the share of refused readings is averaged
+PATIENCE = 0.54  # quarter periods over which the share of rejected readings is averaged
 FEWEST = 6.0  # readings over which it is averaged at least
 # Mean square of the sums of innovations that counts as chance: for an assumed disturbance,
 # and for a default, whose colour is not that of the true one.
@@ -266,10 +266,10 @@ CHANCE_OF_DEFAULTS = 5.0
 # the same of the squares of scores
 SCORE = 3.3**2
 SCORE_OF_DEFAULTS = 3.8**2
-STAYS = 3.0  # rms of its noise within which a reading stays
+STAYS = 3.0  # standard deviations of its noise within which a reading counts as unchanged
 MEANS = (1 / 32, 1 / 16, 2.0)  # quarter periods over which inputs are averaged
-REPEATS = 0.25  # quarter periods for which readings repeat, to refute the sensor
-LEAST_REPEATS = 10.0  # readings in a row that do so, at least: a median of five repeats fewer
+REPEATS = 0.25  # quarter periods of equal readings from which a sensor is stuck
+LEAST_REPEATS = 10.0  # least number of equal readings for that: a median of five repeats fewer
 HISTORY = 8.0  # quarter periods over which the squares of the sums are averaged
 
 
@@ -277,21 +277,21 @@ class Doubt(NamedTuple):
     """Parameters for doubtful readings and assumptions.
 
     Attributes:
-        glitch: log of the odds that a reading on an active side is wrong.
-        fake: log of the probability that a silence is fake.
-        reach: range over which a wrong reading is evenly spread (p) [z].
+        glitch: log of the prior odds that a reading outside the zone is an outlier.
+        fake: log of the probability that a reading inside the zone is an outlier.
+        reach: range over which an outlier is uniformly distributed (p) [z].
         noisy: 1 if a reading that repeats the one before counts as missing (p).
-        fade: share of the sum of innovations that is left after a step.
-        keep: share of the mean of its squares that is left after a step.
+        fade: forgetting factor per step of the sum of innovations.
+        keep: forgetting factor per step of the mean of its squares.
         std: standard deviations of `[x; d_r; d_l]` before the first reading (n + 2p).
-        forget: share of the mean share of refused readings that is left after a reading.
-        most: mean square of the sums of innovations that is taken for chance.
-        limit: square of a score that is taken for chance.
-        stays: change of a reading that counts as none, and |y| from which it counts (p) [y] (0:
-            never).
-        push: what an input shows in z after a quarter period (p x m).
-        means: shares of means of inputs that are left after a step (3), as `MEANS`.
-        run: longest row of repeats of a sensor that is not stuck.
+        forget: forgetting factor per reading of the rate of rejected readings.
+        most: largest mean square of the sums of innovations that may be chance.
+        limit: largest square of a score that may be chance.
+        stays: largest change of a reading that counts as none, and least |y| at which it counts
+            (p) [y] (0: never).
+        push: step response of z to each input after a quarter period (p x m).
+        means: forgetting factors per step of three means of the inputs, as `MEANS`.
+        run: largest number of equal readings of a sensor that is not stuck.
     """
 
     glitch: Floats
@@ -313,34 +313,38 @@ class Doubt(NamedTuple):
 def doubt_numbers(
     model: System, sensor: Zone, prior: Prior, glitches: float, claimed: bool
 ) -> Doubt:
-    """Return the parameters for doubtful readings and assumptions.
+    """Return the parameters of outlier rejection and of the consistency tests.
+
+    Means forget exponentially: the factor exp(-Ts / T) per step gives a memory T. Each T is a
+    multiple of a quarter period of the plant.
 
     Args:
         model: the sampled model.
         sensor: the dead zone.
         prior: prior of the filter before the first reading.
-        glitches: probability that a reading is wrong (0: none is).
-        claimed: whether the disturbance is assumed by the user, and not a default.
+        glitches: probability that a reading is an outlier (0: none is).
+        claimed: whether the user assumes the rms of the disturbance. False: it is a default, whose
+            wider limits allow for a wrong correlation time.
     """
     assert model.Ts is not None
-    quarter = time_scale(model.continuous, model.Ts)
-    share = max(glitches, np.finfo(float).tiny)
+    quarter_period = time_scale(model.continuous, model.Ts)
+    outlier_share = max(glitches, np.finfo(float).tiny)  # its logarithm must be finite
     noisy = (sensor.noise > 0) | (sensor.noise_before > 0)
     return Doubt(
-        glitch=np.log(share / (1 - share)),
-        fake=np.log(FAKE * share),
+        glitch=np.log(outlier_share / (1 - outlier_share)),
+        fake=np.log(FAKE * outlier_share),
         reach=outlier_reach(prior),
         noisy=1.0 * (noisy & (sensor.quantum == 0)),
-        fade=np.exp(-model.Ts / (SPAN * quarter)),
-        keep=np.exp(-model.Ts / (HISTORY * quarter)),
+        fade=np.exp(-model.Ts / (SPAN * quarter_period)),
+        keep=np.exp(-model.Ts / (HISTORY * quarter_period)),
         std=prior.std,
-        forget=np.exp(-1 / max(PATIENCE * quarter / model.Ts, FEWEST)),
+        forget=np.exp(-1 / max(PATIENCE * quarter_period / model.Ts, FEWEST)),
         most=np.asarray(CHANCE if claimed else CHANCE_OF_DEFAULTS),
         limit=np.asarray(SCORE if claimed else SCORE_OF_DEFAULTS),
         stays=STAYS * np.sqrt(prior.R) * sensor.slope * (noisy & (not sensor.moves)),
-        push=model.continuous.C @ zoh(model.continuous, quarter).B,
-        means=np.exp(-model.Ts / (np.array(MEANS) * quarter)),
-        run=np.asarray(max(REPEATS * quarter / model.Ts, LEAST_REPEATS)),
+        push=model.continuous.C @ zoh(model.continuous, quarter_period).B,
+        means=np.exp(-model.Ts / (np.array(MEANS) * quarter_period)),
+        run=np.asarray(max(REPEATS * quarter_period / model.Ts, LEAST_REPEATS)),
     )
 
 

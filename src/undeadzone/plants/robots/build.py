@@ -503,20 +503,26 @@ def _elastic_equilibrium(
 def _build_elastic_inverse(body: Arm) -> ca.Function:
     """Return (params, the link's angle and four derivatives of it (1 x 5)) -> (x, u).
 
-    The link's equation gives the motor's angle, the motor's the torque.
+    The elastic joint is flat in its link's angle: the link's equation gives the angle of the motor,
+    and the motor's equation gives the torque u.
     """
     p = ca.SX.sym("p", len(body.names))
     path = ca.SX.sym("path", 1, 5)
 
-    def rate(value: Any) -> Any:
+    def time_derivative(value: Any) -> Any:
         """Return the time derivative of a value along the path."""
         return ca.jtimes(value, path[:, :-1], path[:, 1:])
 
     q = path[0]
     v = path[1]
     a = path[2]
-    spring = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[1]
-    motor = q + spring / p[body.names.index("k")]
-    x = ca.vertcat(motor, q, rate(motor), v)
-    u = inverse_dynamics(body, p, x[:2], x[2:], ca.vertcat(rate(rate(motor)), a))[0]
+    # With equal angles the spring is relaxed. What the link then needs, k (motor - q) must supply.
+    spring_torque = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[
+        1
+    ]
+    motor = q + spring_torque / p[body.names.index("k")]
+    x = ca.vertcat(motor, q, time_derivative(motor), v)
+    u = inverse_dynamics(
+        body, p, x[:2], x[2:], ca.vertcat(time_derivative(time_derivative(motor)), a)
+    )[0]
     return ca.Function("inverse", [p, path], [x, u], {"cse": True})

@@ -273,19 +273,29 @@ def build_geared_arm(
         InputError: or a subclass, that names the key.
     """
     body = build_arm(chain, rest)
-    table = _require_gear_numbers(gears, body.joint_count, f"{key}.arm.gears")
+    gear_numbers = _require_gear_numbers(gears, body.joint_count, f"{key}.arm.gears")
     names = body.names
-    for name in table:
+    for name in gear_numbers:
         names += tuple(f"{name}{i + 1}" for i in range(body.joint_count))
-    values = change_arm_numbers(names, np.concatenate([body.values, *table.values()]), changes, key)
-    damping = require_number(f"{key}.arm.gears.damping", gears.damping, least=0.0)
-    first = names.index("inertia1")
-    rotors = require_positive(
-        f"{key}.parameters.inertia", values[first : first + body.joint_count], body.joint_count
+    values = change_arm_numbers(
+        names, np.concatenate([body.values, *gear_numbers.values()]), changes, key
     )
-    links = np.diag(np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.joint_count))))
-    reduced = rotors * links / (rotors + links)
-    return Geared(body, names, values, reduced, 2 * damping * reduced, rest, gears.measured)
+    damping = require_number(f"{key}.arm.gears.damping", gears.damping, least=0.0)
+    first_motor = names.index("inertia1")
+    motor_inertia = require_positive(
+        f"{key}.parameters.inertia",
+        values[first_motor : first_motor + body.joint_count],
+        body.joint_count,
+    )
+    link_inertia = np.diag(
+        np.asarray(body.mass(_drop_payload(body, values), np.zeros(body.joint_count)))
+    )
+    # Motor and link vibrate against each other with the inertia J_m J_l / (J_m + J_l) and the
+    # contact's damping ratio zeta: stiffness J w^2, damping 2 zeta J w at the frequency w.
+    reduced_inertia = motor_inertia * link_inertia / (motor_inertia + link_inertia)
+    return Geared(
+        body, names, values, reduced_inertia, 2 * damping * reduced_inertia, rest, gears.measured
+    )
 
 
 def _require_gear_numbers(gears: Gears, N: int, key: str) -> dict[str, Floats]:

@@ -30,10 +30,10 @@ class Survey(NamedTuple):
         base, tip: links in which the arm begins and ends.
         joints: the moving joints, from base to tip (N).
         fixed: names of joints that could move and are fixed at 0.
-        masses: of what moves with each joint up to the next (N) [kg].
+        masses: mass between each joint and the next one (N) [kg].
         q: the posture (N) [rad or m].
-        place: of the tip there (3) [m].
-        holding: torques that hold the arm there (N) [N m or N].
+        place: position of the tip in that posture (3) [m].
+        holding: torques or forces that hold the arm in that posture (N) [N m or N].
         reach: greatest distance of the tip from the first joint's place at q = 0, within the limits
             [m] (None if a sliding joint has no limits).
     """
@@ -57,7 +57,7 @@ def survey_urdf(
     tip: str | None = None,
     at: Array | None = None,
 ) -> Survey:
-    """Return the survey of an arm in a URDF file.
+    """Survey an arm in a URDF file: return its joints, masses, reach and holding torques.
 
     Args:
         path: the file.
@@ -90,6 +90,7 @@ def survey_urdf(
         masses=body.values[: body.joint_count],
         q=q,
         place=body.points(body.values, q).full()[-1],
+        # At rest, M q'' + h(q, q') = tau leaves tau = h(q, 0): gravity alone.
         holding=body.bias(body.values, q, np.zeros(body.joint_count)).full().ravel(),
         reach=_compute_reach(body, moving),
     )

@@ -393,18 +393,24 @@ def _find_arm_end(robot: Robot, moved: Sequence[str]) -> str:
 
 
 def _find_branching_link(robot: Robot, moved: Sequence[str]) -> str:
-    """Return the link at which the ways to these joints part."""
+    """Return the last link that the paths from the base to all moving joints share.
+
+    Args:
+        robot: the tree of links and joints.
+        moved: names of the moving joints, which do not lie on one path.
+    """
     joints = {joint.name: joint for joint in robot.joints}
-    ways = [robot.joints_to_link(joints[name].child) for name in moved]
-    above: set[str] = set()
-    for way in ways:
-        above.update(joint.name for joint in way[:-1])
-    last = [way[:-1] for way in ways if way[-1].name not in above]
-    link = next(name for name in robot.links if not robot.joints_to_link(name))
-    for together in zip(*last, strict=False):
-        if len({joint.name for joint in together}) > 1:
+    paths = [robot.joints_to_link(joints[name].child) for name in moved]
+    inner: set[str] = set()  # names of joints that lead to another moving joint
+    for path in paths:
+        inner.update(joint.name for joint in path[:-1])
+    # The paths to the moving joints that lead to no other one, each without that joint.
+    outermost = [path[:-1] for path in paths if path[-1].name not in inner]
+    link = next(name for name in robot.links if not robot.joints_to_link(name))  # the base
+    for at_depth in zip(*outermost, strict=False):
+        if len({joint.name for joint in at_depth}) > 1:
             break
-        link = together[0].child
+        link = at_depth[0].child
     return link
 
 

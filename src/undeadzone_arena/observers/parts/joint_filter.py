@@ -20,7 +20,7 @@ from undeadzone.observers.filtering.consistency import Member, Step, add_consist
 from undeadzone.observers.filtering.gaussian_filter import (
     Params,
     build_filter_params,
-    build_motion,
+    build_transition,
     clip_to_ranges,
     covariance_entries,
     to_estimate,
@@ -128,7 +128,7 @@ def build_joint_filter(
         known = stack_updates(each)
         shown, fits = clip_to_ranges(model.n, q, belief, share > 0)
         estimated = to_estimate(model, sensor, q, shown, reading, known.e, known.std)
-        after = predict(belief, *build_motion(model, q, augmentation, belief, lambda X: u))
+        after = predict(belief, *build_transition(model, q, augmentation, belief, lambda X: u))
         mean, cov, restarted = reset_if_invalid(q, entries, after)
         patience = s.patience
         if share > 0:
