@@ -29,7 +29,8 @@ from undeadzone_export.boards import BOARDS
 ROOT = Path(__file__).parents[1]
 TEMPLATE = ROOT / "src" / "undeadzone" / "template.toml"
 NOTE = """Single precision. Export: CPU seconds, the compiler included. Flash at -Os, instructions
-and stack [bytes] of a step at -O2 on the emulated Cortex-M4F.
+and stack [bytes] of a step at -O2 on the emulated Cortex-M4F. An exact sensor: `rounding`,
+`slope_std` and `lag` are 0.
 """
 LIVE = """
 import sys, time, tempfile, os
@@ -132,6 +133,21 @@ def scenarios(folder: Path) -> dict[str, Path]:
     return found
 
 
+def with_exact_sensors(files: dict[str, Path], folder: Path) -> dict[str, Path]:
+    """The same scenarios with a sensor of known shape, as all were ahead of sensors with a shape."""
+    found = {}
+    for name, path in files.items():
+        lines = []
+        for line in path.read_text(encoding="utf-8").splitlines():
+            lines.append(line)
+            if line.startswith("[sensor]"):
+                lines += ["rounding = 0.0", "slope_std = 0.0", "lag = 0.0"]
+        exact = folder / f"{path.stem}_exact.toml"
+        exact.write_text("\n".join(lines), encoding="utf-8")
+        found[f"{name}, exact sensor"] = exact
+    return found
+
+
 def exports(pythons: dict[str, str]) -> str:
     """Export of each scenario by each checkout."""
     title = "## Size of exported C\n"
@@ -151,12 +167,14 @@ def exports(pythons: dict[str, str]) -> str:
     with tempfile.TemporaryDirectory() as scratch:
         for python in pythons.values():  # compiles the modules
             _measure(python, TEMPLATE, Path(scratch) / "out")
-        for name, path in scenarios(Path(scratch)).items():
-            for checkout, python in pythons.items():
-                got = _measure(python, path, Path(scratch) / "out")
-                sizes = (f"{got.source / 1e3:.0f}", f"{got.flash / 1e3:.1f}")
-                costs = (f"{got.instructions:,}", f"{got.stack:,}")
-                lines.append(row(name, checkout, f"{got.seconds:.1f}", *sizes, *costs))
+        files = scenarios(Path(scratch))
+        exact = with_exact_sensors(files, Path(scratch))
+        measured = [(name, checkout) for name in files for checkout in pythons]
+        for name, checkout in (*measured, *((name, "this") for name in exact)):
+            got = _measure(pythons[checkout], (files | exact)[name], Path(scratch) / "out")
+            sizes = (f"{got.source / 1e3:.0f}", f"{got.flash / 1e3:.1f}")
+            costs = (f"{got.instructions:,}", f"{got.stack:,}")
+            lines.append(row(name, checkout, f"{got.seconds:.1f}", *sizes, *costs))
     return "\n".join([*lines, ""])
 
 
