@@ -134,7 +134,7 @@ def scenarios(folder: Path) -> dict[str, Path]:
 
 
 def with_exact_sensors(files: dict[str, Path], folder: Path) -> dict[str, Path]:
-    """The same scenarios with a sensor of known shape, as all were ahead of sensors with a shape."""
+    """The same scenarios with a sensor whose shape is known exactly."""
     found = {}
     for name, path in files.items():
         lines = []
