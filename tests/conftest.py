@@ -11,6 +11,7 @@ import pickle
 import random
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,9 @@ from xdist.scheduler import LoadScopeScheduling
 
 # As the command line does, and before NumPy is imported: matrices here are small.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Processes that tests start compile nothing twice, whoever started the tests.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
@@ -51,10 +55,13 @@ TOGETHER = {
     "test_gain_search": "design",
     "test_report": "design",
     "test_json": "paper",
+    "test_site": "paper",
+    "test_tutorials": "paper",
     "test_audit": "paper",
     "test_arm": "paper",
     "test_both_sides": "paper",
     "test_figures": "paper",
+    "test_manipulator": "paper",
     "test_recomputed": "paper",
     "test_theorem": "paper",
     "test_budget": "source",
