@@ -23,9 +23,6 @@ from xdist.scheduler import LoadScopeScheduling
 
 # As the command line does, and before NumPy is imported: matrices here are small.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Processes that tests start compile nothing twice, whoever started the tests.
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-sys.dont_write_bytecode = False
 
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
@@ -133,8 +130,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled kernels between runs of the tests, while the compiler is the same.
 
-    Programs of C (`compiled_once`) are kept while any run uses them.
+    Programs of C (`compiled_once`) are kept while any run uses them. Bytecode is kept as well, so
+    that the processes that tests start compile nothing twice.
     """
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())
