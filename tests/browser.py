@@ -103,8 +103,16 @@ class Browser:
         picture = self._call("Page.captureScreenshot", captureBeyondViewport=True)
         return base64.b64decode(picture["data"])
 
-    def sized(self, width: int, height: int, dark: bool = False) -> None:
-        """Take on the size of a screen, in light or dark."""
+    def sized(self, width: int, height: int, dark: bool = False, idle: int = 300) -> None:
+        """Take on the size of a screen, in light or dark.
+
+        Two frames and a further while follow, in which a page redraws.
+
+        Args:
+            width, height: of the screen [px].
+            dark: whether dark colours are preferred.
+            idle: the while [ms]; 0 suffices for what style sheets alone arrange.
+        """
         feature = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", features=[feature])
         self._call(
@@ -114,7 +122,8 @@ class Browser:
             deviceScaleFactor=1,
             mobile=width < 600,
         )
-        self.value("new Promise(r => setTimeout(r, 300))")
+        frames = "new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))"
+        self.value(f"{frames}.then(() => new Promise(r => setTimeout(r, {idle})))")
 
     def _call(self, method: str, **params: Any) -> dict[str, Any]:
         """The result of a method of the protocol."""

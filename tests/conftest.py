@@ -11,6 +11,7 @@ import pickle
 import random
 import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,10 +52,13 @@ TOGETHER = {
     "test_gain_search": "design",
     "test_report": "design",
     "test_json": "paper",
+    "test_site": "paper",
+    "test_tutorials": "paper",
     "test_audit": "paper",
     "test_arm": "paper",
     "test_both_sides": "paper",
     "test_figures": "paper",
+    "test_manipulator": "paper",
     "test_recomputed": "paper",
     "test_theorem": "paper",
     "test_budget": "source",
@@ -126,8 +130,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Keep compiled kernels between runs of the tests, while the compiler is the same.
 
-    Programs of C (`compiled_once`) are kept while any run uses them.
+    Programs of C (`compiled_once`) are kept while any run uses them. Bytecode is kept as well, so
+    that the processes that tests start compile nothing twice.
     """
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
     digest = hashlib.sha256()
     for path in sorted((Path(undeadzone.__file__).parent / "compile").glob("*.py")):
         digest.update(path.read_bytes())

@@ -45,13 +45,22 @@ def levels(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:
         right, left: gaps (p) [z].
         start: level before the first sample (p) [z].
     """
+    return np.asarray(np.clip(start, *level_limits(z, right, left)))
+
+
+def level_limits(z: Floats, right: Floats, left: Floats) -> Floats:
+    """Return the lower and the upper limit of a level, whatever it was at first (2 x N x p) [z].
+
+    Args:
+        z, right, left: as of `levels`.
+    """
     unread = np.isnan(z)  # where a level holds
     limits = np.stack([np.where(unread, -np.inf, z - right), np.where(unread, np.inf, z + left)])
     span = 1  # samples that limit a level together
     while (limits[0, span:] < limits[1, span:]).any():
         limits[:, span:] = np.clip(limits[:, :-span], *limits[:, span:])
         span *= 2
-    return np.asarray(np.clip(start, *limits))
+    return limits
 
 
 def contacts(z: Floats, right: Floats, left: Floats, start: Floats) -> Floats:

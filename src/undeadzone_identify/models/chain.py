@@ -181,8 +181,8 @@ class ChainModel:
         self.taps = 1 if lags else taps
         self.name = element or ("filtered zone" if zone else "filtered")
         self.base = simulator.layout.right
-        own = INPUTS[element] if element is not None else None
-        low, high = (own.low, own.high) if own is not None else ((), ())
+        self.input = PLAIN if element is None else INPUTS[element]
+        low = self.input.low
         self.inputs = slice(self.base, self.base + len(low))
         self.edges = slice(self.inputs.stop, self.inputs.stop + 2 * zone)
         self.shape = slice(self.edges.stop, self.edges.stop + 2 * shaped)
@@ -190,7 +190,9 @@ class ChainModel:
         shape_low = (FLATTEST, SHARPEST) * shaped
         shape_high = (1 / FLATTEST, 1.0) * shaped
         self.low = np.array([*low, *([0.0] * 2 * zone), *shape_low, *([-0.9] * self.taps)])
-        self.high = np.array([*high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)])
+        self.high = np.array(
+            [*self.input.high, *([WIDEST] * 2 * zone), *shape_high, *([0.98] * self.taps)]
+        )
         self.free: Integers = np.arange(self.filter.stop)
 
     def along(self, data: RecordData) -> ChainModel:
@@ -215,28 +217,40 @@ class ChainModel:
         return self._simulate(theta)
 
     def _simulate(self, theta: Floats) -> Floats:
-        """Simulate z for theta (N)."""
+        """Simulate z for theta (N); read-only."""
+        return self._simulate_plant(theta[: self.inputs.stop])
+
+    @cache_latest
+    def _simulate_plant(self, theta: Floats) -> Floats:
+        """Simulate z for the parameters of the plant and of the input element (N)."""
         layout = self.simulator.layout
-        u = self.simulator.data.u[:, 0]
         numerator = np.append(0.0, theta[layout.numerators])
         denominator = layout.full_denominator(theta[layout.denominator])
         starts = theta[layout.x0].reshape(layout.records, layout.n)
-        z = np.empty(u.size)
-        for part, start in zip(self.simulator.records, starts, strict=True):
-            driven = lfilter(numerator, [1.0], self.pass_input(u[part], theta))
+        z = np.empty(self.simulator.data.y.size)
+        passed = self._pass_records(theta[self.inputs])
+        for part, start, u in zip(self.simulator.records, starts, passed, strict=True):
+            driven = np.convolve(numerator, u)[: u.size]
             driven[: layout.n] += start[: driven.size]
             z[part] = lfilter([1.0], denominator, driven)
+        z.flags.writeable = False
         return z
+
+    @cache_latest
+    def _pass_records(self, p: Floats) -> list[Floats]:
+        """Return the input of each record after the element with parameters p."""
+        u = self.simulator.data.u[:, 0]
+        return [self.input.passes(u[part], p) for part in self.simulator.records]
 
     def pass_input(self, u: Floats, theta: Floats) -> Floats:
         """Return u (N) after the element of the input (N)."""
-        return u if self.element is None else INPUTS[self.element].passes(u, theta[self.inputs])
+        return self.input.passes(u, theta[self.inputs])
 
     def driven_plant(self, theta: Floats) -> PlantSimulator:
         """Return the linear plant driven by the output of the input element."""
         data = self.simulator.data
-        parts = [self.pass_input(data.u[part, 0], theta) for part in self.simulator.records]
-        return self.simulator.simulator_along(data._replace(u=np.concatenate(parts)[:, None]))
+        u = np.concatenate(self._pass_records(theta[self.inputs]))
+        return self.simulator.simulator_along(data._replace(u=u[:, None]))
 
     def noise_free_readings(self, z: Floats, theta: Floats) -> Floats:
         """Return the readings of z without noise (N)."""
@@ -330,7 +344,7 @@ class ChainModel:
     def _nonlinear_share(self, theta: Floats) -> float:
         """Return the rms of the input's curve about its best line, over that of the curve [1]."""
         u = self.simulator.data.u[:, 0]
-        curve = INPUTS[str(self.element)].passes(u, theta[self.inputs])
+        curve = self.pass_input(u, theta)
         line = np.polyval(np.polyfit(u, curve, 1), u)
         return float(np.std(curve - line) / max(float(curve.std()), 1e-12))
 
@@ -343,7 +357,7 @@ class ChainModel:
             y_scale: rms of y [y].
         """
         if self.element in CURVES:
-            shape = INPUTS[str(self.element)].words.format(*theta[self.inputs])
+            shape = self.input.words.format(*theta[self.inputs])
             of = "" if self.element == "power" else f", u over {u_scale:.4g}"
             return f"the input acts by a smooth curve ({shape} fits{of}); no zone is needed"
         if self.element == "play":

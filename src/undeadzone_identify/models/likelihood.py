@@ -151,13 +151,15 @@ def densities_behind(
     Returns:
         Log densities and derivatives; 0 if a reading is missing.
     """
-    side = 1.0 * (z > noise.right) - 1.0 * (z < -noise.left) if zone else np.ones(z.size)
-    expected = (z - noise.right * (side > 0) + noise.left * (side < 0)) * (side != 0)
+    right = z > noise.right if zone else np.ones(z.size, bool)
+    left = z < -noise.left if zone else ~right
+    expected = dead_zone(z, noise.right, noise.left) if zone else z - noise.right
     e = (readings.y - expected) / noise.s
+    by_z = e / noise.s
     slopes = np.zeros((z.size, 6))
-    slopes[:, Z] = e / noise.s * (side != 0)
-    slopes[:, RIGHT] = -e / noise.s * (side > 0)
-    slopes[:, LEFT] = e / noise.s * (side < 0)
+    slopes[:, Z] = by_z * (right | left)
+    slopes[:, RIGHT] = -by_z * right
+    slopes[:, LEFT] = by_z * left
     slopes[:, LOG_S] = e**2 - 1
     value = -0.5 * e**2 - math.log(noise.s) - LOG_ROOT
     return DensityTerms(value * readings.ok, slopes * readings.ok[:, None])

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from undeadzone.nonlinearities.play import levels
+from undeadzone.nonlinearities.play import level_limits, levels
 from undeadzone.util.arrays import Floats, Integers
-from undeadzone_identify.models.estimates import Interval, student_quantile
+from undeadzone_identify.models.estimates import Interval, cache_latest, student_quantile
 from undeadzone_identify.models.least_squares import (
     Density,
     build_gaussian_density,
@@ -152,14 +152,16 @@ class MotionFit:
         self.range = float(np.ptp(data.u))
         still = float(np.mean(np.diff(data.u) == 0)) > HELD
         self.is_held = still or data.input_quantum > COARSE * self.range
+        self.y = data.y - data.y.mean()
 
-    def delay_and_lag(self, delay: float, lag: float) -> Floats:
+    @cache_latest
+    def delay_and_lag(self, lags: Floats) -> Floats:
         """Return the position ahead of the gap: u after its lags and a delay (N) [u].
 
         Args:
-            delay: delay [s].
-            lag: time constant of each of the structure's first-order lags [s].
+            lags: delay, and time constant of each of the structure's first-order lags (2) [s].
         """
+        delay, lag = lags.tolist()
         data = self.data
         u = self.data.u
         if self.structure.lags and lag > 0:
@@ -175,35 +177,40 @@ class MotionFit:
             return np.asarray(u[np.clip(sample_before, 0, None)])
         return np.interp(data.t - delay, data.t, u)
 
-    def residuals(self, ahead: Floats, gaps: Floats, start: float) -> tuple[Floats, Floats]:
-        """Return the residuals of K gaps, and the positions behind the gaps (N x K each).
+    def residuals(
+        self, gaps: Floats, lags: Floats, starts: Sequence[float] = STARTS
+    ) -> list[tuple[Floats, Floats]]:
+        """Return the residuals of K gaps, and the positions behind them (N x K), by start.
 
         Args:
-            ahead: position ahead of the gap (N) [u].
             gaps: widths of the gaps (K) [u].
-            start: position in the gap at which the record begins [half widths].
+            lags: delay and time constant (2) [s].
+            starts: positions in the gap at which the record begins [half widths].
         """
+        ahead = self.delay_and_lag(lags)
         half = gaps / 2
-        columns = np.repeat(ahead[:, None], gaps.size, axis=1)
-        behind = levels(columns, half, half, ahead[0] + start * half)
-        y = self.data.y - self.data.y.mean()
+        limits = level_limits(ahead[:, None], half, half)
+        sides = [np.clip(ahead[0] + start * half, *limits) for start in starts]
+        return [(self._regress_reading(behind), behind) for behind in sides]
+
+    def _regress_reading(self, behind: Floats) -> Floats:
+        """Return the residuals of y, regressed on each position behind a gap (N x K)."""
+        y = self.y
         if self.structure.bent:
-            errors = [y - self._fit_curve(column, y) for column in behind.T]
-            return np.column_stack(errors), behind
+            return np.column_stack([y - self._fit_curve(column) for column in behind.T])
         centred = behind - behind.mean(axis=0)
         power = np.maximum(np.einsum("nk,nk->k", centred, centred), 1e-300)
-        return y[:, None] - centred * (y @ centred / power), behind
+        return np.asarray(y[:, None] - centred * (y @ centred / power))
 
-    def _fit_curve(self, behind: Floats, y: Floats) -> Floats:
+    def _fit_curve(self, behind: Floats) -> Floats:
         """Return the curve of the position behind the gap (N) that is nearest to y (N)."""
         columns = hat_functions(behind, np.linspace(behind.min(), behind.max(), HATS))
-        return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-10)[0])
+        return np.asarray(columns @ np.linalg.lstsq(columns, self.y, rcond=1e-10)[0])
 
     def squares(self, gaps: Floats, delay: float, lag: float) -> Floats:
         """Return the sums of squared residuals of K gaps (K), each from its best start."""
-        ahead = self.delay_and_lag(delay, lag)
-        errors = [self.residuals(ahead, gaps, start)[0] for start in STARTS]
-        return np.min([np.einsum("nk,nk->k", e, e) for e in errors], axis=0)
+        found = self.residuals(gaps, np.array([delay, lag]))
+        return np.min([np.einsum("nk,nk->k", e, e) for e, _ in found], axis=0)
 
     def fit(self, gaps: Floats | None = None) -> LostMotion:
         """Return the best fit.
@@ -220,7 +227,16 @@ class MotionFit:
 
     def _cost(self, at: Floats) -> float:
         """Return the sum of squared residuals at gap [u], delay [s] and time constant [s] (3)."""
-        return float(self.squares(at[:1], *at[1:])[0])
+        return float(np.min([np.einsum("nk,nk->k", e, e)[0] for e, _ in self._residuals_at(at)]))
+
+    @cache_latest
+    def _residuals_at(self, at: Floats) -> list[tuple[Floats, Floats]]:
+        """Return residual and position behind the gap (N x 1 each) from each of `STARTS`.
+
+        Args:
+            at: gap [u], delay [s] and time constant [s] (3).
+        """
+        return self.residuals(at[:1], at[1:])
 
     def _refine_scan(self, scanned: Floats, lags: tuple[float, float]) -> Floats:
         """Return the best gap, found by a scan that gets finer, with delay and time constant (3).
@@ -279,22 +295,19 @@ class MotionFit:
             free: places of the free ones (K).
         """
         start = self._best_start(at)
-        e = self._residual(at, start)
+        e = self._residuals_at(at)[start][0][:, 0]
         steps = 1e-2 * np.array([0.01 * self.range, self.step, self.step])
         rows = []
         for k in free:
             shifted = at.copy()
             shifted[k] += steps[k]
-            rows.append((self._residual(shifted, start) - e) / steps[k])
+            moved = self.residuals(shifted[:1], shifted[1:], STARTS[start : start + 1])[0][0]
+            rows.append((moved[:, 0] - e) / steps[k])
         return np.column_stack(rows), e
 
-    def _residual(self, at: Floats, start: float) -> Floats:
-        """Return the residual (N) at gap, delay and time constant (3), from a start."""
-        return np.asarray(self.residuals(self.delay_and_lag(*at[1:]), at[:1], start)[0][:, 0])
-
-    def _best_start(self, at: Floats) -> float:
-        """Return the position in the gap at which the record best begins [half widths]."""
-        return min(STARTS, key=lambda start: float(np.sum(self._residual(at, start) ** 2)))
+    def _best_start(self, at: Floats) -> int:
+        """Return the place in `STARTS` of the position at which the record best begins."""
+        return int(np.argmin([np.sum(e[:, 0] ** 2) for e, _ in self._residuals_at(at)]))
 
     def _scan_lags(self) -> list[tuple[float, float]]:
         """Return the delays and time constants of the scan [s]."""
@@ -311,16 +324,14 @@ class MotionFit:
         """Return the fit with a gap [u], and delay and time constant [s]."""
         at = np.array([gap, *lags])
         start = self._best_start(at)
-        residual, behind = (
-            column[:, 0] for column in self.residuals(self.delay_and_lag(*lags), at[:1], start)
-        )
+        residual, behind = (column[:, 0] for column in self._residuals_at(at)[start])
         gain, level = np.polyfit(behind, self.data.y, 1)
         structure = self.structure
         scale = HATS if structure.bent else 2
         # Scale, gap, variance, and perhaps delay and time constant.
         numbers = scale + 2 + structure.late + (structure.lags > 0)
         return LostMotion(
-            structure, gap, *lags, start, float(gain), float(level), residual, numbers
+            structure, gap, *lags, STARTS[start], float(gain), float(level), residual, numbers
         )
 
     # --- Uncertainty of the gap

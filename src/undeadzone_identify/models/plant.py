@@ -292,7 +292,9 @@ class PlantSimulator:
         for r, part in enumerate(self.records):
             size = part.stop - part.start
             by_a = lfilter([1.0], np.append(1.0, theta[layout.denominator]), z[part])
-            sources = np.column_stack([u[part], np.eye(size, 1)])
+            impulse = np.zeros((size, 1))
+            impulse[0] = 1.0
+            sources = np.hstack([u[part], impulse])
             filtered = lfilter([1.0], denominator, sources, axis=0)
             own = slopes[part]
             for i in range(layout.denominator.stop):

@@ -170,7 +170,7 @@ class ZoneObjective:
         inside_scores[:, right + 2 :] = 0.0
         hessian += inside_scores.T @ inside_scores
         # The information of a Gaussian sample on log s is 2.
-        outside_count = int(self.readings.ok.sum() - inside.sum())
+        outside_count = np.count_nonzero(self.readings.ok) - np.count_nonzero(inside)
         by_inside = float((scores[inside, right + 2] ** 2).sum())
         hessian[right + 2, right + 2] = 2 * outside_count + by_inside
         if self.kind == "pairs":

@@ -326,7 +326,7 @@ def _family(found: LostMotion, flat: LostMotion, curved: LostMotion, quantum: fl
 
 def _gain_error(fit: MotionFit, found: LostMotion) -> float:
     """Return the standard deviation of the gain [y/u]."""
-    ahead = fit.delay_and_lag(found.delay, found.lag)
+    ahead = fit.delay_and_lag(np.array([found.delay, found.lag]))
     spread = math.sqrt(float(np.sum((ahead - ahead.mean()) ** 2)))
     return max(found.colour, 1.0) ** 2 * found.rms / max(spread, 1e-300)
 
