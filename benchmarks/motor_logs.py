@@ -29,7 +29,7 @@ XML = """<mujoco><compiler angle="radian" autolimits="true"/>
 <inertial pos="0 0 0" mass="1" diaginertia="{rotor} {rotor} {rotor}"/>
 <joint name="motor" type="hinge" axis="0 0 1" damping="{damping}" frictionloss="{friction}"/>
 {load}</body></worldbody><actuator><motor joint="motor"/></actuator></mujoco>"""
-LOAD = """<body><inertial pos="0 0 0" mass="1" diaginertia="{load} {load} {load}"/>
+LOAD = """<body name="load"><inertial pos="0 0 0" mass="1" diaginertia="{load} {load} {load}"/>
 <joint name="gap" type="hinge" axis="0 0 1" range="{low} {high}" damping="5e-4"
 solreflimit="0.004 1"/></body>"""
 

@@ -1,21 +1,22 @@
 """Motors: is a gap named where none is, and found where one is? Beside two fits from outside.
 
 MOTORS_LOGS: of each kind (4), MOTORS_FIRST: the first seed (100), MOTORS_METHODS: which, separated
-by semicolons, MOTORS_RIVALS: 0 leaves out the fit with MuJoCo's own model, which takes most of
+by semicolons, MOTORS_RIVALS: 0 leaves out the fits with MuJoCo's own model, which take most of
 the time. With both encoders `identify` asks for no friction, so none counts as right of rigid ones.
 
-`mujoco.sysid` needs packages that MuJoCo does not install. Its optimizer is
-`mujoco.minimize.least_squares`, which is used here, on simulated readings, told all of the model
-but its numbers, from two gaps. Output error is the plain fit of order 2 with an integrator.
+`mujoco.sysid` has MuJoCo's own model, told all but its numbers, and starts from two gaps. Its gap
+is held if its 95 % interval holds it. Output error is the plain fit of order 2 with an integrator.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import os
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -31,7 +32,14 @@ FALSE = 1e-3  # gap [rad] from which a fit that knows no names says that there i
 STARTS = (0.005, 0.04)  # gaps [rad]
 STEPS = 12  # of a fit in MuJoCo
 NO_NAME = ("undecided", "unclear")
-TOLD = "MuJoCo, told the model"
+TOLD = "mujoco.sysid, told the model"
+# First value and limits of ln inertia [of the true one], ln damping, ln load by rotor, friction.
+SYSID = {
+    "inertia": (0.0, -3.0, 3.0),
+    "damping": (math.log(0.1), -9.0, 3.0),
+    "share": (0.0, -3.0, 3.0),
+    "friction": (0.01, 0.0, 0.3),
+}
 
 
 class Answer(NamedTuple):
@@ -112,50 +120,67 @@ def output_error(u: Floats, y: Floats) -> Answer:
     return Answer("", None, math.nan, math.exp(best) / STEP, spent)
 
 
-def told_the_model(u: Floats, y: Floats, motor: Motor) -> Answer:
-    """Return the numbers of MuJoCo's own model, fitted to the readings from two gaps."""
+def by_sysid(u: Floats, y: Floats, motor: Motor) -> Answer:
+    """Return the numbers of `mujoco.sysid`, fitted to the readings from two gaps.
+
+    It rolls the model out at all points of a derivative in parallel, here in one thread, as CPU
+    time is compared.
+    """
     import mujoco
-    from mujoco import minimize, rollout
+    from mujoco import sysid
 
     begun = time.process_time()
-    model = mujoco.MjModel.from_xml_string(motor._replace(gap=0.01, ratio=1.0).xml)
-    data = mujoco.MjData(model)
-    control = np.repeat(u, PARTS)[None, :, None]
-    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-
-    def simulated(x: Floats) -> Floats:
-        inertia, damping = INERTIA * math.exp(x[0]), math.exp(x[1])
-        rotor = inertia / (1 + math.exp(x[2]))
-        model.body_inertia[1], model.body_inertia[2] = rotor, inertia - rotor
-        model.dof_damping[0], model.dof_frictionloss[0] = damping, x[3]
-        half = max(x[4], 1e-7) / 2
-        model.jnt_range[1] = -half, half
-        mujoco.mj_setConst(model, data)
-        moved = rollout.rollout(model, data, state, control)[0][0, :, 1:3]
-        angle = moved[:, 0] + moved[:, 1] * motor.at_load
-        return np.asarray(np.append(0.0, angle[PARTS - 1 :: PARTS])[: y.size])
-
-    def residuals(points: Floats) -> Floats:
-        return np.column_stack([simulated(x) - y for x in points.T])
-
-    low, high = np.array([-3, -9, -3, 0, 0]), np.array([3, 3, 3, 0.3, 0.2])
+    spec = mujoco.MjSpec.from_string(motor._replace(gap=STARTS[0], ratio=1.0).xml)
+    angle = spec.add_tendon(name="angle")
+    angle.wrap_joint("motor", 1.0)
+    angle.wrap_joint("gap", float(motor.at_load))
+    spec.add_sensor(
+        name="encoder",
+        type=mujoco.mjtSensor.mjSENS_TENDONPOS,
+        objtype=mujoco.mjtObj.mjOBJ_TENDON,
+        objname="angle",
+    )
+    model = spec.compile()
+    # A sensor of MuJoCo is of the state ahead of a step, and sysid counts it at the step's end. So
+    # readings are given one of its steps late.
+    fine = STEP / PARTS * np.arange(PARTS * u.size)
+    control = sysid.TimeSeries.from_control_names(fine, np.repeat(u, PARTS)[:, None], model)
+    times = STEP * np.arange(1, u.size) + STEP / PARTS
+    readings = sysid.TimeSeries.from_names(times, y[1:, None], model, ["encoder"])
+    at_rest = sysid.create_initial_state(model, np.zeros(2))
+    record = sysid.ModelSequences("motor", spec, "log", at_rest, control, readings)
+    residual = sysid.build_residual_fn(
+        models_sequences=[record], build_model=_with_numbers, n_threads=1
+    )
     tops = []
     for gap in STARTS:
-        first = np.array([0.0, math.log(0.1), 0.0, 0.01, gap])
-        x, log = minimize.least_squares(
-            first,
-            residuals,
-            bounds=[low[:, None].astype(float), high[:, None].astype(float)],
-            eps=1e-4,
-            max_iter=STEPS,
-            verbose=minimize.Verbosity.SILENT,
-        )
-        tops.append((float(log[-1].objective), np.ravel(x)))
-    best = min(tops, key=lambda top: top[0])[1]
-    word = "play" if best[4] > FALSE else "none"
-    samples = INERTIA * math.exp(best[0] - best[1]) / STEP
+        numbers = sysid.ParameterDict()
+        for name, (first, low, high) in (SYSID | {"gap": (gap, 0.0, 0.2)}).items():
+            numbers.add(sysid.Parameter(name, first, low, high))
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints a line a step
+            found, end = sysid.optimize(numbers, residual, verbose=False, max_iters=STEPS, eps=1e-4)
+        left = residual(end.x, found)[0]
+        half = sysid.calculate_intervals(left, end.jac)[1]
+        tops.append((float(np.sum(np.concatenate(left) ** 2)), np.ravel(end.x), half))
+    _, x, half = min(tops, key=lambda top: top[0])
+    word = "play" if x[4] > FALSE else "none"
+    samples = INERTIA * math.exp(x[0] - x[1]) / STEP
     spent = time.process_time() - begun
-    return Answer(word, (best[4], math.nan, math.nan), best[3], samples, spent)
+    return Answer(word, (x[4], x[4] - half[4], x[4] + half[4]), x[3], samples, spent)
+
+
+def _with_numbers(numbers: Any, spec: Any) -> Any:
+    """Return MuJoCo's model with the numbers of a fit."""
+    inertia, damping, share, friction, gap = numbers.as_vector()
+    whole = INERTIA * math.exp(inertia)
+    rotor = whole / (1 + math.exp(share))
+    spec.body("rotor").inertia = [rotor] * 3
+    spec.body("load").inertia = [whole - rotor] * 3
+    spec.joint("motor").damping[0] = math.exp(damping)
+    spec.joint("motor").frictionloss = friction
+    half = max(gap, 1e-7) / 2
+    spec.joint("gap").range = [-half, half]
+    return spec.compile()
 
 
 # --- The table
@@ -213,7 +238,7 @@ METHODS: dict[str, Callable[[Floats, Floats, Motor, int], Answer]] = {
     "identify": lambda u, y, motor, seed: identified(u, y),
     "identify, both encoders": lambda u, y, motor, seed: by_both_encoders(motor, seed),
     "output error": lambda u, y, motor, seed: output_error(u, y),
-    TOLD: lambda u, y, motor, seed: told_the_model(u, y, motor),
+    TOLD: lambda u, y, motor, seed: by_sysid(u, y, motor),
 }
 
 

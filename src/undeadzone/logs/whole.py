@@ -10,7 +10,6 @@ import itertools
 import json
 import math
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -18,6 +17,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from undeadzone.errors import FileError, InputError
+from undeadzone.logs.matlab73 import NUMERIC, is_matlab_73, load_matlab_73, unpacked_size
 from undeadzone.logs.names import (
     INPUTS,
     READINGS,
@@ -46,11 +46,6 @@ BINARY: Final = (".npz", ".mat", *JSON_LINES)  # endings of files that are no CS
 LARGEST_MATRICES: Final = LARGEST_RUN // 8  # [bytes] of a .mat file, of which each may be a number
 COMPRESSED: Final = 15  # type of an element of a .mat file
 FIRST: Final = 100  # texts that show how times are written
-PIECE: Final = 1 << 20  # [bytes] unpacked at once
-_CLASSES = """
-double single logical int8 uint8 int16 uint16 int32 uint32 int64 uint64
-"""
-NUMERIC: Final = frozenset(_CLASSES.split())
 Columns = list[tuple[Title, Floats]]  # what is said of each, and its numbers (N)
 
 
@@ -250,6 +245,8 @@ def of_mat(path: Path) -> Columns:
 
     try:
         content = read_bytes(path, LARGEST_TABLE)
+        if is_matlab_73(content):
+            return _columns_of(load_matlab_73(content, LARGEST_MATRICES), path)
         _require_small(content)
         declared = [entry for entry in whosmat(io.BytesIO(content)) if entry[2] in NUMERIC]
         if sum(math.prod(shape) for _, shape, _ in declared) > LARGEST_MATRICES:
@@ -257,8 +254,8 @@ def of_mat(path: Path) -> Columns:
         names = [name for name, _, _ in declared]
         file = io.BytesIO(content)
         arrays = loadmat(file, mat_dtype=True, variable_names=names) if names else {}
-    except NotImplementedError:
-        raise FileError(f'{path}: MATLAB 7.3 file. Save it with save(..., "-v7")') from None
+    except InputError:
+        raise
     except (OSError, ValueError, MatReadError) as error:
         raise FileError(f"{path}: cannot read: {failure_reason(error)}") from None
     except Exception as error:  # damaged files raise whatever their decoders raise
@@ -280,20 +277,10 @@ def _require_small(content: bytes) -> None:
         kind = int.from_bytes(content[at : at + 4], order)
         length = int.from_bytes(content[at + 4 : at + 8], order)
         if kind == COMPRESSED:
-            left -= _unpacked_size(content[at + 8 : at + 8 + length], left)
+            left -= unpacked_size(content[at + 8 : at + 8 + length], left)
         at += 8 + length
         if left <= 0:
             raise ValueError(f"it would unpack to more than {LARGEST_MATRICES / 1e6:,.0f} MB")
-
-
-def _unpacked_size(packed: bytes, most: int) -> int:
-    """How many bytes a stream unpacks to; counting ends at `most`."""
-    reader = zlib.decompressobj()
-    count = 0
-    while packed and count < most and not reader.eof:
-        count += len(reader.decompress(packed, PIECE))
-        packed = reader.unconsumed_tail
-    return count
 
 
 def _columns_of(arrays: dict[str, Any], path: Path) -> Columns:
