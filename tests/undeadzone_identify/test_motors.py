@@ -66,6 +66,7 @@ def test_bursts_are_told_from_errors_of_one_size() -> None:
         white = np.random.default_rng(seed).standard_normal(size)
         assert not are_errors_in_bursts(white)
         assert are_errors_in_bursts(white * np.where(np.arange(size) % 200 < 20, 2.0, 0.9))
+    assert not are_errors_in_bursts(np.zeros(100))  # nothing is left of a log without noise
 
 
 def test_output_error_finds_the_time_constant_of_a_linear_motor() -> None:

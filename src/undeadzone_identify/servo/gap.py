@@ -448,9 +448,14 @@ def are_errors_in_bursts(errors: Floats) -> bool:
         errors: of predictions, divided by their standard deviations (n).
     """
     squares = np.clip(errors - errors.mean(), -CLIP, CLIP) ** 2
-    seen = mean_lag_products(squares - squares.mean(), np.ones(squares.size, bool), 1 + FOLLOWING)
-    portmanteau = squares.size * float(np.sum((seen[1:] / seen[0]) ** 2))
+    portmanteau = squares.size * sum_squared_correlations(squares)
     return bool(chi2.sf(portmanteau, FOLLOWING) < CHANCE)
+
+
+def sum_squared_correlations(values: Floats) -> float:
+    """Return the sum of the squared autocorrelations at lags 1 to `FOLLOWING` of values (n)."""
+    seen = mean_lag_products(values, np.ones(values.size, bool), 1 + FOLLOWING)
+    return float(np.sum(seen[1:] ** 2)) / max(seen[0] ** 2, 1e-300)  # values may all be equal
 
 
 def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
@@ -468,8 +473,7 @@ def collect_odd_errors(log: Observations, slopes: ErrorSlopes) -> list[str]:
         reasons.append("a few readings are far from what any servo does")
     if log.ticks:
         return reasons
-    seen = mean_lag_products(np.clip(r, -CLIP, CLIP), np.ones(r.size, bool), 1 + FOLLOWING)
-    squares = float(np.sum((seen[1:] / seen[0]) ** 2))
+    squares = sum_squared_correlations(np.clip(r, -CLIP, CLIP))
     if squares > CORRELATED and chi2.sf(r.size * squares, FOLLOWING) < CHANCE:
         reasons.append("errors follow from errors before them: the motor is not fully held")
     used = np.flatnonzero(log.error_samples(False))
