@@ -245,7 +245,7 @@ def _comparable_families(
     family = {word: one._replace(value=one.value - scale) for word, one in fits.family.items()}
     there = np.flatnonzero(data.ok)
     rows = np.searchsorted(there, fits.regression.rows + part.start)
-    for word in set().union(*models) - set(VALVE):
+    for word in sorted(set().union(*models) - set(VALVE)):  # the same order in each process
         best = best_model_of(word, models)
         if best.value.size == there.size:
             rare = RARE * (word not in OWN)
@@ -253,7 +253,7 @@ def _comparable_families(
             family[word] = min(same, family.get(word, same), key=lambda one: one.bic)
     others = list[Family]()
     for one in models:
-        own, left = one["none"], set(one) - set(family) - set(VALVE)
+        own, left = one["none"], sorted(set(one) - set(family) - set(VALVE))
         if not left:
             continue
         behind = max(float(family["none"].value.mean() - own.value.mean()), 0.0)
