@@ -522,6 +522,7 @@ def test_a_servo_without_a_gap_has_friction_or_nothing(
         gap_probability=1e-5,
         log=SimpleNamespace(ticks=True),
         gap=SimpleNamespace(high=0.01),
+        is_integrating=True,
     )
     case: Any = SimpleNamespace(options=None)
     before: Any = SimpleNamespace(models=(), _replace=lambda **changes: changes)
@@ -529,3 +530,35 @@ def test_a_servo_without_a_gap_has_friction_or_nothing(
     assert found["odds"] == {word: 1 - 1e-5, "play": 1e-5}
     assert found["verdict"].word == found["element"]["kind"] == word
     assert found["friction"] is level
+
+
+def test_a_spring_has_friction_if_its_level_is_known_and_the_load_rubs_too() -> None:
+    """Both parts are felt at once without a gap, and a spring alone is left to other models."""
+    structure = ServoStructure(frozenset({"friction", "load", "spring"}))
+    free = list(structure.free_places(False, False))
+    theta = np.zeros(len(At))
+    theta[[At.FRICTION, At.LOAD]] = 0.03, 0.02
+    covariance = np.zeros((len(free), len(free)))
+    rubs = [free.index(At.FRICTION), free.index(At.LOAD)]
+    covariance[np.ix_(rubs, rubs)] = 1e-4 * np.array([[1.0, -0.99], [-0.99, 1.0]])
+    servo: Any = SimpleNamespace(
+        servo=SimpleNamespace(structure=structure, theta=theta),
+        covariance=covariance,
+        log=SimpleNamespace(ticks=False, u_scale=2.0, y_scale=1.0),
+        reversals=50,
+        gap=Interval(0.0, -1e-6, 1e-6),
+        gap_probability=1e-6,
+        least_gap=1e-3,
+        is_servo=True,
+        has_bursts=False,
+        is_gap_reported=False,
+        is_integrating=False,
+    )
+    level = selection.friction_of(servo)
+    assert level is not None
+    assert level.value == pytest.approx(0.1)
+    assert level.half_width < 0.02  # the sum is known better than its parts
+    assert selection.has_no_gap(servo)
+    servo.covariance = 1e3 * covariance
+    assert selection.friction_of(servo) is None
+    assert not selection.has_no_gap(servo)

@@ -228,29 +228,36 @@ def add_servo(case: Case, found: Findings) -> Findings:
 
 
 def has_no_gap(servo: ServoGap) -> bool:
-    """Return whether an integrating servo holds the log, and a gap that matters is excluded.
+    """Return whether a servo explains the log, and a gap that matters is excluded.
+
+    The servo integrates, or rubs beside a spring. A spring alone is a plant like others.
 
     Args:
         servo: whose gap is not given.
     """
     is_small = servo.gap.high < LEAST_GAP * servo.log.y_scale
     excluded = servo.gap_probability < UNLIKELY or servo.gap.high < servo.least_gap
-    is_motor = servo.is_servo and servo.is_integrating and not servo.has_bursts
-    is_motor = is_motor and not servo.is_gap_reported
-    return is_motor and is_small and excluded
+    is_motor = servo.is_servo and not servo.has_bursts and not servo.is_gap_reported
+    if not (is_motor and is_small and excluded):
+        return False
+    return servo.is_integrating or friction_of(servo) is not None
 
 
 def friction_of(servo: ServoGap) -> Interval | None:
-    """Return the friction of a servo's motor [u]; None if it may be 0.
+    """Return the friction of a servo without a gap [u]; None if it may be 0.
+
+    Without a gap the load rubs whenever the motor does, so its friction is added.
 
     Args:
-        servo: with or without a gap.
+        servo: without a gap that matters.
     """
     free = list(servo.servo.structure.free_places(servo.log.ticks, False))
-    if "friction" not in servo.servo.structure.parts or At.FRICTION not in free:
+    rubs = [place for place in (At.FRICTION, At.LOAD) if place in free]
+    if not rubs:
         return None
-    place, value = free.index(At.FRICTION), float(servo.servo.theta[At.FRICTION])
-    error = math.sqrt(max(float(servo.covariance[place, place]), 0.0))
+    places = [free.index(place) for place in rubs]
+    value = float(servo.servo.theta[rubs].sum())
+    error = math.sqrt(max(float(servo.covariance[np.ix_(places, places)].sum()), 0.0))
     degrees = float(np.clip(servo.reversals - 1, 2, FREEDOM))
     half = math.hypot(WIDER * student_quantile(degrees) * error, LEVEL * value)
     friction = Interval.from_half_width(value, half)
@@ -282,7 +289,8 @@ def without_gap(case: Case, servo: ServoGap, found: Findings) -> Findings:
     holds = "a motor explains the readings without friction"
     if friction is not None:
         level = bracket_interval(friction.value, friction.low, friction.high, ".4g")
-        holds = f"a motor with friction explains the readings: {level} of the input"
+        spring = "" if servo.is_integrating else " and a spring"
+        holds = f"a motor with friction{spring} explains the readings: {level} of the input"
     verdict = build_verdict(word, holds, is_small).add_cautions(AT_MOTOR)
     return found._replace(
         verdict=verdict,

@@ -40,6 +40,8 @@ SPRINGS = (0.1, 3.0)  # in squared rates of damping
 FRICTIONS = (0.02, 0.15)  # rms of the input
 DELAYS = (0.5, 3.0)  # samples
 TORQUES = (0.3, 0.05)  # rms of the input
+RUBBING = ServoStructure(frozenset({"friction", "spring"}))
+EXCHANGED = (0.95, 0.5, -0.5)  # share of a gap that may be friction's; below 0 of a friction
 # steps of climbs
 FIRST = 4
 THEN = 6
@@ -72,7 +74,11 @@ def search_servos(log: Observations) -> list[Servo]:
         return []
     likelihood = ServoLikelihood(log)
     tops = likelihood.maximise_from_starts(fits, 3 * LAST)
-    return sorted(filter(lambda one: math.isfinite(one.value), tops), key=likelihood.bic)
+    exchanged = exchange_gap_and_friction(min(tops, key=likelihood.bic))
+    exchanged = likelihood.maximise_from_starts(exchanged, 3 * LAST, (At.TORQUE,))
+    tops += likelihood.maximise_from_starts(exchanged, 3 * LAST)
+    ranked = sorted(_merge_best_servos({}, likelihood, tops).values(), key=likelihood.bic)
+    return [one for one in ranked if likelihood.bic(one) <= likelihood.bic(ranked[0]) + REACHED]
 
 
 # --- Without a gap
@@ -237,6 +243,29 @@ def neighbour_servos(one: Servo, step: float) -> list[Servo]:
                 late = more.theta[At.DELAY] - math.exp(-value) / step
                 more = more.replace_number(At.DELAY, max(late, 0.0))
             found.append(more._replace(structure=structure, value=-math.inf))
+    return found
+
+
+def exchange_gap_and_friction(one: Servo) -> list[Servo]:
+    """Return the start points of a servo with a spring that exchange gap for friction.
+
+    In slow motion against a spring friction loses 2 f g / k at each reversal, as a gap does. So a
+    climb may end with all of it in one of them, and slow torques take the rest. They have neither
+    these nor a pole.
+
+    Args:
+        one: a servo; nothing if it has no spring.
+    """
+    if one.structure.lag or "spring" not in one.structure.parts:
+        return []
+    gap, friction = float(one.theta[At.GAP]), float(one.theta[At.FRICTION])
+    to_level = math.exp(one.theta[At.SPRING]) / (2 * abs(float(one.theta[At.GAIN])) + 1e-300)
+    found = []
+    for share in EXCHANGED:
+        moved = share * gap if share > 0 else share * friction / to_level
+        more = one.replace_number(At.FRICTION, friction + to_level * moved)
+        more = more.replace_number(At.GAP, gap - moved)
+        found.append(Servo(RUBBING, RUBBING.disable_absent_parts(more.theta), -math.inf))
     return found
 
 
