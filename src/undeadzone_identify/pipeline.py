@@ -351,11 +351,11 @@ def identify_output(grid: Grid, options: Options, advance: Callable[[int], None]
     """
     grid = _count_from_zone(grid, options)
     servo = None if is_named_loop(grid) else identify_tick_servo(grid, options)
-    is_plain = servo is not None and options.integrators > 0 and servo.is_integrating
-    is_plain = is_plain and has_no_gap(servo)
-    if servo is not None and (servo.is_gap_reported or is_plain):
-        advance(1)
-        return _identify_servo(grid, options, advance, servo)
+    if servo is not None:
+        is_plain = options.integrators > 0 and servo.is_integrating and has_no_gap(servo)
+        if servo.is_gap_reported or is_plain:
+            advance(1)
+            return _identify_servo(grid, options, advance, servo)
     case = _fit_zone_and_maps(shorten_log(grid, options.integrators), options, advance)
     case = case._replace(servo=servo)
     found = Findings(build_verdict("unclear"), case.fitted.delay, (), {}).add_models(
