@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from benchmarks.mujoco_servo import mujoco_log
-from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded
+from benchmarks.servo_logs import Servo, input_at_random, random_log, recorded, torque_at_random
 from scipy.signal import lfilter
 from scipy.stats import norm
 
@@ -562,3 +562,19 @@ def test_a_spring_has_friction_if_its_level_is_known_and_the_load_rubs_too() -> 
     servo.covariance = 1e3 * covariance
     assert selection.friction_of(servo) is None
     assert not selection.has_no_gap(servo)
+
+
+def test_friction_beside_a_spring_is_named_with_its_level() -> None:
+    """Before, it was play at the input, or a valve that sticks."""
+    draw = np.random.default_rng([77, 0, 8])
+    step, size = 0.01, 2000
+    truth = Servo(25.0, 19.0, 354.0, 0.0, 0.25, 0.0, 0.0, 0, 0.0, 0.0)
+    command = input_at_random(draw, size)
+    torque = 0.1 * torque_at_random(draw, size, step)
+    u, y = recorded(truth, step, command, torque, 1.5e-4 * draw.standard_normal(size), False)
+    found: Any = uz.identify(t=step, u=u, y=y)
+    assert found.verdict == "friction"
+    numbers = found.numbers()
+    assert numbers["odds"]["friction"] > 0.9
+    _, low, high = numbers["friction"]
+    assert low < truth.friction < high < low + 0.03
