@@ -60,13 +60,15 @@ def test_what_is_lost_at_a_reversal_stays_if_gap_and_friction_are_exchanged() ->
 
 
 def test_friction_beside_a_spring_is_no_part_of_the_gap() -> None:
-    """Slow motion: friction loses 4 times what the gap does, which once was all taken for a gap."""
-    draw = np.random.default_rng([53, 3, 2009, 300])
+    """In slow motion friction loses three times what the gap does. Once all was taken for a gap."""
+    draw = np.random.default_rng([53, 3, 1919, 300])
+    draw.random(7)  # of the numbers of this servo, which are written out
     step, size = 0.01, 2000
-    truth = Truth(25.0, 19.0, 842.0, 0.0, 0.3, 0.0046, 0.0, 0, 0.0, 0.0)
+    truth = Truth(25.410906, 19.000175, 842.13892, 0.0, 0.3, 0.004597909, 0.0, 0, 0.0, 0.0)
     command = input_at_random(draw, size)
     torque = 0.3 * torque_at_random(draw, size, step)
-    noise = 1.4e-4 * draw.standard_normal(size)
+    draw.random(2)
+    noise = 1.845e-4 * draw.standard_normal(size)
     u, y = recorded(truth, step, command, torque, noise, False)
     whole = np.ones(size, bool)
     found = identify_servo_gap(build_observations(u, y, whole, np.zeros(1, int), step))
