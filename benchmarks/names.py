@@ -148,7 +148,7 @@ def summary(every: list[Outcome]) -> list[str]:
         "more": [one for one in every if one["size"] > 1000],
     }
     lines = head(
-        "logs", "named rightly", "named wrongly", "wrongly with odds above .9", "widths held"
+        "logs", "named rightly", "named wrongly", "wrongly with odds above 0.9", "widths held"
     )
     for name, rows in parts.items():
         sure = [is_wrong(one) and first_odds(one) > SURE for one in rows]
@@ -209,11 +209,12 @@ def table() -> str:
     lines = [
         "## Names",
         "",
-        f"{len(every)} logs at commit {of}: random plants of order 1 to 3 (friction: a mass), 200"
-        " to 20,000 samples, half of them in a loop on y with proportional and integral part, noise"
-        " of .01 to .06 of the reference's rms (ahead of a sensor's zone or behind it) or an"
-        " encoder of .03, half with a disturbance of the input; nothing is told. Of an operating"
-        f" point that is passed through 0 (by {100 * FEW:g} % of the readings) `none` is right."
+        f"{len(every)} logs at commit {of}: random plants of order 1 to 3 (for friction a mass),"
+        " with 200 to 20,000 samples. Half of them are in a closed loop with PI control. The"
+        " measurement noise has an rms of 0.01 to 0.06 of the reference's, ahead of a sensor's"
+        " zone or behind it, or the sensor is an encoder with a quantum of 0.03 of it. Half of the"
+        " inputs are disturbed. `identify` has no option. If an operating point is passed through"
+        f" 0 in {100 * FEW:g} % of the readings, `none` is right."
         f" CPU: {np.median(seconds):.1f} s (median), {np.mean(seconds):.1f} s (mean) a log.",
         "",
         *confusion(every),
