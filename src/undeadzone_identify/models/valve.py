@@ -657,13 +657,11 @@ def oscillation_of(e: Floats) -> tuple[float, float]:
     # Autocorrelation by Wiener and Khinchin; padding to 2 N keeps both ends apart.
     spectrum = np.abs(np.fft.rfft(e, 2 * e.size)) ** 2
     autocorrelation = np.fft.irfft(spectrum)[: e.size // 2]
-    crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))[
-        :12
-    ]  # later ones: few products, noisy
+    crossings = np.flatnonzero(np.diff(np.signbit(autocorrelation)))
+    crossings = crossings[:12]  # later ones are sums of few products, and noisy
     if crossings.size < 5:
         return 0.0, math.inf
     half_periods = np.diff(crossings)
+    mean = half_periods.mean()
     # 0.1 samples keep r finite if all half periods are equal.
-    return float(half_periods.mean() / (3 * half_periods.std() + 0.1)), float(
-        2 * half_periods.mean()
-    )
+    return float(mean / (3 * half_periods.std() + 0.1)), float(2 * mean)

@@ -77,7 +77,7 @@ def search_servos(log: Observations) -> list[Servo]:
     exchanged = exchange_gap_and_friction(min(tops, key=likelihood.bic))
     exchanged = likelihood.maximise_from_starts(exchanged, 3 * LAST, (At.TORQUE,))
     tops += likelihood.maximise_from_starts(exchanged, 3 * LAST)
-    ranked = sorted(_merge_best_servos({}, likelihood, tops).values(), key=likelihood.bic)
+    ranked = sorted(_merge_best_servos({}, tops).values(), key=likelihood.bic)
     return [one for one in ranked if likelihood.bic(one) <= likelihood.bic(ranked[0]) + REACHED]
 
 
@@ -187,7 +187,7 @@ def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
         one.replace_number(At.TORQUE, math.log(x)) for one, x in itertools.product(begun, TORQUES)
     ]
     first = likelihood.maximise_from_starts(first, THEN, (At.TORQUE,))
-    fits = _merge_best_servos({}, likelihood, likelihood.maximise_from_starts(first, LAST))
+    fits = _merge_best_servos({}, likelihood.maximise_from_starts(first, LAST))
     for _ in range(ROUNDS):
         if not fits:
             return []
@@ -196,7 +196,7 @@ def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
         trials = neighbour_servos(best, log.step)
         trials = [x for x in trials if x.structure not in fits or x.structure.parts < own.parts]
         more = likelihood.maximise_from_starts(trials, THEN, (At.TORQUE,))
-        fits = _merge_best_servos(fits, likelihood, likelihood.maximise_from_starts(more, LAST))
+        fits = _merge_best_servos(fits, likelihood.maximise_from_starts(more, LAST))
         if min(fits.values(), key=likelihood.bic).structure == own:
             break
     ranked = sorted(fits.values(), key=likelihood.bic)
@@ -205,7 +205,7 @@ def fit_with_gap(log: Observations, begun: Sequence[Servo]) -> list[Servo]:
 
 
 def _merge_best_servos(
-    fits: dict[ServoStructure, Servo], likelihood: ServoLikelihood, more: Sequence[Servo]
+    fits: dict[ServoStructure, Servo], more: Sequence[Servo]
 ) -> dict[ServoStructure, Servo]:
     """Return the fits and the servos `more` together: of each structure the likeliest servo."""
     kept = dict(fits)

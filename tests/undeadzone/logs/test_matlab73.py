@@ -1,5 +1,6 @@
 """MATLAB 7.3 files: HDF5 behind 512 bytes of text, with reversed dimensions and named classes."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from commands import forked
 from undeadzone.errors import FileError, InputError
 from undeadzone.logs import matlab73, whole
+from undeadzone.nonlinearities.play import levels
 from undeadzone_identify.logs.log import read_log
 
 T = 0.01 * np.arange(50)
@@ -178,3 +180,28 @@ def test_torn_files_are_refused(tmp_path: Path) -> None:
         path.write_bytes(content[:length])
         with pytest.raises(FileError):
             whole.of_mat(path)
+
+
+def test_identify_answers_as_along_the_same_log_in_a_csv(tmp_path: Path) -> None:
+    """From a MATLAB 7.3 file to identify.json: two positions with a gap of 0.3 between them."""
+    t = 0.02 * np.arange(600)
+    goal = 2 * np.sin(1.3 * t) + np.sin(3.1 * t)
+    level = levels(goal[:, None], np.array([0.15]), np.array([0.15]), np.zeros(1))[:, 0]
+    position = level + 0.003 * np.random.default_rng(73).normal(size=t.size)
+    packed, plain = tmp_path / "log.mat", tmp_path / "log.csv"
+    with matlab_file(packed) as file:
+        for name, values in (("t", t), ("goal", goal), ("position", position)):
+            put(file, name, values)
+        close(file, packed)
+    rows = np.column_stack([t, goal, position])
+    np.savetxt(plain, rows, "%.17g", ",", header="t,goal,position", comments="")
+    answers = []
+    for path in (packed, plain):
+        done = forked("identify", path.name, "--out", f"{path.name}-out", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        answer = json.loads((tmp_path / f"{path.name}-out" / "identify.json").read_text())
+        answers.append((answer["verdict"], answer["width"]))
+    assert answers[0] == answers[1]
+    verdict, (_, low, high) = answers[0]
+    assert verdict == "play"
+    assert low < 0.3 < high

@@ -517,12 +517,9 @@ def _build_elastic_inverse(body: Arm) -> ca.Function:
     v = path[1]
     a = path[2]
     # With equal angles the spring is relaxed. What the link then needs, k (motor - q) must supply.
-    spring_torque = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))[
-        1
-    ]
-    motor = q + spring_torque / p[body.names.index("k")]
-    x = ca.vertcat(motor, q, time_derivative(motor), v)
-    u = inverse_dynamics(
-        body, p, x[:2], x[2:], ca.vertcat(time_derivative(time_derivative(motor)), a)
-    )[0]
+    together = inverse_dynamics(body, p, ca.vertcat(q, q), ca.vertcat(v, v), ca.vertcat(a, a))
+    motor = q + together[1] / p[body.names.index("k")]
+    motor_rate = time_derivative(motor)
+    x = ca.vertcat(motor, q, motor_rate, v)
+    u = inverse_dynamics(body, p, x[:2], x[2:], ca.vertcat(time_derivative(motor_rate), a))[0]
     return ca.Function("inverse", [p, path], [x, u], {"cse": True})
