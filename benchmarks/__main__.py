@@ -90,6 +90,7 @@ def command(name: str) -> str:
 def main() -> None:
     # idle threads of one program must not spin beside the next one's
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     names = [word for word in sys.argv[1:] if word != "--write"]
     writes = len(names) < len(sys.argv[1:]) or not names
     results = Path(__file__).with_name("RESULTS.md")

@@ -25,6 +25,7 @@ PURPOSE: Final = {
     "numpy": "arrays",
     "rich": "bars of progress",
     "scipy": "Riccati equations, optimisers, distributions, `.mat` files",
+    "threadpoolctl": "`identify` uses one BLAS thread",
     "tomli-w": "TOML written",
 }
 

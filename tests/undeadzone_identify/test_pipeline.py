@@ -11,6 +11,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.signal import lfilter
 from scipy.special import log_ndtr, ndtr
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import undeadzone as uz
 from undeadzone.errors import InputError
@@ -591,3 +592,19 @@ def test_options_are_checked() -> None:
     }.items():  # fmt: skip
         with pytest.raises(InputError, match=key):
             uz.identify(t=t, u=u, y=y, **{key: value})
+
+
+def test_identify_holds_blas_to_one_thread_meanwhile() -> None:
+    """Two threads that wait for each other at small matrices take three times the CPU time."""
+
+    def list_threads() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    t, u, y, _ = record(size=300)
+    seen: list[list[int]] = []
+    with threadpool_limits(2, user_api="blas"):
+        before = list_threads()
+        uz.identify(t=t, u=u, y=y, order=1, progress=lambda _: seen.append(list_threads()))
+        assert list_threads() == before
+    assert set(before) == {2}
+    assert {threads for each in seen for threads in each} == {1}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -261,3 +264,37 @@ def test_a_model_of_fewer_readings_keeps_its_odds_in_a_loop(gained: float, best:
     families = _comparable_families(fits, log, (fewer,), data, slice(0, 400))
     assert next(iter(model_probabilities(families))) == best
     assert "input_zone" in model_probabilities(families)
+
+
+LIST_FAMILIES = """
+from types import SimpleNamespace as Part
+import numpy as np
+from undeadzone_identify.models.least_squares import Density
+from undeadzone_identify.selection.valve import _comparable_families
+
+def densities(words, size):
+    return {word: Density(word, np.zeros(size), 5, 1.0) for word in words}
+
+words = ("none", "friction", "input_zone", "play", "two_zones", "other", "dead_zone")
+fits = Part(family=densities(("none", "stiction"), 400), regression=Part(rows=np.arange(400)))
+others = ("none", "saturation", "jump", "both", "operating_point", "friction_play")
+models = (densities(words, 400), densities(others, 200))
+data, log = Part(ok=np.ones(400, bool)), Part(deviation=3.0)
+print([list(one) for one in _comparable_families(fits, log, models, data, slice(0, 400))])
+"""
+
+
+def test_odds_of_a_loop_are_summed_in_the_same_order_in_each_process() -> None:
+    """Python orders sets by hashes that each process draws, and sums depend on their order."""
+    printed = set()
+    for seed in "12":
+        process = subprocess.run(
+            [sys.executable, "-c", LIST_FAMILIES],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        printed.add(process.stdout)
+    assert len(printed) == 1
+    assert "saturation" in printed.pop()
