@@ -89,8 +89,8 @@ FAINTEST = 1e-26  # odds of a filter against the best one, however wrong it was
 MEMORY = 0.2  # time over which innovations are summed [s]
 PATIENCE = 1.0  # time over which the squares of the sums are averaged [s]
 WIDENED = 1.3  # factor of the variance of a gap that is shown joint by joint, at least
-WINDOW = 0.5  # time over which the motion of a gap's estimate is compared with its variance [s]
-JUMP = 3.0  # deviations, beyond which such a motion is more than chance
+WINDOW = 0.2  # time over which the motion of a gap's estimate is compared with its variance [s]
+JUMP = 4.0  # deviations, beyond which such a motion is more than chance
 CHANCE = 4.0  # mean square of the sums that is taken for chance
 
 
