@@ -17,13 +17,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
+from functools import cache
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 from scipy.signal import lfilter
 from scipy.special import softmax
 
+from undeadzone.compile import lanes
 from undeadzone.util.arrays import Flags, Floats, Integers
 from undeadzone_identify.models.estimates import Interval, cosine_coefficients
 from undeadzone_identify.models.least_squares import Density, build_gaussian_density
@@ -62,70 +66,81 @@ def valve_positions(u: Floats, stick: Floats, jump: Floats, account: str) -> Flo
         jump: J of each valve (K) [u].
         account: model of the valve: KANO slides after its jump, HE sticks at every sample.
     """
-    return (_slide_on if account == KANO else _stick_again)(u, stick, jump)
+    begin = u[0] * np.array([1.0, 1.0, 0.0, 0.0] if account == KANO else [1.0, 0.0])
+    moves = np.column_stack([u[1:], u[:-1]])
+    valves = np.column_stack([stick, jump])
+    kernel = build_valve_kernel(account)
+    positions, _ = lanes.run_lanes(kernel, begin, moves, np.zeros(2), lane_params=valves, threads=1)
+    return np.vstack([np.full(stick.size, u[0]), positions[:, :, 0].T])
 
 
-def _slide_on(u: Floats, stick: Floats, jump: Floats) -> Floats:
-    """Return the positions of valves by Kano's model (N x K).
+@cache
+def build_valve_kernel(account: str) -> lanes.Kernel:
+    """Return the compiled step of a valve.
+
+    Args:
+        account: model of the valve.
+
+    Returns:
+        A kernel with
+
+        - state: of the valve, its position first,
+        - inputs: output of the controller, now and a sample before [u],
+        - parameters of a lane: S and J [u],
+        - output: the position.
+    """
+    step, entries = (_slide_on, 4) if account == KANO else (_stick_again, 2)
+    state, inputs, valve = ca.SX.sym("s", entries), ca.SX.sym("u", 2), ca.SX.sym("v", 2)
+    after = step(ca.vertsplit(state), *ca.vertsplit(inputs), *ca.vertsplit(valve))
+    function = ca.Function("valve", [state, inputs, valve], [ca.vertcat(*after), after[0]])
+    return lanes.build_kernel(function, params=[0, 1])
+
+
+def _slide_on(state: Sequence[Any], u: Any, before: Any, stick: Any, jump: Any) -> Sequence[Any]:
+    """Return the next state of a valve by Kano's model.
 
     A valve slides until u reverses or stops. It then rests until u has moved by S against the last
     direction, or by J along it; the first time by (S + J) / 2. A sliding valve is (S - J) / 2
     behind u.
 
     Args:
-        u: output of the controller (N).
-        stick: S of each valve (K) [u].
-        jump: J of each valve (K) [u].
+        state: position, u at which the valve stopped, direction of its last slide (0: none), and
+            whether it slides.
+        u, before: output of the controller, now and a sample before [u].
+        stick, jump: S and J [u].
     """
-    position = np.full(stick.size, u[0])
-    stopped_at = np.full(stick.size, u[0])
-    direction = np.zeros(stick.size)
-    rests = np.ones(stick.size, bool)
-    positions = np.empty((u.size, stick.size))
-    positions[0] = position
-    distance = (stick - jump) / 2
-    first_slip = (stick + jump) / 2
-    for t in range(1, u.size):
-        stops = ~rests & (direction * (u[t] - u[t - 1]) <= 0)
-        stopped_at = np.where(stops, u[t - 1], stopped_at)
-        rests |= stops
-        travel = u[t] - stopped_at
-        reverses = -direction * travel > stick
-        starts = (direction == 0) & (np.abs(travel) > first_slip)
-        slips = rests & (reverses | (direction * travel > jump) | starts)
-        direction = np.where(
-            slips & starts, np.sign(travel), np.where(slips & reverses, -direction, direction)
-        )
-        rests &= ~slips
-        position = np.where(rests, position, u[t] - direction * distance)
-        positions[t] = position
-    return positions
+    position, stopped_at, direction, slides = state
+    stops = ca.logic_and(slides, direction * (u - before) <= 0)
+    stopped_at = ca.if_else(stops, before, stopped_at)
+    rests = ca.logic_or(ca.logic_not(slides), stops)
+    travel = u - stopped_at
+    along = direction * travel
+    starts = ca.logic_and(direction == 0, ca.fabs(travel) > (stick + jump) / 2)
+    reverses = -along > stick
+    slips = ca.logic_and(rests, ca.logic_or(ca.logic_or(reverses, along > jump), starts))
+    turned = ca.if_else(starts, ca.sign(travel), ca.if_else(reverses, -direction, direction))
+    direction = ca.if_else(slips, turned, direction)
+    slides = ca.logic_or(ca.logic_not(rests), slips)
+    position = ca.if_else(slides, u - direction * (stick - jump) / 2, position)
+    return position, stopped_at, direction, slides
 
 
-def _stick_again(u: Floats, stick: Floats, jump: Floats) -> Floats:
-    """Return the positions of valves by He's model (N x K).
+def _stick_again(state: Sequence[Any], u: Any, before: Any, stick: Any, jump: Any) -> Sequence[Any]:
+    """Return the next state of a valve by He's model.
 
     The spring force (in units of u) moves the valve if it exceeds static friction, (S + J) / 2.
     The kinetic friction, (S - J) / 2, remains. Friction is static again at every sample.
 
     Args:
-        u: output of the controller (N).
-        stick: S of each valve (K) [u].
-        jump: J of each valve (K) [u].
+        state: position, and the force that is left [u].
+        u, before: output of the controller, now and a sample before [u].
+        stick, jump: S and J [u].
     """
-    position = np.full(stick.size, u[0])
-    force = np.zeros(stick.size)
-    positions = np.empty((u.size, stick.size))
-    positions[0] = position
-    static = (stick + jump) / 2
-    kinetic = (stick - jump) / 2
-    for t in range(1, u.size):
-        force = force + (u[t] - u[t - 1])
-        remaining = np.where(np.abs(force) > static, np.sign(force) * kinetic, force)
-        position = np.where(np.abs(force) > static, position + force - remaining, position)
-        force = remaining
-        positions[t] = position
-    return positions
+    position, force = state
+    force = force + (u - before)
+    slips = ca.fabs(force) > (stick + jump) / 2
+    remaining = ca.if_else(slips, ca.sign(force) * (stick - jump) / 2, force)
+    return ca.if_else(slips, position + force - remaining, position), remaining
 
 
 class Regression:
