@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.names_logs import make as make_named_log
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, lfilter
 
@@ -447,3 +448,11 @@ def test_a_plant_that_integrates_is_neither_play_nor_friction() -> None:
         assert answer.numbers()["odds"] == {}  # no model explains the readings
         assert "odds" not in answer.summary()
         assert {share for _, share, _ in describe_rivals(answer.answer)} == {"-"}
+
+
+def test_a_play_that_held_out_data_may_owe_to_chance_is_undecided() -> None:
+    """An encoder's steps of 0.03 pass for a play of 0.014 with odds of 0.99."""
+    log = make_named_log(8605, "operating point")
+    found = uz.identify(t=log.step, u=log.u, y=log.y)
+    assert found.verdict == "undecided"
+    assert "by chance, perhaps" in found.answer.reasons[0]

@@ -108,6 +108,7 @@ SMALLER = {  # words of models that a word's model holds
     "other": ("none",),
 }
 SURELY = 2.0  # deviations, by which a larger model must be worse to be denied
+LITTLE = 0.1  # share of held-out squares: a smaller gain must be one by SURELY deviations
 LAST = {"input_zone": 40, "two_zones": 40}  # steps of a climb that checks a fit
 OF_THEIR_OWN = ("friction", "saturation", "other", *CHAINED)  # words of models with a plant
 PLACED = {"actuator": "input_zone", "plant": "friction"}  # words by what --place tells
@@ -965,8 +966,8 @@ def holds_more(case: Case, found: Findings) -> bool:
 def without_needless(case: Case, found: Findings) -> Findings:
     """Deny the model that is named if a smaller one predicts held-out data as well.
 
-    A larger model must simulate them better, too: one-step errors alone are decided by the colour
-    of what disturbs the plant.
+    A larger model must simulate them better, too, and not by chance: one-step errors alone are
+    decided by the colour of what disturbs the plant.
 
     Args:
         case: the log.
@@ -984,13 +985,15 @@ def without_needless(case: Case, found: Findings) -> Findings:
         if smaller is None:
             continue
         gain = (held_out_residual(smaller, held_out)[0] ** 2 - e**2)[test]
-        if gain.sum() > 0:
+        total = float(gain.sum())
+        sure = SURELY * float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
+        if total > min(sure, LITTLE * float(e[test] @ e[test])):
             continue
-        deviation = float(long_run_covariance(gain[:, None])[0][0, 0]) ** 0.5
-        if gain.sum() > -SURELY * deviation:
+        if total > -sure:
+            rest = "the other all" if total < 0 else "but only by chance, perhaps, all"
             reason = (
                 f"{CANNOT_TELL} {MODELS[word]} from {MODELS[name]}: one predicts a sample better,"
-                " the other all that had no part in the fit; record for longer"
+                f" {rest} that had no part in the fit; record for longer"
             )
             return found._replace(verdict=build_verdict("undecided", reason), odds={})
         again = found._replace(denied=found.denied | {word}).add_models(case)
