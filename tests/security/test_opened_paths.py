@@ -103,7 +103,7 @@ OPENERS = {
     "undeadzone/compile/cache.py": 1,
     "undeadzone/compile/cache_folder.py": 7,
     "undeadzone/compile/coefficients.py": 1,
-    "undeadzone/ensemble/saved.py": 1,
+    "undeadzone_studies/ensemble/saved.py": 1,
     "undeadzone/report/animation.py": 1,
     "undeadzone/report/html.py": 2,
     "undeadzone/results/files.py": 3,

@@ -9,13 +9,6 @@ from scipy.linalg import expm
 
 from scenes import PAPER_PLANT, random_plant, scene
 from undeadzone.analysis.certificate.passivity import certify, passive_gain
-from undeadzone.analysis.convergence.falsify import (
-    Cycle,
-    SwitchMode,
-    diverge,
-    error_generator,
-    falsify,
-)
 from undeadzone.analysis.error_dynamics import branch_pattern, build_error_dynamics
 from undeadzone.errors import InputError
 from undeadzone.linalg.hold import zoh
@@ -23,6 +16,13 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
+from undeadzone_design.convergence.falsify import (
+    Cycle,
+    SwitchMode,
+    diverge,
+    error_generator,
+    falsify,
+)
 
 PAPER = PAPER_PLANT.linear
 

@@ -13,15 +13,6 @@ from hypothesis import strategies as st
 
 from scenes import PAPER_PLANT, linear, random_plant, scene
 from undeadzone.analysis.certificate.passivity import Certificate, certify, passive_gain
-from undeadzone.analysis.certificate.polytopic import (
-    _entry_slopes,
-    absolute_matrix,
-    build_inequality_form,
-    certify_on,
-    design_on,
-    halve_boxes,
-    jacobian_on_box,
-)
 from undeadzone.analysis.error_dynamics import Dynamics
 from undeadzone.compile.interval import Interval, build_enclosure
 from undeadzone.errors import InputError, ShapeError, StructureError
@@ -30,8 +21,17 @@ from undeadzone.plants.options import ElasticJoint, Plant, TwoLink
 from undeadzone.plants.region import Box, Region, build_box
 from undeadzone.plants.system import System, sample_plant
 from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
+from undeadzone_design.certificate.polytopic import (
+    _entry_slopes,
+    absolute_matrix,
+    build_inequality_form,
+    certify_on,
+    design_on,
+    halve_boxes,
+    jacobian_on_box,
+)
+from undeadzone_design.synthesis.check import check
 
 GRAVITY = 9.81
 NONE = np.zeros((2, 1))

@@ -16,11 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from certificates import project, sector
 from scenes import PAPER_PLANT, scene
-from undeadzone.analysis.certificate.driven import add_leakage, ultimate_bound
-from undeadzone.analysis.certificate.nearest import _resolvent_at
 from undeadzone.analysis.certificate.passivity import certify, certify_dynamics, passive_gain
-from undeadzone.analysis.certificate.robust import certified_radius, closed_loop, l2_gain
-from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator, falsify
 from undeadzone.analysis.error_dynamics import (
     Dynamics,
     adaptation_matrix,
@@ -33,6 +29,10 @@ from undeadzone.linalg.matrices import Matrices
 from undeadzone.numerics.semidefinite import minimise_semidefinite
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
+from undeadzone_design.certificate.driven import add_leakage, ultimate_bound
+from undeadzone_design.certificate.nearest import _resolvent_at
+from undeadzone_design.certificate.robust import certified_radius, closed_loop, l2_gain
+from undeadzone_design.convergence.falsify import SwitchMode, error_generator, falsify
 
 PAPER = PAPER_PLANT.linear
 B, C = PAPER.B, PAPER.C

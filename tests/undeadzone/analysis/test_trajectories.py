@@ -11,8 +11,8 @@ from test_identifiability import visiting
 
 from scenes import PAPER_PLANT
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.analysis.convergence import trajectories
-from undeadzone.analysis.convergence.trajectories import worst_settling_time
+from undeadzone_design.convergence import trajectories
+from undeadzone_design.convergence.trajectories import worst_settling_time
 
 
 @pytest.mark.parametrize("window", [2, 4])

@@ -23,22 +23,22 @@ import once
 import undeadzone
 from scenes import PAPER, scene
 from undeadzone.analysis.certificate.design_file import Design, format_gains
-from undeadzone.analysis.convergence.falsify import SwitchMode, error_generator
-from undeadzone.analysis.convergence.trajectories import (
+from undeadzone.analysis.error_dynamics import branch_pattern
+from undeadzone.cli import group
+from undeadzone.errors import UndeadzoneError
+from undeadzone.report.style import create_panels, figure_to_bytes
+from undeadzone.scenario.problem import resolve_scenario
+from undeadzone_design.convergence.falsify import SwitchMode, error_generator
+from undeadzone_design.convergence.trajectories import (
     Trajectory,
     simulate_trajectories,
     worst_settling_time,
 )
-from undeadzone.analysis.error_dynamics import branch_pattern
-from undeadzone.cli import group
-from undeadzone.errors import UndeadzoneError
-from undeadzone.report.gain_figures import plot_ellipses, root_locus
-from undeadzone.report.gains_page import draw_gain_figures, gains_page
-from undeadzone.report.proof_figures import plot_courses as courses_figure
-from undeadzone.report.proof_figures import plot_positive_realness
-from undeadzone.report.style import create_panels, figure_to_bytes
-from undeadzone.scenario.problem import resolve_scenario
-from undeadzone.synthesis.assessment import Assessment, assess_problem, attack_gains
+from undeadzone_design.report.gain_figures import plot_ellipses, root_locus
+from undeadzone_design.report.gains_page import draw_gain_figures, gains_page
+from undeadzone_design.report.proof_figures import plot_courses as courses_figure
+from undeadzone_design.report.proof_figures import plot_positive_realness
+from undeadzone_design.synthesis.assessment import Assessment, assess_problem, attack_gains
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 POLES = {"method": "certified", "L": [12.0, 15.0], "gamma": 2.0}

@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.jobs import sines
 
-from undeadzone.ensemble import dask_cluster, job, journal, run_blocks
 from undeadzone.errors import ClusterError, InputError
+from undeadzone_studies.ensemble import dask_cluster, job, journal, run_blocks
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
 

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 from tests.jobs import Sines, layout, sines
 
-from undeadzone.ensemble import journal, run_blocks
-from undeadzone.ensemble.journal import Store
 from undeadzone.errors import FileError, InputError, ShapeError
+from undeadzone_studies.ensemble import journal, run_blocks
+from undeadzone_studies.ensemble.journal import Store
 
 pytestmark = pytest.mark.usefixtures("closed_stores")
 
@@ -363,7 +363,7 @@ def test_memory_does_not_grow_with_the_runs(tmp_path: Path) -> None:
 IMPORTS = """
 import sys
 sys.modules["fcntl"] = sys.modules["distributed"] = None
-import undeadzone.ensemble.run_blocks
+import undeadzone_studies.ensemble.run_blocks
 print([name for name in ("llvmlite", "scipy", "casadi", "dask") if name in sys.modules])
 """
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from tests.jobs import Sines, layout, say, sines
 
-from undeadzone.ensemble import journal, local_workers, run_blocks
 from undeadzone.errors import ClusterError, InputError
+from undeadzone_studies.ensemble import journal, local_workers, run_blocks
 
 ROOT = Path(__file__).parents[3]
 
@@ -229,7 +229,7 @@ def test_a_worker_ends_with_the_process_that_started_it() -> None:
 INTERRUPTIBLE = """
 import functools, pathlib, signal, sys
 from tests.jobs import say, sines
-from undeadzone.ensemble import run_blocks
+from undeadzone_studies.ensemble import run_blocks
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in a background job

@@ -13,15 +13,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from undeadzone.ensemble.metrics import LEVELS, error_bands, true_width
-from undeadzone.ensemble.result import Ensemble
-from undeadzone.ensemble.saved import Info
-from undeadzone.ensemble.words import _format_share
 from undeadzone.errors import FileError, InputError
-from undeadzone.report.ensemble_page import draw_ensemble_figures, write_ensemble
 from undeadzone.scenario.schema import Units
-from undeadzone.statistics.intervals import describe, proportion
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.metrics import LEVELS, error_bands, true_width
+from undeadzone_studies.ensemble.result import Ensemble
+from undeadzone_studies.ensemble.saved import Info
+from undeadzone_studies.ensemble.words import _format_share
+from undeadzone_studies.report.ensemble_page import draw_ensemble_figures, write_ensemble
+from undeadzone_studies.statistics.intervals import describe, proportion
 
 ENTRIES = ("sensor.right[0]", "plant.A[1,0] (relative)", "sensor.noise[0]")
 NASTY = "<b>Ω & more</b>"

@@ -23,15 +23,6 @@ from test_engines import OBSERVERS, PENDULUM, TWO_OUTPUTS, distance, identical, 
 
 from undeadzone.cli import main
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.batch import Batch, prepare_batch
-from undeadzone.ensemble.result import Ensemble
-from undeadzone.ensemble.run_ensemble import (
-    compute_bands,
-    replay_deviation,
-    replay_in_batch,
-    replay_run,
-    run_ensemble,
-)
 from undeadzone.errors import InputError
 from undeadzone.results.run import LAST, Run
 from undeadzone.scenario.ensemble_table import Vary
@@ -39,6 +30,15 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.exogenous import exogenous
 from undeadzone.util.arrays import Floats
 from undeadzone.util.toml import to_toml
+from undeadzone_studies.ensemble.batch import Batch, prepare_batch
+from undeadzone_studies.ensemble.result import Ensemble
+from undeadzone_studies.ensemble.run_ensemble import (
+    compute_bands,
+    replay_deviation,
+    replay_in_batch,
+    replay_run,
+    run_ensemble,
+)
 
 RUNS = 150  # more than one block of lanes
 WIDTHS: dict[str, Any] = {
@@ -491,7 +491,7 @@ def test_a_full_disk_is_noticed_and_loses_nothing(
 
 INTERRUPTIBLE = """
 import sys
-from undeadzone.ensemble.run_ensemble import run_ensemble
+from undeadzone_studies.ensemble.run_ensemble import run_ensemble
 from undeadzone.scenario.reader import read
 
 def say(done):

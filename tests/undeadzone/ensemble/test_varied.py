@@ -15,8 +15,6 @@ from scipy import stats
 
 from scenes import random_plant, scene, table
 from undeadzone.compile import interpret
-from undeadzone.ensemble.binding import Binding, bind_ensemble, initial_copies
-from undeadzone.ensemble.varied import channel_amplitudes
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg import hold
 from undeadzone.plants.system import sample_plant
@@ -29,6 +27,8 @@ from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.binding import Binding, bind_ensemble, initial_copies
+from undeadzone_studies.ensemble.varied import channel_amplitudes
 
 AT_100_HZ = {"time": "sampled", "step": 0.01, "duration": 2.0}
 MODEL = {"A": [[0.0, 1.0], [-1.0, -2.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]]}

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from undeadzone.statistics.intervals import (
+from undeadzone.util.arrays import Floats
+from undeadzone_studies.statistics.intervals import (
     LEVEL,
     QUANTILES,
     Extreme,
@@ -25,7 +26,7 @@ from undeadzone.statistics.intervals import (
     quantile_interval,
     student_half_width,
 )
-from undeadzone.statistics.sensitivity import (
+from undeadzone_studies.statistics.sensitivity import (
     estimate_sobol_indices,
     first_order_by_chance,
     first_order_indices,
@@ -34,7 +35,6 @@ from undeadzone.statistics.sensitivity import (
     saltelli_indices,
     sensitivities_of_runs,
 )
-from undeadzone.util.arrays import Floats
 
 TRIALS = 400
 SLACK = 3.5 * np.sqrt(LEVEL * (1 - LEVEL) / TRIALS)  # of a coverage counted in so many trials

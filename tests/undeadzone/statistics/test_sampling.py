@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from undeadzone.errors import InputError
-from undeadzone.statistics.sampling import (
+from undeadzone.util.arrays import Floats
+from undeadzone_studies.statistics.sampling import (
     BITS,
     ROUNDS,
     _feistel_cipher,
     design_points,
     permute_indices,
 )
-from undeadzone.util.arrays import Floats
 
 DESIGNS = ["random", "latin_hypercube", "sobol", "saltelli"]
 

@@ -28,16 +28,16 @@ from undeadzone.numerics.optimise import find_pareto_front, is_undominated, mini
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.check import check
-from undeadzone.synthesis.design import count_design_rounds, design
-from undeadzone.synthesis.gain_search import Weights
-from undeadzone.synthesis.task import (
+from undeadzone.util.arrays import Floats
+from undeadzone_design.synthesis.check import check
+from undeadzone_design.synthesis.design import count_design_rounds, design
+from undeadzone_design.synthesis.gain_search import Weights
+from undeadzone_design.synthesis.task import (
     add_frequencies,
     build_task,
     score_candidate,
     shrink_to_certified,
 )
-from undeadzone.util.arrays import Floats
 
 SAMPLED = {"time": "sampled", "step": 1e-2}
 COUPLED = {

@@ -8,7 +8,7 @@ import pytest
 from scenes import EXACT_SENSOR, scene
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.check import check
+from undeadzone_design.synthesis.check import check
 
 
 def looked_at(**told: float) -> Scenario:

@@ -17,8 +17,6 @@ from click.testing import CliRunner
 from scenes import scene
 from undeadzone.analysis.certificate.passivity import certify
 from undeadzone.cli import group
-from undeadzone.ensemble import metrics
-from undeadzone.ensemble.batch import prepare_batch
 from undeadzone.errors import InputError, StructureError
 from undeadzone.observers import HighGain
 from undeadzone.results.scales import LIMIT
@@ -32,17 +30,22 @@ from undeadzone.simulation.exogenous import exogenous
 from undeadzone.simulation.packed import graph
 from undeadzone.simulation.simulate import outputs_of
 from undeadzone.simulation.simulate import prepare as prepare_loop
-from undeadzone.statistics.intervals import Interval
-from undeadzone.tuning.candidates import (
+from undeadzone.util import toml
+from undeadzone.util.arrays import Floats
+from undeadzone_arena import ParticleFilter, TaylorResidual
+from undeadzone_studies.ensemble import metrics
+from undeadzone_studies.ensemble.batch import prepare_batch
+from undeadzone_studies.statistics.intervals import Interval
+from undeadzone_studies.tuning.candidates import (
     Frame,
     Objective,
     loss_statistic,
     metric_losses,
     metrics_from_outputs,
 )
-from undeadzone.tuning.parameters import resolve_parameters, values_at_shares
-from undeadzone.tuning.result import HeldOut, HeldOutCost, Tuned, estimate_change
-from undeadzone.tuning.tune import (
+from undeadzone_studies.tuning.parameters import resolve_parameters, values_at_shares
+from undeadzone_studies.tuning.result import HeldOut, HeldOutCost, Tuned, estimate_change
+from undeadzone_studies.tuning.tune import (
     FORBIDDEN,
     REACH,
     Evaluation,
@@ -52,9 +55,6 @@ from undeadzone.tuning.tune import (
     sweep,
     tune,
 )
-from undeadzone.util import toml
-from undeadzone.util.arrays import Floats
-from undeadzone_arena import ParticleFilter, TaylorResidual
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 GAMMA = {"observer.gamma": Range(between=(0.1, 100.0), log=True)}
@@ -507,7 +507,9 @@ def test_only_what_has_slopes_descends(
         ("_descend_slope", "gradient"),
         ("_search_near_best", "local"),
     ):
-        monkeypatch.setattr(f"undeadzone.tuning.tune.{name}", lambda *a, s=stage: stages.append(s))
+        monkeypatch.setattr(
+            f"undeadzone_studies.tuning.tune.{name}", lambda *a, s=stage: stages.append(s)
+        )
     search: Any = SimpleNamespace(
         objective=SimpleNamespace(what=Tune(entries=GAINS, statistic=statistic)),
         parameters=[SimpleNamespace(whole=one) for one in whole],
