@@ -13,12 +13,12 @@ import numpy.typing as npt
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from undeadzone.analysis.identifiability.linear import MARGIN
-from undeadzone.ensemble.batch import Batch, prepare_batch
-from undeadzone.ensemble.metrics import EDGES, interleave_widths, true_width
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
-from undeadzone.statistics.intervals import Interval, proportion, quantile_interval
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.batch import Batch, prepare_batch
+from undeadzone_studies.ensemble.metrics import EDGES, interleave_widths, true_width
+from undeadzone_studies.statistics.intervals import Interval, proportion, quantile_interval
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 RUNS = 100

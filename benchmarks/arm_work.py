@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.batch import constant_params
 from undeadzone.numerics.runge_kutta import rk4
 from undeadzone.plants.robots import urdf
 from undeadzone.plants.robots.arm import build_arm, forward_dynamics, inverse_dynamics
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.batch import constant_params
 
 UR5 = Path(__file__).parents[1] / "examples" / "ur5.urdf"
 JOINTS = 6

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks import arm_accuracy
 from benchmarks.arm_work import MOVES, Move, draw, lanes_run, virtual_machine
 from benchmarks.markdown import head, row
-from undeadzone.ensemble.batch import Batch
+from undeadzone_studies.ensemble.batch import Batch
 
 STEPS = 100
 THREADS = (1, 2)

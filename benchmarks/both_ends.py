@@ -25,9 +25,9 @@ from undeadzone.registry import CompensatorOptions, ControllerOptions, ObserverO
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Model, Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile_interval
 from undeadzone.util.arrays import Floats
 from undeadzone_arena import AdaptiveZoneInverse, RobustAdaptive
+from undeadzone_studies.statistics.intervals import quantile_interval
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 STEP, DURATION, NOISE, DISTURBANCE = 0.01, 60.0, 0.01, 0.5

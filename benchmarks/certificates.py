@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.designs import random_design
 from benchmarks.markdown import head, row
 from undeadzone.analysis.certificate.passivity import certify
-from undeadzone.analysis.convergence.falsify import falsify
+from undeadzone_design.convergence.falsify import falsify
 
 ORDERS = range(1, 9)
 OPTIONS = {"plants": 200, "trajectories": 100_000, "switches": 60, "seed": 0}

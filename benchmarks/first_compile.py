@@ -10,11 +10,11 @@ from typing import NamedTuple
 from benchmarks.kernels import variable
 from benchmarks.markdown import head, row
 from undeadzone.compile import cache, lanes
-from undeadzone.ensemble import metrics
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import close_problem
+from undeadzone_studies.ensemble import metrics
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 NAMES = ("paper_5sin", "pendulum", "third_order", "censored", "ur5")

@@ -20,8 +20,8 @@ from benchmarks.glitches import doubting, from_ranges, observe
 from benchmarks.honest_problems import KINDS, ORDERS, RATES, SAMPLES, problems
 from benchmarks.markdown import head, row
 from undeadzone.observers import Extended
-from undeadzone.statistics.intervals import proportion
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.statistics.intervals import proportion
 
 CLAIMS = {"told": doubting, "ranges alone": from_ranges}
 FILTERS = CLAIMS | {

@@ -21,9 +21,9 @@ import numpy as np
 
 import undeadzone as uz
 from benchmarks.identify_logs import FAMILIES, MAPS, OPTIONS, SAMPLES, Made, make, mapped
-from undeadzone.statistics.intervals import proportion
 from undeadzone_identify.models.estimates import Interval
 from undeadzone_identify.models.zone_fit import refit_likelihood
+from undeadzone_studies.statistics.intervals import proportion
 
 KEPT = Path("build/identify.jsonl")
 Outcome = dict[str, Any]

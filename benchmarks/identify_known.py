@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 
 from benchmarks.identify_logs import excitation, make, plant
 from benchmarks.markdown import head, row
-from undeadzone.statistics.intervals import proportion
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Options, log_from_arrays
@@ -25,6 +24,7 @@ from undeadzone_identify.models.estimates import (
 )
 from undeadzone_identify.models.plant import PlantSimulator, delay_inputs
 from undeadzone_identify.models.zone_fit import ZoneFit, fit_zone, polish_fit, refit_likelihood
+from undeadzone_studies.statistics.intervals import proportion
 
 FAMILIES = ("white", "coloured", "strong", "sines", "one", "drift", "heavy", "late")
 FIRST = 700  # seed

@@ -20,8 +20,8 @@ import undeadzone as uz
 from benchmarks.loop_logs import DISTURBANCES, KINDS, LoopLog, make
 from benchmarks.markdown import head, row
 from benchmarks.names import commit
-from undeadzone.statistics.intervals import proportion
 from undeadzone.util.progress import terminal_progress
+from undeadzone_studies.statistics.intervals import proportion
 
 KEPT = Path("build/loops.jsonl")
 WORDS = {"input zone": "input_zone", "play": "play", "both ends": "two_zones"}

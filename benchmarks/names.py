@@ -23,9 +23,9 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.names_logs import TRUTHS, NamedLog, make
-from undeadzone.statistics.intervals import proportion
 from undeadzone.util.progress import terminal_progress
 from undeadzone_identify.selection.decision import FEW
+from undeadzone_studies.statistics.intervals import proportion
 
 KEPT = Path("build/names.jsonl")
 FIGURE = Path(__file__).with_name("names.svg")

@@ -11,12 +11,12 @@ import numpy as np
 
 from benchmarks.workload import Result, Work, draw
 from undeadzone.compile import lanes
-from undeadzone.ensemble.batch import constant_params, constant_zero_inputs
 from undeadzone.simulation.loop import Loop
 from undeadzone.simulation.simulate import close_problem
 from undeadzone.simulation.simulate import prepare as prepare_run
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.batch import constant_params, constant_zero_inputs
 
 WIDTHS = ("sensor.right[0]", "sensor.left[0]")
 # 1 or 0: rivals have no such numbers

@@ -23,8 +23,8 @@ from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile_interval
 from undeadzone_arena import AdaptiveInverse
+from undeadzone_studies.statistics.intervals import quantile_interval
 
 SLIGHT = 1e-6  # half of the range of a gap that is known
 

@@ -26,9 +26,9 @@ from undeadzone.registry import ObserverOptions
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario, Simulation
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.statistics.intervals import quantile_interval
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.statistics.intervals import quantile_interval
 
 SHARES = (0.44, 0.12, 0.02)  # of the readings that are exact
 AMPLITUDE, FREQUENCY, NOISE, DISTURBANCE = 5.0, 0.3, 0.01, 0.5

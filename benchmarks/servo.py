@@ -20,9 +20,9 @@ from benchmarks.mujoco_servo import mujoco_log
 from benchmarks.names import commit
 from benchmarks.servo_logs import Recorded, random_log, resting_log
 from undeadzone.scenario.reader import parse
-from undeadzone.statistics.intervals import proportion
 from undeadzone_identify.servo.gap import REVERSALS, ServoGap, identify_servo_gap
 from undeadzone_identify.servo.observations import build_observations
+from undeadzone_studies.statistics.intervals import proportion
 
 FRESH = 5000  # first seed: those below were used while the method was made
 PER_LOG = 4000  # samples, to which CPU times are scaled

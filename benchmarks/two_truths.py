@@ -20,9 +20,9 @@ from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.signals.exosystem import build_exosystem
-from undeadzone.synthesis.assessment import assess_identifiability, plan_branches
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
+from undeadzone_design.synthesis.assessment import assess_identifiability, plan_branches
 
 KINDS = ("sine", "sines", "step", "trapezoid", "ramp", "pulse", "square wave", "slow random")
 DURATION, STEP = 20.0, 0.01

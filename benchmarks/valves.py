@@ -21,8 +21,8 @@ import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.names import commit
 from benchmarks.valve_loops import CAUSES, ValveLoop, make
-from undeadzone.statistics.intervals import proportion
 from undeadzone.util.progress import terminal_progress
+from undeadzone_studies.statistics.intervals import proportion
 
 KEPT = Path("build/valves.jsonl")
 VALVE = ("stiction", "input_play")

@@ -13,8 +13,8 @@ import numpy as np
 import undeadzone as uz
 from benchmarks.markdown import head, row
 from benchmarks.which_logs import FAMILIES, KINDS, NOISE, WHERE, closed_loop, open_log
-from undeadzone.statistics.intervals import proportion
 from undeadzone_identify.models.motion import FourOffsets, MotionRule, estimate_four_offsets
+from undeadzone_studies.statistics.intervals import proportion
 
 TWO_SIDED = 1.96
 WINDOW = 20  # readings, a 25th of the reference's period

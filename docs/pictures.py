@@ -17,10 +17,11 @@ import numpy as np
 
 import undeadzone as uz
 import undeadzone_arena
-from undeadzone.report import animation, gain_figures, run_figures, style
+from undeadzone.report import animation, run_figures, style
 from undeadzone.results.run import Run
 from undeadzone.simulation.simulate import beside
 from undeadzone_arena.contest.page import arena_figures as of_contest
+from undeadzone_design.report import gain_figures
 from undeadzone_identify import figures
 
 if TYPE_CHECKING:

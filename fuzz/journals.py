@@ -15,7 +15,7 @@ from tests.jobs import Sines, sines
 
 from fuzz.case import Case
 from fuzz.damage import bent
-from undeadzone.ensemble import journal
+from undeadzone_studies.ensemble import journal
 
 NAME = "runs.npz.partial"
 RUNS = 35

@@ -12,8 +12,11 @@ import click
 from fuzz.case import Case
 from fuzz.damage import TEXTS, number
 from fuzz.scenarios import NAME, text
-from undeadzone.cli import COMMANDS
+from undeadzone.cli import group
 
+CONTEXT = click.Context(group)
+OF_TOOL = ("run", "ensemble", "tune", "check", "design", "init", "estimate", "watch", "arm")
+COMMANDS = [group.get_command(CONTEXT, name) for name in OF_TOOL]
 SMALL = {
     "plant": {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]]},
     "sensor": {"right": 0.5, "left": 0.3},

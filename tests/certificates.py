@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from undeadzone.analysis import error_dynamics
-from undeadzone.analysis.certificate.driven import original_storage
 from undeadzone.analysis.dissipation import (
     LEAST,
     NO_PROOF,
@@ -18,6 +17,7 @@ from undeadzone.analysis.dissipation import (
 )
 from undeadzone.errors import InputError
 from undeadzone.util.arrays import Floats, require_matrix, require_vector
+from undeadzone_design.certificate.driven import original_storage
 
 
 class Sector(NamedTuple):

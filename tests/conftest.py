@@ -27,11 +27,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import undeadzone
 from tools import pytest_terminal_summary as pytest_terminal_summary
 from tools import raw_formulas
-from undeadzone.ensemble import journal
 from undeadzone.report import style
 from undeadzone.report.style import import_default_matplotlib
 from undeadzone.util import files
 from undeadzone_export import compiler
+from undeadzone_studies.ensemble import journal
 
 gc.set_threshold(100_000)  # as the command line does
 settings.register_profile(

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from undeadzone.ensemble import run_blocks
-from undeadzone.ensemble.job import Layout
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble import run_blocks
+from undeadzone_studies.ensemble.job import Layout
 
 
 class Sines(NamedTuple):

@@ -15,10 +15,10 @@ import pytest
 
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.scenario.schema import Scenario
-from undeadzone.synthesis import gain_search
-from undeadzone.synthesis.design import Aim
-from undeadzone.synthesis.design import design as search
 from undeadzone.util import toml
+from undeadzone_design.synthesis import gain_search
+from undeadzone_design.synthesis.design import Aim
+from undeadzone_design.synthesis.design import design as search
 from undeadzone_export import compiler
 from undeadzone_paper import Paper
 from undeadzone_paper import audit as audited

@@ -1,5 +1,7 @@
+import undeadzone_design
 import undeadzone_export
 import undeadzone_identify
+import undeadzone_studies
 
 from . import compensators as compensators
 from . import controllers as controllers
@@ -7,15 +9,8 @@ from . import observers as observers
 from . import plants as plants
 from . import signals as signals
 from .analysis.certificate.design_file import Design as Design
-from .analysis.certificate.driven import Ultimate as Ultimate
-from .analysis.certificate.driven import ultimate_bound as ultimate_bound
-from .analysis.certificate.nearest import decay_limit as decay_limit
 from .analysis.certificate.passivity import Certificate as Certificate
 from .analysis.certificate.passivity import certify as certify
-from .analysis.certificate.polytopic import certify_on as certify_on
-from .analysis.certificate.polytopic import design_on as design_on
-from .analysis.certificate.robust import certified_radius as certified_radius
-from .analysis.certificate.robust import closed_loop as closed_loop
 from .analysis.error_dynamics import Dynamics as Dynamics
 from .compensators import NoInverse as NoInverse
 from .compensators import SmoothZoneInverse as SmoothZoneInverse
@@ -28,9 +23,6 @@ from .controllers import ComputedTorque as ComputedTorque
 from .controllers import LinearController as LinearController
 from .controllers import Robust as Robust
 from .controllers import StateFeedback as StateFeedback
-from .ensemble.result import Ensemble as Ensemble
-from .ensemble.run_ensemble import replay_run as replay_run
-from .ensemble.run_ensemble import run_ensemble as run_ensemble
 from .errors import ClusterError as ClusterError
 from .errors import FileError as FileError
 from .errors import InputError as InputError
@@ -107,21 +99,31 @@ from .simulation.estimate import estimate as estimate
 from .simulation.online import Online as Online
 from .simulation.simulate import compare as compare
 from .simulation.simulate import simulate as simulate
-from .synthesis.check import Check as Check
-from .synthesis.check import check as check
-from .synthesis.design import design as design
-from .synthesis.gain_search import Weights as Weights
-from .tuning.result import Tuned as Tuned
-from .tuning.tune import Sweep as Sweep
-from .tuning.tune import sweep as sweep
-from .tuning.tune import tune as tune
 
 # What other packages register under `undeadzone.names`.
+Check = undeadzone_design.Check
+Ensemble = undeadzone_studies.Ensemble
 Exported = undeadzone_export.Exported
 Identified = undeadzone_identify.Identified
 IdentifiedMotion = undeadzone_identify.IdentifiedMotion
 IdentifiedOutputs = undeadzone_identify.IdentifiedOutputs
+Sweep = undeadzone_studies.Sweep
+Tuned = undeadzone_studies.Tuned
+Ultimate = undeadzone_design.Ultimate
+Weights = undeadzone_design.Weights
+certified_radius = undeadzone_design.certified_radius
+certify_on = undeadzone_design.certify_on
+check = undeadzone_design.check
+closed_loop = undeadzone_design.closed_loop
+decay_limit = undeadzone_design.decay_limit
+design = undeadzone_design.design
+design_on = undeadzone_design.design_on
 export = undeadzone_export.export
 identify = undeadzone_identify.identify
+replay_run = undeadzone_studies.replay_run
+run_ensemble = undeadzone_studies.run_ensemble
+sweep = undeadzone_studies.sweep
+tune = undeadzone_studies.tune
+ultimate_bound = undeadzone_design.ultimate_bound
 
 __version__: str

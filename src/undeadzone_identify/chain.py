@@ -61,7 +61,7 @@ def run_firmware_chain(
     from undeadzone.cli.common import require_writable
     from undeadzone.scenario.reader import read
     from undeadzone.simulation.estimate import estimate
-    from undeadzone.synthesis.check import check
+    from undeadzone_design.synthesis.check import check
     from undeadzone_export.exporting import PRECISIONS, export
 
     scenario = read(path)

@@ -26,12 +26,12 @@ from undeadzone.errors import FileError, InputError, Terminated
 from undeadzone.scenario.reader import digests
 from undeadzone.scenario.schema import Scenario
 from undeadzone.scenario.tune_table import Range, Tune
-from undeadzone.tuning.tune import tune
 from undeadzone.util.answers import Answers
 from undeadzone.util.own_files import write_own_file
 from undeadzone_arena.contest.contest import run_contest
 from undeadzone_identify.pipeline import identify
 from undeadzone_identify.selection.widths import profile_likelihood
+from undeadzone_studies.tuning.tune import tune
 
 PROBLEM = {"a": 1}
 FORK = multiprocessing.get_context("fork")

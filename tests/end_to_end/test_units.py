@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 import undeadzone as uz
-from undeadzone.ensemble.metrics import Tally, metric_rows
 from undeadzone.linalg.hold import discretise_noise, zoh, zoh_slopes
 from undeadzone.linalg.matrices import Matrices, companion_form
 from undeadzone.nonlinearities.sensor import resolve
@@ -29,6 +28,7 @@ from undeadzone.results.scales import plant_scales
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
+from undeadzone_studies.ensemble.metrics import Tally, metric_rows
 
 POLES = -np.array([1.0, 1.5, 2.0, 3.0])  # [1/s]
 MISMATCH = np.array([1.05, 0.95, 1.05, 0.95])  # of the model's coefficients

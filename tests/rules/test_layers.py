@@ -13,25 +13,29 @@ import pytest
 import once
 import undeadzone
 import undeadzone_arena
+import undeadzone_design
 import undeadzone_export
 import undeadzone_identify
 import undeadzone_paper
+import undeadzone_studies
 
 ROOT = Path(undeadzone.__file__).parent
 # The packages of the distribution, and what else of it each may import.
 PACKAGES = {
     undeadzone: (),
     undeadzone_export: ("undeadzone",),
-    undeadzone_identify: ("undeadzone", "undeadzone_export"),
+    undeadzone_design: ("undeadzone",),
+    undeadzone_studies: ("undeadzone",),
+    undeadzone_identify: ("undeadzone", "undeadzone_design", "undeadzone_export"),
     undeadzone_paper: ("undeadzone", "undeadzone_identify"),
-    undeadzone_arena: ("undeadzone", "undeadzone_paper"),
+    undeadzone_arena: ("undeadzone", "undeadzone_paper", "undeadzone_studies"),
 }
 # From the ground up; rooms of one floor do not know each other.
 FLOORS = {
     undeadzone: (
         ("errors",),
         ("util",),
-        ("compile", "nonlinearities", "linalg", "logs", "numerics", "statistics"),
+        ("compile", "nonlinearities", "linalg", "logs", "numerics"),
         ("plants", "signals"),
         ("feedforward",),
         ("analysis", "interfaces"),
@@ -40,10 +44,21 @@ FLOORS = {
         ("scenario",),
         ("results",),
         ("simulation",),
-        ("ensemble", "synthesis"),
-        ("tuning",),
         ("report",),
         ("cli",),
+    ),
+    undeadzone_design: (
+        ("certificate", "convergence"),
+        ("synthesis",),
+        ("report",),
+        ("commands",),
+    ),
+    undeadzone_studies: (
+        ("statistics",),
+        ("ensemble",),
+        ("tuning",),
+        ("report",),
+        ("commands",),
     ),
     undeadzone_export: (
         ("boards", "compiler", "exported_step", "template"),
@@ -206,8 +221,10 @@ def is_option(text: str) -> bool:
 def test_rooms_below_the_command_line_name_no_option() -> None:
     """They name arguments of functions; `cli.ending.name_options` makes options of them."""
     found = []
-    for path, text in texts(undeadzone).items():
-        if room(path) in ("cli", "report", "__main__"):  # pages show whole commands
+    below = [*texts(undeadzone).items(), *texts(undeadzone_design).items()]
+    below += texts(undeadzone_studies).items()
+    for path, text in below:
+        if room(path) in ("cli", "commands", "report", "__main__"):  # pages show whole commands
             continue
         for node in once.nodes(text):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):

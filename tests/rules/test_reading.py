@@ -10,13 +10,21 @@ from pathlib import Path
 import once
 import undeadzone
 import undeadzone_arena
+import undeadzone_design
 import undeadzone_export
 import undeadzone_identify
 import undeadzone_paper
+import undeadzone_studies
 
 PACKAGES = (
-    undeadzone, undeadzone_arena, undeadzone_export, undeadzone_identify, undeadzone_paper
-)  # fmt: skip
+    undeadzone,
+    undeadzone_arena,
+    undeadzone_design,
+    undeadzone_export,
+    undeadzone_identify,
+    undeadzone_paper,
+    undeadzone_studies,
+)
 FILES = [
     path
     for package in PACKAGES
@@ -126,9 +134,11 @@ def unsaid(found: object) -> set[str]:
 
 def test_public_functions_explain_their_arguments() -> None:
     found = {}
-    for package in (undeadzone, undeadzone_export, undeadzone_identify):
+    for package in (
+        undeadzone, undeadzone_design, undeadzone_export, undeadzone_identify, undeadzone_studies
+    ):  # fmt: skip
         found |= {name: unsaid(getattr(package, name)) for name in package.__all__}
-    assert {"identify", "export", "simulate"} <= found.keys()
+    assert {"identify", "export", "simulate", "check", "tune"} <= found.keys()
     assert not {name: arguments for name, arguments in found.items() if arguments}
 
 

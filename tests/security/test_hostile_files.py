@@ -18,8 +18,6 @@ from commands import forked
 from commands import undeadzone as in_process
 from undeadzone.analysis.certificate.design_file import Design
 from undeadzone.cli.common import print_blocks, to_json_text
-from undeadzone.ensemble import journal, saved
-from undeadzone.ensemble.job import Layout
 from undeadzone.errors import FileError, InputError
 from undeadzone.plants.robots import urdf_elements
 from undeadzone.report.html import build_page, build_table
@@ -35,6 +33,8 @@ from undeadzone.util.text import UNPRINTABLE, escape_controls
 from undeadzone.util.text import escape_json_controls as escaped_json
 from undeadzone_export.source import _to_comment_line as commented
 from undeadzone_identify.logs.log import read_log
+from undeadzone_studies.ensemble import journal, saved
+from undeadzone_studies.ensemble.job import Layout
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 COMMAND = [sys.executable, "-c", "from undeadzone.cli import main; main()"]

@@ -24,7 +24,14 @@ from undeadzone.util.opening import Bound, _open_beneath
 
 ROOT = Path(__file__).parents[2]
 SRC = ROOT / "src"
-OWN = ("undeadzone", "undeadzone_arena", "undeadzone_export", "undeadzone_identify")
+OWN = (
+    "undeadzone",
+    "undeadzone_arena",
+    "undeadzone_design",
+    "undeadzone_export",
+    "undeadzone_identify",
+    "undeadzone_studies",
+)
 PAGE = ROOT / "docs" / "security.md"
 LIKE_PATHS = ("DIR", "FILE", "LOG", "PATH", ".toml", ".urdf", ".csv")
 
@@ -103,7 +110,6 @@ OPENERS = {
     "undeadzone/compile/cache.py": 1,
     "undeadzone/compile/cache_folder.py": 7,
     "undeadzone/compile/coefficients.py": 1,
-    "undeadzone/ensemble/saved.py": 1,
     "undeadzone/report/animation.py": 1,
     "undeadzone/report/html.py": 2,
     "undeadzone/results/files.py": 3,
@@ -117,6 +123,7 @@ OPENERS = {
     "undeadzone_identify/chain.py": 1,  # the snippet that it wrote itself
     "undeadzone_identify/command.py": 1,
     "undeadzone_identify/results/to_scenario.py": 1,
+    "undeadzone_studies/ensemble/saved.py": 1,
 }
 
 

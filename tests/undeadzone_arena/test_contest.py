@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 
 from scenes import scene, slopes
 from undeadzone.cli import group
-from undeadzone.ensemble.binding import bind_ensemble, build_run_noise
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers.luenberger import Luenberger
 from undeadzone.registry import OBSERVERS
@@ -58,6 +57,7 @@ from undeadzone_arena.contest.scenario_sets import Kind, arena_scenarios, scenar
 from undeadzone_arena.contest.traces import trace_runs
 from undeadzone_arena.contest.trials import run_trial, score_methods
 from undeadzone_arena.contest.words import leaderboard_blocks
+from undeadzone_studies.ensemble.binding import bind_ensemble, build_run_noise
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"time": "sampled", "step": 1e-2, "duration": 3.0}

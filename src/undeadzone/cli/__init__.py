@@ -6,6 +6,7 @@ import atexit
 import ctypes
 import functools
 import gc
+import itertools
 import os
 import sys
 from contextlib import suppress
@@ -15,20 +16,16 @@ import click
 
 import undeadzone
 from undeadzone.cli.arm import arm
-from undeadzone.cli.check import check
 from undeadzone.cli.common import print_line
-from undeadzone.cli.design import design
 from undeadzone.cli.ending import (
     end_at_once_on_signals,
     ignore_signals,
     report_failure,
     run_to_exit_code,
 )
-from undeadzone.cli.ensemble import ensemble
 from undeadzone.cli.estimate import estimate
 from undeadzone.cli.init import init
 from undeadzone.cli.run import run
-from undeadzone.cli.tune import tune
 from undeadzone.cli.watch import watch
 from undeadzone.errors import InputError
 from undeadzone.util.installed import list_registered_places, load_object
@@ -84,8 +81,10 @@ class Commands(click.Group):
             return report_failure(error)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands, commands of further packages last."""
-        return [*super().list_commands(ctx), *_list_registered_commands()]
+        """Return the names of all commands, those that `BLOCKS` does not name last."""
+        names = {*super().list_commands(ctx), *_list_registered_commands()}
+        named = names.intersection(itertools.chain(*BLOCKS.values()))
+        return [*sorted(named), *sorted(names - named)]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
         """Return a command by its name, or None for an unknown name."""
@@ -180,7 +179,7 @@ def group(ctx: click.Context) -> int:
     return 0
 
 
-COMMANDS = (run, ensemble, tune, check, design, init, estimate, watch, arm)
+COMMANDS = (run, init, estimate, watch, arm)
 for command in COMMANDS:
     group.add_command(command)
 

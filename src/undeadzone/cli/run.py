@@ -28,11 +28,13 @@ from undeadzone.cli.output import (
     require_own_table,
 )
 from undeadzone.errors import InputError
+from undeadzone.util.installed import load_registered
 from undeadzone.util.progress import terminal_progress as progress
 from undeadzone.util.text import HALF_95, append_unit
 
 WIDE: Final = 0.2  # half of an interval, in widths: above it the remedy is printed
 CLAIMS: Final = ("disturbance", "bias", "centre")  # that narrow most, the usual first
+ENSEMBLES = "undeadzone.ensembles"  # entry points of the package that runs ensembles
 OF_ENSEMBLE = (".npz", ".parquet")  # files that hold runs, no scenario
 
 
@@ -91,7 +93,9 @@ def run(
         follow = _advise_after_run(scenario, wanted, result)
     else:
         with progress("replaying", None):
-            result, deviation = _replay_and_compare(scenario, replay, confine)
+            result, deviation = load_registered(ENSEMBLES, "replay_saved")(
+                scenario, replay, confine
+            )
     given = build_origin(scenario if replay is None else None, result.info.seed)
     again = given if given.scenario else given._replace(scenario=result.info.scenario)
     tables, left_out = decide_table(as_csv, result.table_size, "run.csv")
@@ -163,9 +167,7 @@ def _simulate_and_compare(scenario: uz.Scenario) -> tuple[uz.Run, uz.Run | None]
 
     with progress("simulating", _count_simulated_steps(scenario), of=scenario.observer) as advance:
         if scenario.ensemble is not None:
-            from undeadzone.ensemble.binding import require_bound
-
-            require_bound(scenario)
+            load_registered(ENSEMBLES, "require_bound")(scenario)
         result = measure_feedback(scenario, advance)
         return (result, None) if scenario.compare is None else beside(scenario, result, advance)
 
@@ -178,25 +180,6 @@ def _count_simulated_steps(scenario: uz.Scenario) -> int:
     return observers * count_progress_steps(scenario) + count_progress_steps(
         scenario, check_step=False
     )
-
-
-def _replay_and_compare(path: Path, number: int, confine: Path | None) -> tuple[uz.Run, float]:
-    """Return a run of an ensemble, and its deviation from the run in the ensemble.
-
-    Args:
-        path: of the ensemble.
-        number: of the run.
-        confine: a folder outside of which the ensemble's scenario may name no file (None: any).
-    """
-    from undeadzone.ensemble.run_ensemble import replay_deviation
-
-    ensemble = uz.Ensemble.load(path)
-    if confine is not None:
-        from undeadzone.scenario.reader import confine_files as kept_inside
-        from undeadzone.scenario.reader import parse
-
-        kept_inside(parse(ensemble.info.scenario), confine)
-    return uz.replay_run(ensemble, number), replay_deviation(ensemble, number)
 
 
 def _write_film(result: uz.Run, rival: uz.Run | None, path: Path) -> Path:

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 from undeadzone.errors import InputError
 from undeadzone.report.style import write_figure
 from undeadzone.util.files import to_path
+from undeadzone.util.installed import list_registered_places, load_registered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from undeadzone.analysis.certificate.design_file import Design
-    from undeadzone.ensemble.result import Ensemble
     from undeadzone.results.estimation import Estimation
     from undeadzone.results.run import Run
-    from undeadzone.synthesis.check import Check
-    from undeadzone.tuning.result import Tuned
 
+FIGURES = "undeadzone.figures"  # entry points of packages that draw results of the tool
 NARROW = 2  # columns of a legend on axes of one's own
 KINDS = (
     "a Run, an Ensemble, an Estimation, a Check, a Design, a Tuned, a Contest or what identify "
@@ -33,17 +32,6 @@ KINDS = (
 DRAWN: Final = {
     "results.run.Run": (".run_figures", "overview", "output"),
     "results.estimation.Estimation": (".log_page", "log_overview", "output"),
-    "ensemble.result.Ensemble": (
-        "undeadzone.report.ensemble_figures",
-        "first_of_ensemble",
-        "distribution",
-    ),
-    "analysis.certificate.design_file.Design": (
-        "undeadzone.report.proof_figures",
-        "of_design",
-        "panel_of_design",
-    ),
-    "tuning.result.Tuned": (".tune_page", "history", "candidates"),
 }
 
 
@@ -70,7 +58,7 @@ class DrawableResult(Protocol):
 
 
 if TYPE_CHECKING:
-    Result: TypeAlias = Run | Ensemble | Estimation | Check | Design | Tuned | DrawableResult
+    Result: TypeAlias = Run | Estimation | Design | DrawableResult
 
 
 def plot(
@@ -125,9 +113,9 @@ def _find_drawing(result: Any) -> Drawing:
     What draws is imported late, so that whoever draws runs alone does not wait for the rest.
     """
     kind = f"{type(result).__module__}.{type(result).__qualname__}".removeprefix("undeadzone.")
-    if kind == "synthesis.check.Check":
-        return _drawing_of_check(result)
     drawn = DRAWN.get(kind) or getattr(result, "drawn", None)
+    if drawn is None and kind in list_registered_places(FIGURES):
+        drawn = load_registered(FIGURES, kind)
     if drawn is None:
         raise InputError(f"plot: expected {KINDS}, found {type(result).__name__}")
     module, whole, panel = drawn
@@ -135,26 +123,3 @@ def _find_drawing(result: Any) -> Drawing:
     return Drawing(
         lambda: getattr(draws, whole)(result), lambda ax: getattr(draws, panel)(ax, result)
     )
-
-
-def _drawing_of_check(result: Check) -> Drawing:
-    """Return the drawing functions of a check: certificate, or identifiability.
-
-    Raises InputError.
-
-    A jump sensor's widths have no ellipse.
-    """
-    import numpy as np
-
-    from undeadzone.report.gain_figures import draw_width_region, plot_ellipses
-    from undeadzone.report.proof_figures import draw_least_real_part, plot_positive_realness
-
-    of = result.assessment
-    proof = None if of.gains is None else of.gains.certificate
-    if proof is not None and np.isfinite(proof.margin):
-        return Drawing(
-            lambda: plot_positive_realness(proof), lambda ax: draw_least_real_part(ax, proof)
-        )
-    if of.problem.sensor.kind != "deadzone":
-        raise InputError("plot: this check has no certificate, and nothing that can be drawn")
-    return Drawing(lambda: plot_ellipses(of), lambda ax: draw_width_region(ax, of, 0))

@@ -77,6 +77,22 @@ def load_object(what: str, place: str) -> Any:
         raise InputError(f"{what} is registered at {place}, which fails: {error}") from None
 
 
+def load_registered(group: str, name: str) -> Any:
+    """Return the object that a package registers under a name.
+
+    Args:
+        group: of the entry points.
+        name: in the group.
+
+    Raises:
+        InputError: no package registers it, or it cannot be imported.
+    """
+    place = list_registered_places(group).get(name)
+    if place is None:
+        raise InputError(f"{group}: no installed package registers {name!r}")
+    return load_object(f"{group}: {name!r}", place)
+
+
 def import_scipy() -> None:
     """Import SciPy without the parts of NumPy that only its tests use.
 

@@ -15,7 +15,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from undeadzone.errors import InputError
-from undeadzone.util.installed import list_registered_places, load_object
+from undeadzone.util.installed import load_registered
 from undeadzone.util.text import escape_controls
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def plot(result: Any, path: str | os.PathLike[str] | None = None, ax: Axes | Non
         path: the file to write, a PNG, PDF or SVG by its suffix (None writes none).
         ax: axes that take the most informative panel (None: a new figure with all panels).
     """
-    draw = load_object("plot", list_registered_places("undeadzone.figures")["plot"])
+    draw = load_registered("undeadzone.figures", "plot")
     return cast("Figure", draw(result, path, ax))
 
 

@@ -16,7 +16,6 @@ from undeadzone.errors import InputError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.loop import Outputs
-from undeadzone.statistics.intervals import LEVEL
 from undeadzone.util import shown
 from undeadzone.util.answers import open_answers
 from undeadzone.util.arrays import to_json_value
@@ -48,6 +47,7 @@ from undeadzone_arena.contest.prior_knowledge import build_setting
 from undeadzone_arena.contest.scenario_sets import arena_scenarios as held_out
 from undeadzone_arena.contest.trials import result_dependencies, score_methods, trial_signals
 from undeadzone_arena.contest.words import leaderboard_blocks
+from undeadzone_studies.statistics.intervals import LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from undeadzone.statistics.intervals import LEVEL, Interval
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.metric import Result, RunMetrics
+from undeadzone_studies.statistics.intervals import LEVEL, Interval
 
 ZERO: Final = "informed"  # the line of regret 0
 NAIVE: Final = "luenberger"  # used if a method is not applicable

@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from undeadzone.compile import interpret
-from undeadzone.ensemble.local_workers import iterate_results
 from undeadzone.errors import UndeadzoneError
 from undeadzone.scenario.problem import Problem, resolve_scenario
 from undeadzone.scenario.reader import digests
@@ -37,6 +36,7 @@ from undeadzone_arena.contest.methods import (
 from undeadzone_arena.contest.metric import Result, measure_run
 from undeadzone_arena.contest.prior_knowledge import Setting, build_setting
 from undeadzone_arena.contest.scenario_sets import arena_scenarios as scenarios_of
+from undeadzone_studies.ensemble.local_workers import iterate_results
 
 FEW: Final = 8  # trials for which a process is worth starting
 

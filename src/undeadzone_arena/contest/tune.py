@@ -10,7 +10,6 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from undeadzone.ensemble.local_workers import iterate_results
 from undeadzone.numerics.optimise import minimise_by_cmaes
 from undeadzone.scenario.schema import Scenario
 from undeadzone.util.answers import open_answers
@@ -21,6 +20,7 @@ from undeadzone_arena.contest.metric import Result
 from undeadzone_arena.contest.prior_knowledge import Setting, build_settings
 from undeadzone_arena.contest.trials import result_dependencies, run_trial
 from undeadzone_arena.contest.tuned_file import Tuned, TunedMethod
+from undeadzone_studies.ensemble.local_workers import iterate_results
 
 SEEDS: Final = (1000,)  # of noise and gusts, others than those of the results
 SPREAD: Final = 0.25  # first steps of the search, as a share of a range

@@ -44,8 +44,8 @@ from undeadzone.scenario.reader import convert
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
+from undeadzone_design.synthesis.check import check
 
 seeds = st.integers(0, 2**32 - 1)
 CHAIN = linear_matrices(Plant(integrators=2))

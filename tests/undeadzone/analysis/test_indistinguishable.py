@@ -16,9 +16,9 @@ from undeadzone.analysis.identifiability.indistinguishable import describe_indis
 from undeadzone.nonlinearities.sensor import deadzone
 from undeadzone.scenario.schema import Scenario
 from undeadzone.signals.exosystem import Random, Sine
-from undeadzone.synthesis.check import check
 from undeadzone.util.arrays import Floats
 from undeadzone.util.text import HALF_95
+from undeadzone_design.synthesis.check import check
 
 SLOW = {"kind": "sine", "amplitude": 0.2, "frequency": 0.125}
 SAMPLED = {"duration": 20.0, "time": "sampled", "step": 0.01}

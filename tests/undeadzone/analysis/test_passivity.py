@@ -14,7 +14,6 @@ from scipy.linalg import block_diag, expm
 
 from scenes import PAPER_PLANT, random_plant
 from undeadzone.analysis.certificate import weights
-from undeadzone.analysis.certificate.nearest import decay_limit, nearest_certified_gains
 from undeadzone.analysis.certificate.passivity import (
     Certificate,
     certify,
@@ -35,6 +34,7 @@ from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.linalg.hold import zoh
 from undeadzone.linalg.matrices import Matrices, delta_form
 from undeadzone.util.arrays import Floats
+from undeadzone_design.certificate.nearest import decay_limit, nearest_certified_gains
 
 PAPER = PAPER_PLANT.linear
 TIMES = [None, 1e-4, 1e-3, 1e-2, 0.1, 1.0]

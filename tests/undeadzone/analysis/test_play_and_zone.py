@@ -25,7 +25,6 @@ from undeadzone.analysis.identifiability.play_and_zone import (
     gap_prior_rows,
 )
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, UndeadzoneError
 from undeadzone.linalg.matrices import Matrices
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -37,6 +36,7 @@ from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_arena.contest.prior_knowledge import build_setting
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensemble
 
 BOTH = {"kind": "deadzone", "right": 1.0, "left": 0.7, "play": [0.5, 0.3]}
 RANGES = {"play": [[0.0, 1.0], [0.0, 1.0]]}

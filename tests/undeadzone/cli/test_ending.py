@@ -227,7 +227,7 @@ def test_a_terminal_of_few_characters_is_no_error(scenario: Path) -> None:
 STOPPED = """
 import sys, time
 from undeadzone.cli.ending import run_to_exit_code
-from undeadzone.ensemble import run_blocks
+from undeadzone_studies.ensemble import run_blocks
 import functools, pathlib
 from tests.jobs import say, sines
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import undeadzone as uz
-from undeadzone.ensemble.binding import require_bound
 from undeadzone.scenario.reader import parse
+from undeadzone_studies.ensemble.binding import require_bound
 
 TEMPLATE = files("undeadzone").joinpath("template.toml").read_text(encoding="utf-8")
 KEY = r"(?:[A-Za-z]\w*|\"[^\"]+\") = "

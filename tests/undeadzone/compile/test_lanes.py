@@ -16,12 +16,12 @@ import pytest
 from test_engines import BOTH, WIDTHS, distance, identical, parts, shocks, small
 
 from undeadzone.compile import lanes
-from undeadzone.ensemble.result import Ensemble
 from undeadzone.errors import InputError
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.simulation.simulate import prepare
 from undeadzone.util import tree
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.result import Ensemble
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -14,7 +14,7 @@ import pytest
 from test_engines import small
 from test_run_ensemble import NOISE, PLANT, WIDTHS, vary
 
-from undeadzone.ensemble.batch import prepare_batch
+from undeadzone_studies.ensemble.batch import prepare_batch
 
 ARITHMETIC = r"(?:fadd|fsub|fmul|fdiv)(?: contract)?"
 

@@ -12,7 +12,6 @@ from test_engines import distance, parts
 import undeadzone as uz
 from scenes import scene
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.interfaces import Estimate
 from undeadzone.results.run import Run
@@ -20,6 +19,7 @@ from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensemble
 
 TS = 5e-3
 GAPS = {"right": 0.06, "left": 0.04}

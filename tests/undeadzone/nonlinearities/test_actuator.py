@@ -17,7 +17,6 @@ from scenes import EXACT_SENSOR, PAPER_PLANT, scene
 from undeadzone.analysis.identifiability.linear import unobservable_changes
 from undeadzone.analysis.identifiability.sensor_and_actuator import sensor_actuator_identifiability
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError, ShapeError, StructureError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
@@ -42,6 +41,7 @@ from undeadzone.util.arrays import Floats
 from undeadzone_arena.controllers.robust_adaptive import RobustAdaptive
 from undeadzone_export import exported_step as export_parts
 from undeadzone_export import selftest_vectors
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensemble
 
 TS = 0.01
 RIGHT, LEFT = 3.0, 2.0

@@ -12,7 +12,6 @@ from test_engines import distance, parts, small
 import undeadzone as uz
 from scenes import EXACT_SENSOR, scene
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.actuator import (
     Actuator,
@@ -29,6 +28,7 @@ from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_export import exported_step as export_parts
 from undeadzone_export import selftest_vectors
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensemble
 
 RIGHT, LEFT = 3.0, 2.0
 PLAY = {"kind": "play", "right": RIGHT, "left": LEFT}

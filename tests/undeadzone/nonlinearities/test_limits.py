@@ -21,7 +21,6 @@ from scenes import OnNumbers, scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.cli import group
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, replay_run, run_ensemble
 from undeadzone.errors import InputError, ShapeError
 from undeadzone.interfaces import Estimate, Reading, require_graph, to_reading
 from undeadzone.logs.range_ends import RUN, RunningEnds, _UpperLimit, range_ends
@@ -40,6 +39,7 @@ from undeadzone_arena import MovingHorizon, ParticleFilter
 from undeadzone_identify.logs.grid import to_grid
 from undeadzone_identify.logs.log import Log, Options
 from undeadzone_identify.logs.prepare import NEAR, prepare_log
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, replay_run, run_ensemble
 
 INF = float("inf")
 TS = 0.01

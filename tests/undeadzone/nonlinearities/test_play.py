@@ -20,7 +20,6 @@ import undeadzone as uz
 from scenes import scene
 from undeadzone.analysis.branch_schedule import plan_schedule
 from undeadzone.compile import interpret, lanes
-from undeadzone.ensemble.run_ensemble import replay_deviation, run_ensemble
 from undeadzone.errors import InputError
 from undeadzone.nonlinearities.play import apply_backlash, contacts, levels
 from undeadzone.nonlinearities.sensor import Sensor, resolve
@@ -33,6 +32,7 @@ from undeadzone.signals.exosystem import Sine, build_exosystem
 from undeadzone.simulation.simulate import simulate
 from undeadzone.util.arrays import Floats
 from undeadzone_identify.logs.log import Options
+from undeadzone_studies.ensemble.run_ensemble import replay_deviation, run_ensemble
 
 TS = 0.01
 SLOW = {"kind": "sine", "amplitude": 5.0, "frequency": 0.2}

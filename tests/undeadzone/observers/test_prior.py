@@ -33,8 +33,8 @@ from undeadzone.plants.system import sample_plant
 from undeadzone.results.run import Run
 from undeadzone.scenario.reader import convert, parse
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.check import check
 from undeadzone.util.earlier import SCHEMA
+from undeadzone_design.synthesis.check import check
 
 ROOT = Path(__file__).parents[3]
 RIGHT, LEFT, CENTRE = 1.0, 0.4, 0.3  # of a zone from -0.4 to 1.0

@@ -22,8 +22,6 @@ from test_run_ensemble import table
 from commands import undeadzone as command
 from scenes import scene
 from undeadzone.compile import interpret
-from undeadzone.ensemble.batch import prepare_batch
-from undeadzone.ensemble.run_ensemble import replay_in_batch
 from undeadzone.errors import FileError, InputError, ShapeError, StepError, TrackingError
 from undeadzone.nonlinearities.sensor import quantise, side
 from undeadzone.plants.build import system
@@ -38,6 +36,8 @@ from undeadzone.scenario.reader import parse
 from undeadzone.scenario.schema import Scenario
 from undeadzone.simulation.simulate import labels as _told_apart
 from undeadzone.simulation.simulate import simulate
+from undeadzone_studies.ensemble.batch import prepare_batch
+from undeadzone_studies.ensemble.run_ensemble import replay_in_batch
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 RIGHT, LEFT = np.array([0.05, 0.08]), np.array([0.03, 0.06])

@@ -21,8 +21,6 @@ import undeadzone
 from scenes import scene
 from tools import raw_formulas
 from undeadzone.analysis.certificate.design_file import Design, Knowledge
-from undeadzone.ensemble.result import Ensemble
-from undeadzone.ensemble.run_ensemble import run_ensemble
 from undeadzone.errors import FileError, InputError
 from undeadzone.observers import Certified
 from undeadzone.report.animation import (
@@ -32,9 +30,6 @@ from undeadzone.report.animation import (
     _view_turn,
     visible_face_share,
 )
-from undeadzone.report.ensemble_figures import bin_edges
-from undeadzone.report.ensemble_page import draw_ensemble_figures as ensemble_figures
-from undeadzone.report.gain_figures import ELLIPSE, _shade_strip, ellipse_border
 from undeadzone.report.html import (
     MOST,
     Html,
@@ -47,7 +42,6 @@ from undeadzone.report.html import (
     format_html,
 )
 from undeadzone.report.plot import DRAWN, KINDS, plot
-from undeadzone.report.proof_figures import plot_positive_realness, recheck_design
 from undeadzone.report.run_figures import (
     constant_offset,
     joint_rows,
@@ -57,16 +51,22 @@ from undeadzone.report.run_figures import (
 )
 from undeadzone.report.run_page import run_page
 from undeadzone.report.style import create_panels, figure_to_bytes, figure_to_png, write_figure
-from undeadzone.report.tune_page import history
 from undeadzone.results.run import Run
 from undeadzone.scenario.problem import resolve_scenario
 from undeadzone.scenario.reader import read
 from undeadzone.simulation.simulate import simulate
-from undeadzone.synthesis.assessment import assess_problem
-from undeadzone.tuning.result import Tuned
-from undeadzone.tuning.tune import tune
 from undeadzone.util.files import write_text
 from undeadzone_arena.contest.figures import regret_cell_text, span_envelope
+from undeadzone_design.report.gain_figures import ELLIPSE, _shade_strip, ellipse_border
+from undeadzone_design.report.proof_figures import plot_positive_realness, recheck_design
+from undeadzone_design.synthesis.assessment import assess_problem
+from undeadzone_studies.ensemble.result import Ensemble
+from undeadzone_studies.ensemble.run_ensemble import run_ensemble
+from undeadzone_studies.report.ensemble_figures import bin_edges
+from undeadzone_studies.report.ensemble_page import draw_ensemble_figures as ensemble_figures
+from undeadzone_studies.report.tune_page import history
+from undeadzone_studies.tuning.result import Tuned
+from undeadzone_studies.tuning.tune import tune
 
 NASTY = '<script src="http://evil">alert("x")</script> & more'
 IMAGE = "data:image/svg+xml;base64,"

@@ -15,9 +15,9 @@ import pytest
 from test_hostile_files import COMMAND, SCENARIO, scenario
 from tests.jobs import sines
 
-from undeadzone.ensemble import run_blocks
-from undeadzone.ensemble.result import Ensemble
 from undeadzone.results.run import Run
+from undeadzone_studies.ensemble import run_blocks
+from undeadzone_studies.ensemble.result import Ensemble
 
 ROOT = Path(__file__).parents[3]
 VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3, 0.5] }}\n'
@@ -25,7 +25,7 @@ VARIED = f'{SCENARIO}\n[ensemble]\nruns = 50\n"sensor.right" = {{ uniform = [0.3
 WITH_WORKERS = """
 import functools, os, pathlib, sys
 from tests.jobs import say, sines
-from undeadzone.ensemble import run_blocks
+from undeadzone_studies.ensemble import run_blocks
 
 if __name__ == "__main__":
     make, path = functools.partial(sines, 605, 0.01), pathlib.Path(sys.argv[1])

@@ -1,1 +1,1 @@
-"""Decay rates of the errors, and searches for growing errors."""
+"""Decay rates of the errors along a reference."""

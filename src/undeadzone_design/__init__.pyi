@@ -1,0 +1,11 @@
+from .certificate.driven import Ultimate as Ultimate
+from .certificate.driven import ultimate_bound as ultimate_bound
+from .certificate.nearest import decay_limit as decay_limit
+from .certificate.polytopic import certify_on as certify_on
+from .certificate.polytopic import design_on as design_on
+from .certificate.robust import certified_radius as certified_radius
+from .certificate.robust import closed_loop as closed_loop
+from .synthesis.check import Check as Check
+from .synthesis.check import check as check
+from .synthesis.design import design as design
+from .synthesis.gain_search import Weights as Weights

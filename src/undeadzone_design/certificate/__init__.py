@@ -1,0 +1,1 @@
+"""Certificates of sets of models, of models with errors and inputs, and the nearest gains."""

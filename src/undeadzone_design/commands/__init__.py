@@ -1,0 +1,1 @@
+"""Commands about gains: `undeadzone check` and `undeadzone design`."""

@@ -1,0 +1,1 @@
+"""Figures and pages of gains: their certificate, decay and identifiability."""

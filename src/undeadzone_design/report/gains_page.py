@@ -1,0 +1,400 @@
+"""Page of gains, given or designed: problem, guarantee, rate, identifiability and trade-off.
+
+It shows the problem, the guarantee, the rate, the identifiable parameters and the trade-off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from undeadzone.analysis.certificate.design_file import Design, Knowledge
+from undeadzone.analysis.certificate.passivity import Certificate
+from undeadzone.analysis.identifiability.indistinguishable import (
+    describe_indistinguishable as in_words_of_truths,
+)
+from undeadzone.nonlinearities.sensor import DIRECTIONS
+from undeadzone.report import html
+from undeadzone.util.arrays import list_numbers
+from undeadzone.util.text import HALF_95, count_noun, label_with_unit
+from undeadzone_design.report.gain_figures import plot_ellipses, plot_front, root_locus
+from undeadzone_design.report.proof_figures import plot_courses, plot_positive_realness
+from undeadzone_design.synthesis.assessment import Assessment, Attacks, Gains
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CAPTIONS: Final = {
+    "root_locus": "Poles of the error while every output is read, as one of the gains is scaled "
+    "from 0 to 3 times its value; squares: while the sensor is silent. Right: the rate along the "
+    "reference, which is what counts.",
+    "nyquist": "The certificate in the frequency domain: V exists where the curve stays out of the "
+    "shaded half plane.",
+    "lyapunov": "V from one random error. An adversary switches to what leaves V largest: it may "
+    "keep the sensor silent, and then nothing is learnt, but V never rises under certified gains. "
+    "A fair adversary must read every output on both sides again and again. What cannot be known "
+    "stays.",
+    "ellipse": "Where 95 % of the estimates of an optimal estimator lie at the end of the "
+    "scenario; a strip where a direction cannot be known.",
+    "front": "Gains none of which is better than another one in everything; all are certified.",
+}
+SCORES: Final = {
+    "rate": "rate along the reference [1/s]",
+    "disturbance": "rms error per white disturbance of 1 per root second on the inputs",
+    "mismatch": "rms error per relative error in the entries of A and B",
+    "noise": "rms error per rms noise on z at every sample",
+}
+
+
+def draw_gain_figures(
+    of: Assessment, tried: Attacks | None, design: Design | None = None
+) -> dict[str, Figure]:
+    """Return the applicable figures, by name.
+
+    Args:
+        of: the assessment of the gains
+        tried: attempts to break them, if any were made
+        design: design that the gains come from, if any
+    """
+    gains = of.gains
+    drawn: dict[str, Figure] = {}
+    if design is not None and len(design.front) > 1:
+        drawn["front"] = plot_front(design)
+    if gains is not None:
+        if np.isfinite(gains.certificate.margin):
+            drawn["nyquist"] = plot_positive_realness(gains.certificate)
+        drawn["root_locus"] = root_locus(of, gains)
+        if tried is not None:
+            drawn["lyapunov"] = plot_courses(gains, tried)
+    if of.problem.sensor.kind == "deadzone":
+        drawn["ellipse"] = plot_ellipses(of)
+    return drawn
+
+
+def write_gains(
+    of: Assessment,
+    tried: Attacks | None,
+    folder: Path,
+    design: Design | None = None,
+    origin: html.Origin | None = None,
+) -> list[Path]:
+    """Write the figures as SVG and report.html to a folder. Raises FileError.
+
+    Args:
+        of, tried, design: see `figures`
+        folder: folder of the files (created if needed)
+        origin: data to compute the same again (None: unknown)
+
+    Returns:
+        The paths of the files.
+    """
+
+    text = partial(gains_page, of, tried, design=design, origin=origin)
+    return html.write_page(draw_gain_figures(of, tried, design), folder, text)
+
+
+def gains_page(
+    of: Assessment,
+    tried: Attacks | None,
+    images: Mapping[str, bytes],
+    design: Design | None = None,
+    origin: html.Origin | None = None,
+) -> str:
+    """Return the page of an assessment.
+
+    Args:
+        of, tried, design, origin: see `write_gains`
+        images: SVGs by the names of `figures`
+    """
+    shown = html.encode_pictures(images, CAPTIONS)
+    leads = [shown.pop(name) for name in list(shown)[:1]]  # of a design its front, else the proof
+    sections = [html.build_section("The answer", _answer_table(of), *leads)]
+    if of.gains is None:
+        sections.append(
+            html.build_section("No rate", html.build_paragraph(_explain_missing_rate(of)))
+        )
+    else:
+        guarantee = [
+            *guarantee_section(of.gains, tried),
+            *html.pick_pictures(shown, "nyquist", "lyapunov"),
+        ]
+        speed = [*speed_section(of.gains), *html.pick_pictures(shown, "root_locus")]
+        sections.append(html.build_section("The gains", *gains_section(of.gains, design)))
+        sections.append(html.build_section("What is guaranteed", *guarantee))
+        sections.append(html.build_section("How fast", *speed))
+    knowledge = [*knowledge_section(of), *html.pick_pictures(shown, "ellipse")]
+    sections.append(html.build_section("What can be known", *knowledge))
+    if design is not None:
+        sections.append(html.build_section("The trade", *trade_section(design)))
+    sections.append(html.build_section("What was asked", _problem_section(of, design)))
+    kind = "Check" if design is None else "Design"
+    title = f"{kind}: {of.problem.scenario.title}"
+    return html.build_page(title, gains_verdict(of), *sections, origin=origin)
+
+
+def _explain_missing_rate(of: Assessment) -> str:
+    """Return the reason that the observer has no constant gains on a linear model."""
+    if of.problem.model.nonlinear:
+        return (
+            "The model is nonlinear: gains can be certified on a declared [region], as check.json "
+            "tells; frequencies and rates are for linear models."
+        )
+    return "The observer has no constant gains L, gamma."
+
+
+def _answer_table(of: Assessment) -> html.Html:
+    """Return gains, their rate, identifiability, and the strength of the feedback."""
+    rows: list[tuple[str, Any]] = []
+    if of.gains is not None:
+        L = list_numbers(np.ravel(of.gains.L))
+        speed = of.gains.rates
+        rows = [("L, row by row [1/s]", L), ("γ [1/s]", list_numbers(of.gains.gamma))]
+        rows.append(("rate; time constant", f"{speed.rate:.4g} 1/s; {speed.time_constant:.4g} s"))
+    for i, known in enumerate(of.known[:2]):
+        edges = html.join_html(
+            [_describe_direction(known, "right"), "and", _describe_direction(known, "left")]
+        )
+        rows.append(
+            (label_with_unit(f"d_r, d_l of output {i}", of.problem.scenario.units.output), edges)
+        )
+    return html.build_table(
+        ("what", "value"), [*rows, ("readings move z^", html.feedback_html(of.listens))]
+    )
+
+
+def _problem_section(of: Assessment, design: Design | None) -> html.Html:
+    """Return the plant, the sensor, the reference and the aim."""
+    scenario = of.problem.scenario
+    model = of.problem.model
+    unit = scenario.units.output
+    counts = ((model.n, "state"), (model.m, "input"), (model.p, "output"))
+    sizes = ", ".join(count_noun(number, noun) for number, noun in counts)
+    poles = np.linalg.eigvals(of.problem.flow.linear.A) + 0.0
+    simulation = scenario.simulation
+    rows: list[tuple[str, Any]] = [
+        ("plant", f"{sizes}; poles {list_numbers(poles.tolist())} 1/s"),
+        ("time", "continuous" if model.Ts is None else f"sampled every {model.Ts:g} s"),
+        *_sensor_rows(of, unit),
+        ("reference", label_with_unit(_describe_reference(of), unit)),
+        ("side schedule", _describe_schedule(of)),
+        ("duration", f"{simulation.duration:g} s, a sample every {simulation.step:g} s"),
+    ]
+    if design is not None:
+        rows.append(("wanted", f"{design.chosen}; seed {design.seed}"))
+    return html.build_table(("what", "value"), rows)
+
+
+def _sensor_rows(of: Assessment, unit: str) -> list[tuple[str, str]]:
+    """Return the sensor and its noise."""
+    sensor = of.problem.sensor
+    widths = f"d_r = {list_numbers(sensor.right)}, d_l = {list_numbers(sensor.left)}"
+    silent = f"silent below |y| = {list_numbers(sensor.threshold)}"
+    before = list_numbers(sensor.noise_before)
+    noise = f"{list_numbers(sensor.noise)} after the zone, {before} before it"
+    return [
+        (label_with_unit("sensor", unit), f"{sensor.kind}: {widths}, {silent}"),
+        ("noise, rms", noise),
+    ]
+
+
+def _describe_reference(of: Assessment) -> str:
+    """Return the kind of the reference, and the ranges of the outputs, as text."""
+    ends = zip(of.schedule.low, of.schedule.high, strict=True)
+    reach = ", ".join(f"{low:.4g} to {high:.4g}" for low, high in ends)
+    kind = type(of.problem.scenario.reference).__name__.lower()
+    return f"{kind}; the outputs move over {reach}"
+
+
+def _describe_schedule(of: Assessment) -> str:
+    """Return the number of spans in the schedule of branches, and its duration, as text."""
+    schedule = of.schedule
+    again = ", then the same again" if schedule.periodic else ""
+    return f"{count_noun(len(schedule.spans), 'span')} in {schedule.total_duration:.4g} s{again}"
+
+
+def gains_verdict(of: Assessment) -> html.Html:
+    """Return a line: certified or not, and whether every width is identifiable."""
+    parts = [html.widths_verdict(all(one.right and one.left for one in of.known))]
+    if of.gains is not None:
+        proof = of.gains.certificate
+        certified = f"certified, margin {proof.margin:.4g}"
+        parts.insert(0, html.choose_verdict(proof.certified, certified, "not certified"))
+    return html.verdict_line(*parts)
+
+
+def gains_section(gains: Gains, design: Design | None) -> list[html.Html]:
+    """Return the gains, the nearest certified gains if these are not, and the use of a design."""
+    parts = [_gain_table(gains)]
+    near = gains.nearest
+    if near is not None:
+        margin = near.certificate.margin
+        rate = near.rates.rate
+        words = f"The nearest certified gains, with margin {margin:.4g} and rate {rate:.4g} 1/s:"
+        parts.append(html.build_paragraph(words))
+        parts.append(_gain_table(near))
+    if design is not None:
+        use = (
+            'In a scenario: [observer] method = "certified", design = "design.toml". '
+            "The proof is checked again when it is read."
+        )
+        parts.append(html.build_paragraph(use, "note"))
+    return parts
+
+
+def _gain_table(gains: Gains) -> html.Html:
+    """Return L and gamma, a column for each output."""
+    head = ("[1/s]", *(f"output {j}" for j in range(gains.gamma.size)))
+    rows = [(f"L, x[{i}]", *map(float, row)) for i, row in enumerate(gains.L)]
+    return html.build_table(head, [*rows, ("γ", *map(float, gains.gamma))])
+
+
+def guarantee_section(gains: Gains, tried: Attacks | None) -> list[html.Html]:
+    """Return the guarantee of the certificate and its check, or the gap in the guarantee."""
+    proof = gains.certificate
+    if not proof.certified:
+        return _explain_no_guarantee(proof, tried)
+    attempts = ""
+    if tried is not None:
+        count = f"{tried.attack.trajectories:,}"
+        attempts = f" {count} random and adversarial trajectories did not make V rise."
+    widths = ""
+    if gains.dynamics.gamma.any():
+        widths = " + the sum of w |d~|² / γ over the outputs"
+    guarantee = (
+        f"For an exact model without noise and disturbance, V = x~'P x~{widths} never rises, "
+        "whatever the sides do and in whatever order, with projection and silence innovation too; "
+        "x~ → 0, and each width error whose side is read again and again → 0."
+    )
+    head = ("P", *(f"x[{j}]" for j in range(len(proof.P))))
+    rows = [(f"x[{i}]", *map(float, row)) for i, row in enumerate(proof.P)]
+    checked = "Checked by eigenvalues alone, without the solver that found P:"
+    return [
+        html.build_paragraph(guarantee + attempts),
+        html.build_table(head, rows),
+        html.build_paragraph(f"W = {list_numbers(proof.W)}. {checked}"),
+        html.build_table(("what", "value"), _certificate_rows(proof)),
+    ]
+
+
+def _explain_no_guarantee(proof: Certificate, tried: Attacks | None) -> list[html.Html]:
+    """Return the reason that nothing is guaranteed, and a cycle along which the error grows,
+    if found.
+    """
+    words = f"Nothing is guaranteed for every way in which the sides may change: {proof.reason}."
+    parts = [html.build_paragraph(f"{words} That alone does not make the observer unstable.")]
+    if tried is None or tried.cycle is None:
+        return parts
+    if "cycle" in {course.kind for course in tried.courses}:
+        found = "A periodic sequence of sides was found along which the error grows by"
+        growth = f"{tried.cycle.factor:.4g} every {tried.cycle.seconds:.4g} s"
+        parts.append(html.build_paragraph(f"{found} {growth}: these gains can diverge."))
+    return parts
+
+
+def _certificate_rows(proof: Certificate) -> list[tuple[str, Any]]:
+    """Return the numbers by which a certificate was checked."""
+    inequality = proof.dynamics.inequality(proof.W)
+    matrices = inequality.lmi_matrices(proof.P)
+    values = np.concatenate([np.linalg.eigvalsh(M) for M in matrices])
+    step = "" if proof.dynamics.Ts is None else " − Ts γ/2"
+    at_infinity = proof.frequency is None or np.isinf(proof.frequency)
+    return [
+        ("eigenvalues of P, all positive", list_numbers(np.linalg.eigvalsh(proof.P))),
+        ("eigenvalues of the inequality, all negative", list_numbers(np.sort(values))),
+        ("greatest of them, scaled to a diagonal of −1", proof.check.lmi),
+        ("bound on the rounding of the scaled ones", proof.check.rounding),
+        (f"margin: least eigenvalue of the Hermitian part of 1 + G{step}", proof.margin),
+        ("where [rad/s]", "ω → ∞" if at_infinity else proof.frequency),
+    ]
+
+
+def speed_section(gains: Gains) -> list[html.Html]:
+    """Return the decay of the error along the reference."""
+    speed = gains.rates
+    rows: list[tuple[str, Any]] = [
+        ("rate along the reference, in the long run [1/s]", speed.rate),
+        ("every error at 1 % of itself, in size √V, after [s] at the latest", gains.settled),
+        ("one pass of the schedule [s]", speed.period),
+        ("largest factor of one pass on an error, in balanced units", speed.gain),
+    ]
+    note = (
+        "Where several errors die equally slowly, as where a rate is largest, it takes long before "
+        "this rate is seen; the time to 1 % tells."
+    )
+    parts = [html.build_table(("what", "value"), rows), html.build_paragraph(note, "note")]
+    if speed.rate <= 0:
+        parts.append(html.build_paragraph("The error does not die along this reference.", "no"))
+    if speed.never:
+        errors = ", ".join(speed.never)
+        stays = "These errors stay along this reference, whatever the gains"
+        parts.append(html.build_paragraph(f"{stays}: {errors}."))
+    return parts
+
+
+def knowledge_section(assessment: Assessment) -> list[html.Html]:
+    """Return the section on the widths that an optimal estimator can identify.
+
+    It contains the accuracy of each width, reasons and remedies.
+    """
+    scenario = assessment.problem.scenario
+    unit = scenario.units.output
+    duration = scenario.simulation.duration
+    rows = []
+    for i, width in enumerate(assessment.known):
+        rows.append((i, *(_describe_direction(width, name) for name in DIRECTIONS)))
+    question = (
+        "Whether an optimal estimator can know it, and its "
+        f"{label_with_unit('95 % interval', unit)} after {duration:g} s at the scenario's noise:"
+    )
+    head = ("output", "d_r", "d_l", "width d_r + d_l", "centre (d_r − d_l)/2")
+    parts = [html.build_paragraph(question), html.build_table(head, rows)]
+    for widths in in_words_of_truths([width.second for width in assessment.known]):
+        parts.append(
+            html.build_paragraph(f"Readings would be the same, but for noise, with {widths}.")
+        )
+    for i, width in enumerate(assessment.known):
+        where = f"Output {i}: " if len(assessment.known) > 1 else ""
+        parts += [html.build_paragraph(f"{where}{reason}.") for reason in width.reasons]
+        parts += [html.build_paragraph(f"{where}What would help: {cure}.") for cure in width.cures]
+    return parts
+
+
+def _describe_direction(width: Knowledge, name: str) -> html.Html:
+    """Return the half 95 % interval of a direction (right, width, ...), or that it is unknown."""
+    interval = f"± {HALF_95 * width.std[name]:.2g}" if name in width.std else "yes"
+    return html.build_tag("span", *html.choose_verdict(getattr(width, name), interval))
+
+
+def trade_section(design: Design) -> list[html.Html]:
+    """Return the chosen gains beside the scenario's own and the fastest, and all gains of the
+    front.
+    """
+    points = {"chosen": design.best}
+    if design.present is not None:
+        points["yours"] = design.present
+    if len(design.front) > 1:
+        points["fastest"] = design.front[0]
+    rows = []
+    for name, words in SCORES.items():
+        rows.append((words, *(getattr(point, name) for point in points.values())))
+    parts = [html.build_table(("", *points), rows)]
+    parts += [
+        html.build_paragraph(f"{remark[:1].upper()}{remark[1:]}.") for remark in design.remarks
+    ]
+    if len(design.front) > 1:
+        parts.append(_front_table(design))
+    return parts
+
+
+def _front_table(design: Design) -> html.Html:
+    """Return every gain of the front and its scores."""
+    rows = []
+    for point in design.front:
+        scores = [getattr(point, name) for name in SCORES]
+        rows.append((list_numbers(np.ravel(point.L)), list_numbers(point.gamma), *scores))
+    title = f"The {len(design.front)} gains of the front"
+    return html.fold_section(title, html.build_table(("L", "γ", *SCORES), rows))

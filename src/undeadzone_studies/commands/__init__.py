@@ -1,0 +1,1 @@
+"""Commands of studies: `undeadzone ensemble` and `undeadzone tune`."""

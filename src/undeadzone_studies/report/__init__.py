@@ -1,0 +1,1 @@
+"""Figures and pages of ensembles and of tuned parameters."""

@@ -1,0 +1,250 @@
+"""Page of a tuning: the tuned numbers, their value on held-out runs, and the search, with
+figures.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+import numpy as np
+
+from undeadzone.report import html, ink
+from undeadzone.report.style import DASHED, create_panels, escape_formulas, finish_panel
+from undeadzone.util import toml
+from undeadzone.util.arrays import Floats
+from undeadzone.util.text import bracket_interval, count_noun
+from undeadzone_studies.report.ensemble_figures import describe_metric
+from undeadzone_studies.statistics.intervals import Interval
+from undeadzone_studies.tuning.parameters import Parameter
+from undeadzone_studies.tuning.result import HeldOut, Tuned
+from undeadzone_studies.tuning.tune import Sweep, sweep
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+CAPTIONS: Final = {
+    "history": "Left: what each candidate costs on the runs tuned on, and the best so far. Right: "
+    "the scenario as it was and tuned on held-out runs, with 95 % intervals.",
+    "around": "The metric on held-out runs as one number moves and the others stay. A flat curve "
+    "is a number that hardly matters.",
+}
+COLOURS: Final = {
+    "start": ink.TRUTH,
+    "global": ink.READING,
+    "gradient": ink.REFERENCE,
+    "local": ink.OTHER,
+}
+POINTS: Final = 25  # of a curve around the tuned numbers
+COLUMNS: Final = 3
+STEEP: Final = 20  # times the least cost, beyond which a curve is cut off
+
+
+def write_tuned(result: Tuned, folder: Path, origin: html.Origin | None) -> list[Path]:
+    """Write history.svg, around.svg and report.html to a folder. Raises FileError.
+
+    Args:
+        result: result to show.
+        folder: folder of the files (created if needed).
+        origin: data to compute the same again (None: unknown).
+
+    Returns:
+        The paths of the files.
+    """
+    drawn = {"history": history(result), "around": plot_sweeps(result, sweep_each_number(result))}
+    return html.write_page(drawn, folder, lambda images: tune_page(result, images, origin))
+
+
+def tune_page(result: Tuned, images: dict[str, bytes], origin: html.Origin | None) -> str:
+    """Return the page (images: SVGs by name, else see `write_tuned`)."""
+    shown = html.encode_pictures(images, CAPTIONS)
+    what = result.what
+    asked = (
+        f"Made small: {what.statistic} of {what.metric} over {what.runs} runs, with "
+        f"{len(result.trials)} candidates of {what.budget}. Held-out runs are others than those "
+        "tuned on: they tell what the numbers are worth. In parentheses: 95 % intervals."
+    )
+    return html.build_page(
+        f"Tuned: {result.scenario.title}",
+        _tuning_verdict(result),
+        html.build_section(
+            "Numbers", *_number_table(result), *html.pick_pictures(shown, "history")
+        ),
+        html.build_section(
+            "What they are worth", html.build_paragraph(asked), _held_out_table(result)
+        ),
+        html.build_section("Around what was found", *html.pick_pictures(shown, "around")),
+        html.build_section(
+            "The tuned scenario",
+            html.fold_section("tuned.toml", html.source_html(toml.to_toml(result.scenario))),
+        ),
+        origin=origin,
+    )
+
+
+def _tuning_verdict(result: Tuned) -> html.Html:
+    """Return a line: better or not, certified or not."""
+    no_better = "no improvement that chance could not explain"
+    parts = [html.choose_verdict(result.improved, "better on held-out runs", no_better)]
+    if result.margin is not None:
+        certified = f"certified, margin {result.margin:.4g}"
+        parts.append(html.choose_verdict(result.certified, certified, "not certified"))
+    return html.verdict_line(*parts)
+
+
+def _number_table(result: Tuned) -> list[html.Html]:
+    """Return the numbers, with start values and ranges, and the numbers at the end of a range."""
+    rows = []
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        bounds = f"{parameter.low:g} to {parameter.high:g}{', log' if parameter.log else ''}"
+        rows.append((parameter.name, parameter.start, value, bounds))
+    head = ("number", "before", "tuned", "range")
+    words = "lies at the end of its range: a wider one may do better."
+    return [
+        html.build_table(head, rows),
+        *(html.build_paragraph(f"{name} {words}") for name in result.at_edge),
+    ]
+
+
+def _held_out_table(result: Tuned) -> html.Html:
+    """Return the cost before and after, on the runs of the tuning and on held-out runs."""
+    rows: list[tuple[Any, ...]] = [("runs tuned on", *map(float, result.cost), None, None)]
+    for scenario, held_out in zip(result.scenarios, result.held_out, strict=True):
+        rows.append(_held_out_row(scenario.title, held_out))
+    rows.append(("change on held-out runs", None, _interval_words(result.change), None, None))
+    return html.build_table(("", "before", "after", "diverged before", "after"), rows)
+
+
+def _held_out_row(title: str, held_out: HeldOut) -> tuple[Any, ...]:
+    """Return the row of a scenario's held-out runs."""
+    before = held_out.before
+    after = held_out.after
+    lost = [f"{100 * worth.diverged.value:.3g} %" for worth in (before, after)]
+    name = f"{title}: {count_noun(held_out.runs, 'held-out run')}"
+    return (name, _interval_words(before.value), _interval_words(after.value), *lost)
+
+
+def _interval_words(interval: Interval) -> str:
+    """Return a value with its interval."""
+    alone = interval.low == interval.high
+    return f"{interval.value:.4g}" if alone else bracket_interval(*interval, ".4g")
+
+
+def sweep_each_number(result: Tuned) -> dict[str, Sweep]:
+    """Return the metric of the first scenario on held-out runs, over each tuned number alone."""
+    what = msgspec.structs.replace(result.what, runs=result.what.held_out, seed=result.seed + 1)
+    sweeps = {}
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        places = {parameter.name: _sweep_places(parameter, value)}
+        sweeps[parameter.name] = sweep(result.scenario, places, what)
+    return sweeps
+
+
+def history(result: Tuned) -> Figure:
+    """Return every candidate in order, and the scenario before and after on held-out runs."""
+    rows = [["trials", "trials", "trials", "held_out"]]
+    figure, panels = create_panels(rows, f"{result.scenario.title}: tuned", height=3.6)
+    candidates(panels["trials"], result)
+    _draw_comparison(panels["held_out"], result)
+    finish_panel(panels["held_out"], "On held-out runs", _describe_objective(result), "", legend=0)
+    return figure
+
+
+def candidates(axes: Axes, result: Tuned) -> None:
+    """Draw the cost of every candidate by its stage of the search, and the best so far.
+
+    Those that are not certified are crossed out.
+    """
+    cost = np.array([trial.cost for trial in result.trials])
+    kept = np.array([not trial.margin < result.what.margin for trial in result.trials])
+    best = np.minimum.accumulate(np.where(kept, cost, np.inf))
+    known = best[np.isfinite(best)]
+    top = 1.15 * max(float(known.max(initial=0.0)), result.cost[0])
+    shown = np.minimum(cost, top)
+    for stage, colour in COLOURS.items():
+        tried = np.flatnonzero([trial.stage == stage for trial in result.trials])
+        if tried.size:
+            axes.plot(tried, shown[tried], ".", color=colour, markersize=5, label=stage)
+    if not kept.all():
+        lost = np.flatnonzero(~kept)
+        small: Any = {"markersize": 3.5, "alpha": 0.6}
+        axes.plot(lost, shown[lost], "x", color=ink.PRINTED, label="not certified", **small)
+    axes.plot(best, color=ink.ESTIMATE, drawstyle="steps-post", label="best so far")
+    _use_log_axis(axes, known)
+    finish_panel(
+        axes, "Candidates, on the runs tuned on", _describe_objective(result), "candidate", legend=3
+    )
+
+
+def plot_sweeps(result: Tuned, sweeps: dict[str, Sweep]) -> Figure:
+    """Return the metric over each tuned number, on held-out runs (sweeps: from
+    `sweep_each_number`).
+    """
+    names = list(sweeps)
+    rows = [names[i : i + COLUMNS] for i in range(0, len(names), COLUMNS)]
+    rows[-1] += [rows[-1][-1]] * (len(rows[0]) - len(rows[-1]))
+    title = "Around what was found, on held-out runs, the other numbers unchanged"
+    figure, panels = create_panels(rows, title, height=3.0)
+    for parameter, value in zip(result.parameters, result.values, strict=True):
+        axes = panels[parameter.name]
+        _draw_sweep(axes, parameter, value, sweeps[parameter.name], result.what.margin)
+        finish_panel(
+            axes, escape_formulas(parameter.name), _describe_objective(result), legend=2, x_label=""
+        )
+    return figure
+
+
+def _draw_sweep(
+    axes: Axes, parameter: Parameter, value: float, curve: Sweep, margin: float
+) -> None:
+    """Draw the metric over a number (margin: the least margin of a certificate)."""
+    (x,) = curve.axes.values()
+    cost = curve.cost
+    axes.set_xscale("log" if parameter.log else "linear")
+    shown = np.isfinite(cost) & (cost < STEEP * cost.min())
+    axes.plot(x[shown], cost[shown], ".-", color=ink.ESTIMATE)
+    lost = shown & (curve.margin < margin)
+    if lost.any():
+        axes.plot(x[lost], cost[lost], "x", color=ink.PRINTED, label="not certified")
+    start = parameter.start
+    axes.axvline(value, color=ink.REFERENCE, label=f"tuned {value:.4g}")
+    axes.axvline(start, color=ink.ZONE, linestyle=DASHED, label=f"start {start:.4g}")
+    axes.set_xlim(parameter.low, parameter.high)
+    _use_log_axis(axes, cost[shown])
+
+
+def _describe_objective(result: Tuned) -> str:
+    """Return the statistic and the metric of the tuning."""
+    return f"{result.what.statistic} {describe_metric(result.what.metric)}"
+
+
+def _sweep_places(parameter: Parameter, value: float) -> Floats:
+    """Return the tuned number, and a grid over its range."""
+    return np.unique(np.append(parameter.value_at_share(np.linspace(0.0, 1.0, POINTS)), value))
+
+
+def _draw_comparison(axes: Axes, result: Tuned) -> None:
+    """Draw the first scenario on held-out runs as it was and tuned, with intervals."""
+    first = result.held_out[0]
+    pairs = (first.before, ink.TRUTH), (first.after, ink.ESTIMATE)
+    for place, (worth, colour) in enumerate(pairs):
+        value, low, high = worth.value
+        reach = [[_whisker_length(low, value)], [_whisker_length(high, value)]]
+        axes.errorbar([place], [value], yerr=reach, fmt="o", capsize=5, color=colour)
+    axes.set_xticks([0, 1], ["before", "tuned"])
+    axes.set_xlim(-0.6, 1.6)
+    axes.set_ylim(bottom=0.0)
+    axes.margins(y=0.2)
+
+
+def _whisker_length(end: float, value: float) -> float:
+    """Return the distance of an interval's end from its value, 0 for an infinite end."""
+    return abs(end - value) if np.isfinite(end) else 0.0
+
+
+def _use_log_axis(axes: Axes, shown: Floats) -> None:
+    """Set a logarithmic axis if values span more than a decade."""
+    if shown.size and shown.min() > 0 and shown.max() > 10 * shown.min():
+        axes.set_yscale("log")
