@@ -16,13 +16,13 @@ from undeadzone.logs.samples import MOST_UNREADABLE, Faults, LogReader, Placed, 
 from undeadzone.plants.system import state_units, time_scale
 from undeadzone.results.info import LogInfo
 from undeadzone.results.signals import last_values, signals_from_estimate
+from undeadzone.scenario.operating_point import resolve_levels
 from undeadzone.scenario.problem import (
     describe_actuator,
     plant_of_model,
     sensor_of_model,
     with_units,
 )
-from undeadzone.scenario.operating_point import resolve_levels
 from undeadzone.scenario.schema import Scenario, Units
 from undeadzone.simulation.consistency import Consistency, Own, verdict_of
 from undeadzone.simulation.online import Online, build_observer
